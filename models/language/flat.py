@@ -1,0 +1,132 @@
+"""What a model is once its component tree is gone: one explicit ODE with named, unit-carrying vectors.
+
+    x' = f(t, x, u, p),   y = h(t, x, u, p),   x(0) = x0(u, p)
+
+Everything is in SI. Methods (simulation, identification, export, ...) see a model through this class alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from .errors import DeclarationError, nearest
+
+
+@dataclass(frozen=True)
+class Signal:
+    """An input or output: name, SI unit, typical magnitude.
+
+    ``interpolation`` says what an input does between samples: "hold" (a command kept by a D/A converter) or
+    "linear" (a measured continuous quantity). ``dead_time`` names the parameter [s] that delays the input, if any.
+    """
+
+    name: str
+    unit: str
+    description: str = ""
+    nominal: float = 1.0
+    interpolation: str = "hold"
+    dead_time: str | None = None
+    default: float = 0.0
+
+
+@dataclass(frozen=True)
+class StateVariable:
+    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it, if one does."""
+
+    name: str
+    unit: str
+    description: str = ""
+    nominal: float = 1.0
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    measured_by: str | None = None
+
+
+@dataclass(frozen=True)
+class ParameterValue:
+    """A parameter with its value: dotted path, SI unit, bounds, scale, uncertainty and source.
+
+    ``free`` marks the parameters that identification frees by default.
+    """
+
+    name: str
+    value: float
+    unit: str
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    nominal: float = 1.0
+    sigma: float | None = None
+    source: str = ""
+    description: str = ""
+    free: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class FlatModel:
+    """One explicit ODE.
+
+    ode : ``(t, x, u, p) -> (xdot, y)``, a CasADi SX function with these argument names; t scalar, the rest columns.
+    start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
+    step : recommended fixed step [s].
+    """
+
+    name: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[StateVariable, ...]
+    parameters: tuple[ParameterValue, ...]
+    ode: ca.Function
+    initialisation: object = field(repr=False)
+    step: float = 1e-3
+    description: str = ""
+
+    def start_given(self, given: Sequence[str] = ()) -> ca.Function:
+        """Start states ``(u, p, z) -> x`` when the states named in ``given`` have the values ``z`` (SI).
+
+        States that the model finds from static equilibrium adapt to the given ones.
+        """
+        known = [s.name for s in self.states]
+        for name in given:
+            if name not in known:
+                raise DeclarationError(f"{self.name}: no state '{name}'. {nearest(name, known)}")
+        return self.initialisation(tuple(given))
+
+    def parameter_vector(self, changes: Mapping[str, float] | None = None) -> np.ndarray:
+        """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""
+        values = np.array([p.value for p in self.parameters], dtype=float)
+        for name, value in (changes or {}).items():
+            values[self.index_of(name)] = value
+        return values
+
+    def index_of(self, parameter: str) -> int:
+        """Position of a parameter in ``p``; an unknown name raises with the nearest right one."""
+        names = [p.name for p in self.parameters]
+        if parameter not in names:
+            owner, _, leaf = parameter.rpartition(".")
+            where = f"{self.name}.{owner}" if owner else self.name
+            raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(parameter, names)}")
+        return names.index(parameter)
+
+    def with_parameters(self, changes: Mapping[str, float]) -> FlatModel:
+        """The same model with other parameter values (SI)."""
+        values = self.parameter_vector(changes)
+        return dataclasses.replace(
+            self,
+            parameters=tuple(
+                dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
+            ),
+        )
+
+
+def fixed_start(values: Sequence[float], names: Sequence[str], inputs: int, parameters: int):
+    """An ``initialisation`` for hand-written flat models: constants, any of them replaceable by name."""
+
+    def initialisation(given: tuple[str, ...]) -> ca.Function:
+        u, p, z = ca.SX.sym("u", inputs), ca.SX.sym("p", parameters), ca.SX.sym("z", len(given))
+        x = ca.vertcat(*(z[given.index(n)] if n in given else v for n, v in zip(names, values, strict=True)))
+        return ca.Function("start", [u, p, z], [ca.SX(x)], ["u", "p", "z"], ["x"])
+
+    return initialisation

@@ -1,0 +1,132 @@
+"""The unit check: both sides of every equation must have the same dimension.
+
+The expression graph is walked once. A literal zero fits any dimension, every other literal is a pure number; angles
+are pure numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from fractions import Fraction
+
+import casadi as ca
+
+from .elaboration import Equation
+from .errors import UnitError
+from .units import BASE_UNITS, dimension
+
+Dimension = tuple[Fraction, ...]
+NUMBER: Dimension = (Fraction(0),) * 7
+ANY = None  # the dimension of a literal zero
+
+_SAME = {ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_HYPOT}
+_COMPARE = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
+_KEEP = {ca.OP_ASSIGN, ca.OP_NEG, ca.OP_FABS, ca.OP_TWICE, ca.OP_FLOOR, ca.OP_CEIL, ca.OP_COPYSIGN}
+_NUMBER_ONLY = {
+    ca.OP_EXP, ca.OP_LOG, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_ASIN, ca.OP_ACOS, ca.OP_ATAN, ca.OP_SINH, ca.OP_COSH,
+    ca.OP_TANH, ca.OP_ASINH, ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERF, ca.OP_EXPM1, ca.OP_LOG1P, ca.OP_ERFINV,
+}  # fmt: skip
+_LOGIC = {ca.OP_AND, ca.OP_OR, ca.OP_NOT}
+
+
+def written(d: Dimension) -> str:
+    """A dimension as a product of base units: ``kg.m-1.s-2``.
+
+    >>> written(dimension("Pa"))
+    'm-1.kg.s-2'
+    """
+    parts = [f"{u}{'' if e == 1 else e}" for u, e in zip(BASE_UNITS, d, strict=True) if e]
+    return ".".join(parts) or "1"
+
+
+def dimensions_of(expressions: Sequence[ca.SX], units: Mapping[int, str]) -> list[Dimension | None]:
+    """Dimension of each expression, or raise `UnitError` with the operation that mixes two of them.
+
+    ``units`` maps the hash of a symbol to its unit.
+    """
+    symbols = ca.symvar(ca.vertcat(*expressions))
+    f = ca.Function("f", symbols, list(expressions))
+    work: dict[int, Dimension | None] = {}
+    constants: dict[int, float] = {}
+    results: list[Dimension | None] = [NUMBER] * len(expressions)
+    for k in range(f.n_instructions()):
+        op, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
+        if op == ca.OP_INPUT:
+            work[outputs[0]] = dimension(units[symbols[inputs[0]].element_hash()])
+            constants.pop(outputs[0], None)
+        elif op == ca.OP_OUTPUT:
+            results[outputs[0]] = work[inputs[0]]
+        elif op == ca.OP_CONST:
+            value = f.instruction_constant(k)
+            work[outputs[0]], constants[outputs[0]] = (ANY if value == 0 else NUMBER), value
+        else:
+            arguments = [work[i] for i in inputs]
+            exponent = constants.get(inputs[1]) if op in (ca.OP_POW, ca.OP_CONSTPOW) else None
+            work[outputs[0]] = _apply(op, arguments, exponent)
+            constants.pop(outputs[0], None)
+    return results
+
+
+def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -> Dimension | None:
+    """Dimension of one operation's result."""
+    a, b = arguments[0], arguments[-1]
+    if op in _SAME or op in _COMPARE:
+        if a is not ANY and b is not ANY and a != b:
+            verb = "compared with" if op in _COMPARE else "added to" if op in (ca.OP_ADD, ca.OP_SUB) else "mixed with"
+            raise UnitError(f"{written(a)} is {verb} {written(b)}")
+        return NUMBER if op in _COMPARE else (b if a is ANY else a)
+    if op in _KEEP:
+        return a
+    if op in (ca.OP_MUL, ca.OP_IF_ELSE_ZERO):
+        return ANY if b is ANY else tuple(x + y for x, y in zip(a or NUMBER, b, strict=True)) if a is not ANY else ANY
+    if op == ca.OP_DIV:
+        return ANY if a is ANY else tuple(x - y for x, y in zip(a, b or NUMBER, strict=True))
+    if op == ca.OP_INV:
+        return tuple(-x for x in a or NUMBER)
+    if op in (ca.OP_SQ, ca.OP_SQRT):
+        factor = Fraction(2) if op == ca.OP_SQ else Fraction(1, 2)
+        return ANY if a is ANY else tuple(x * factor for x in a)
+    if op in (ca.OP_POW, ca.OP_CONSTPOW):
+        if exponent is not None:
+            power = Fraction(exponent).limit_denominator(1000)
+            return ANY if a is ANY else tuple(x * power for x in a)
+        _pure(arguments, "raised to a power that is no literal")
+        return NUMBER
+    if op == ca.OP_SIGN or op in _LOGIC:
+        return NUMBER
+    if op == ca.OP_ATAN2:
+        _apply(ca.OP_ADD, arguments, None)
+        return NUMBER
+    if op in _NUMBER_ONLY:
+        _pure(arguments, "the argument of a transcendental function")
+        return NUMBER
+    raise UnitError(f"operation {op} has no rule for units")
+
+
+def _pure(arguments, role: str) -> None:
+    for a in arguments:
+        if a is not ANY and a != NUMBER:
+            raise UnitError(f"{written(a)} is {role}")
+
+
+def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, str]) -> None:
+    """Check every equation of a model.
+
+    Raises
+    ------
+    UnitError : names the component, the equation and the two dimensions.
+    """
+    for equation in equations:
+        where = f"{model}.{equation.owner}" if equation.owner else model
+        try:
+            left, right = dimensions_of([equation.left, equation.right], units)
+        except UnitError as error:
+            raise UnitError(
+                f"{where}: units do not balance in '{equation}' (got {error}). "
+                "Check the units of the quantities that meet there."
+            ) from None
+        if left is not ANY and right is not ANY and left != right:
+            raise UnitError(
+                f"{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
+                f"{written(right)} on the right). Both sides must have the same unit."
+            )

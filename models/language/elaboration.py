@@ -1,0 +1,228 @@
+"""From declarations to symbols: one walk over a component tree that collects everything a model is made of."""
+
+from __future__ import annotations
+
+import contextvars
+from dataclasses import dataclass, field
+
+import casadi as ca
+
+from .declarations import Input, Output, Parameter, Port, State, Variable
+from .errors import DeclarationError, TopologyError
+
+_current: contextvars.ContextVar[Elaboration | None] = contextvars.ContextVar("elaboration", default=None)
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """One declared quantity and its symbol."""
+
+    path: str
+    symbol: ca.SX
+    unit: str
+    declaration: object
+    owner: object = None
+
+
+@dataclass(frozen=True, eq=False)
+class BoundPort:
+    """A port of a bound component; its potential and flow are attributes with the physical letters."""
+
+    path: str
+    declaration: Port
+    potential: ca.SX
+    flow: ca.SX
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        for (letter, _), symbol in (
+            (self.declaration.potential, self.potential),
+            (self.declaration.flow, self.flow),
+        ):
+            if name == letter:
+                return symbol
+        letters = f"'{self.declaration.potential[0]}' and '{self.declaration.flow[0]}'"
+        raise DeclarationError(f"{self.path}: no quantity '{name}'. This port has {letters}.")
+
+
+@dataclass(frozen=True, eq=False)
+class Equation:
+    """``left == right`` with the path of the component that states it."""
+
+    left: ca.SX
+    right: ca.SX
+    owner: str
+
+    def __str__(self):
+        text = f"{self.left} == {self.right}"
+        return text if len(text) < 160 else text[:157] + "..."
+
+
+@dataclass(frozen=True, eq=False)
+class Connection:
+    """Two ports or two signals that are the same place."""
+
+    first: object
+    second: object
+
+
+@dataclass(frozen=True, eq=False)
+class Delay:
+    """A symbol that stands for ``argument(t - time)``."""
+
+    symbol: ca.SX
+    argument: ca.SX
+    time: ca.SX
+
+
+@dataclass
+class Elaboration:
+    """Everything found on the walk. Lives only while a model is flattened."""
+
+    name: str
+    parameters: list[Entry] = field(default_factory=list)
+    bindings: dict[str, object] = field(default_factory=dict)  # path -> expression of a dependent parameter
+    states: list[Entry] = field(default_factory=list)
+    variables: list[Entry] = field(default_factory=list)
+    inputs: list[Entry] = field(default_factory=list)  # of the root
+    outputs: list[Entry] = field(default_factory=list)  # of the root
+    ports: dict[str, BoundPort] = field(default_factory=dict)
+    open_signals: dict[str, ca.SX] = field(default_factory=dict)  # inputs below the root, not yet connected
+    equations: list[Equation] = field(default_factory=list)
+    initial_equations: list[Equation] = field(default_factory=list)
+    connections: list[tuple[str, Connection]] = field(default_factory=list)
+    derivatives: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)  # hash -> (symbol, its derivative)
+    delays: list[Delay] = field(default_factory=list)
+    units: dict[int, str] = field(default_factory=dict)  # hash of a symbol -> unit
+    signals: dict[int, str] = field(default_factory=dict)  # hash -> path of every Input and Output
+    time: ca.SX = field(default_factory=lambda: ca.SX.sym("time"))
+
+    def __post_init__(self):
+        self.units[self.time.element_hash()] = "s"
+        self._known_constant = set()
+
+    # -- symbols -----------------------------------------------------------------------------------------------
+    def symbol(self, path: str, unit: str) -> ca.SX:
+        symbol = ca.SX.sym(path)
+        self.units[symbol.element_hash()] = unit
+        return symbol
+
+    def parameter(self, path: str, declaration: Parameter, owner) -> ca.SX:
+        entry = Entry(path, self.symbol(path, declaration.unit), declaration.unit, declaration, owner)
+        self._known_constant.add(entry.symbol.element_hash())
+        self.parameters.append(entry)
+        return entry.symbol
+
+    def state(self, path: str, declaration: State, owner) -> ca.SX:
+        entry = Entry(path, self.symbol(path, declaration.unit), declaration.unit, declaration, owner)
+        rate = self.symbol(f"der({path})", f"({declaration.unit})/s")
+        self.derivatives[entry.symbol.element_hash()] = (entry.symbol, rate)
+        self.states.append(entry)
+        return entry.symbol
+
+    def variable(self, path: str, declaration, owner=None) -> ca.SX:
+        entry = Entry(path, self.symbol(path, declaration.unit), declaration.unit, declaration, owner)
+        if isinstance(declaration, (Input, Output)):
+            self.signals[entry.symbol.element_hash()] = path
+            if "." not in path:
+                (self.inputs if isinstance(declaration, Input) else self.outputs).append(entry)
+                if isinstance(declaration, Input):
+                    return entry.symbol
+            elif isinstance(declaration, Input):
+                self.open_signals[path] = entry.symbol
+        self.variables.append(entry)
+        return entry.symbol
+
+    def port(self, path: str, declaration: Port) -> BoundPort:
+        (letter, unit), (flow, flow_unit) = declaration.potential, declaration.flow
+        nominal, flow_nominal = declaration.nominals
+        potential = self.variable(f"{path}.{letter}", Variable(unit, declaration.description, nominal))
+        flow_symbol = self.variable(f"{path}.{flow}", Variable(flow_unit, declaration.description, flow_nominal))
+        self.ports[path] = bound = BoundPort(path, declaration, potential, flow_symbol)
+        return bound
+
+    # -- derivatives -------------------------------------------------------------------------------------------
+    def derivative(self, expression: ca.SX) -> ca.SX:
+        """d/dt by the chain rule; a symbol that is no state gets a derivative symbol of its own."""
+        total = ca.SX(0)
+        for symbol in ca.symvar(expression):
+            partial = ca.jacobian(expression, symbol)
+            total = total + partial * self._derivative_of(symbol)
+        return total
+
+    def _derivative_of(self, symbol: ca.SX) -> ca.SX:
+        key = symbol.element_hash()
+        if key in self._known_constant:
+            return ca.SX(0)
+        if key == self.time.element_hash():
+            return ca.SX(1)
+        if key not in self.derivatives:
+            rate = self.symbol(f"der({symbol})", f"({self.units[key]})/s")
+            self.derivatives[key] = (symbol, rate)
+        return self.derivatives[key][1]
+
+    # -- equations ---------------------------------------------------------------------------------------------
+    def collect(self, statements, owner: str, into: list[Equation]) -> None:
+        for statement in statements or ():
+            if isinstance(statement, Connection):
+                self.connections.append((owner, statement))
+                continue
+            if not isinstance(statement, ca.SX) or not statement.is_scalar():
+                raise DeclarationError(
+                    f"{owner or self.name}: this is no equation (got {statement!r}). "
+                    "Yield 'left == right' of scalar expressions, or connect(a, b)."
+                )
+            if statement.is_op(ca.OP_EQ):
+                into.append(Equation(statement.dep(0), statement.dep(1), owner))
+            elif statement.is_constant() and float(statement) == 1:
+                raise TopologyError(f"{owner or self.name}: an equation has the same expression on both sides. Drop it.")
+            else:
+                raise DeclarationError(f"{owner or self.name}: '{statement}' is no equation. Yield 'left == right'.")
+
+
+def current() -> Elaboration:
+    """The elaboration under way; equations can only be written inside one."""
+    elaboration = _current.get()
+    if elaboration is None:
+        raise DeclarationError("der, connect, delay and time only have a meaning inside a component's equations().")
+    return elaboration
+
+
+def der(expression: ca.SX) -> ca.SX:
+    """Time derivative of a state, of any other variable (index reduction) or of an expression of them."""
+    return current().derivative(ca.SX(expression))
+
+
+def time() -> ca.SX:
+    """Simulation time [s]."""
+    return current().time
+
+
+def delay(argument: ca.SX, dead_time: ca.SX) -> ca.SX:
+    """``argument(t - dead_time)``; the argument must be an input of the model, directly or through connections."""
+    elaboration = current()
+    unit = elaboration.units[argument.element_hash()]
+    symbol = elaboration.symbol(f"delay({argument})", unit)
+    elaboration.delays.append(Delay(symbol, argument, dead_time))
+    return symbol
+
+
+def connect(first, second) -> Connection:
+    """Make two ports (or two signals) one: equal potentials, flows that sum to zero."""
+    kinds = []
+    for end in (first, second):
+        if isinstance(end, BoundPort):
+            kinds.append(type(end.declaration))
+        elif isinstance(end, ca.SX) and end.is_symbolic() and end.element_hash() in current().signals:
+            kinds.append("signal")
+        else:
+            raise TopologyError(f"connect: '{end}' is neither a port nor a signal. Give a port, an Input or an Output.")
+    if kinds[0] != kinds[1]:
+        names = [end.path if isinstance(end, BoundPort) else str(end) for end in (first, second)]
+        shown = [k if isinstance(k, str) else k.__name__ for k in kinds]
+        raise TopologyError(
+            f"connect: {names[0]} ({shown[0]}) and {names[1]} ({shown[1]}) are of different kinds. "
+            "Connect ports of the same kind, or put a component between them."
+        )
+    return Connection(first, second)

@@ -1,0 +1,246 @@
+"""From a component tree to one explicit ODE.
+
+Connections become equations; equations are matched to unknowns and solved block by block; ``der()`` of a variable that
+is no state follows from differentiating the expression that determines it (index reduction).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from .component import Component
+from .dimensions import check_units
+from .elaboration import BoundPort, Elaboration, Equation, _current
+from .errors import DeclarationError, TopologyError
+from .solving import NonlinearBlock, Unknown, solve_block
+from .structure import match, ordered_blocks
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A model whose every unknown is an expression of time, states, inputs and parameters."""
+
+    elaboration: Elaboration
+    bindings: Mapping[int, ca.SX]  # hash of a dependent parameter -> its expression
+    expressions: Mapping[int, ca.SX]  # hash of an unknown -> expression
+    nonlinear: tuple[NonlinearBlock, ...]
+    dead_times: Mapping[str, str]  # input -> parameter that delays it
+
+    def of(self, expression: ca.SX) -> ca.SX:
+        """``expression`` with every unknown and dependent parameter replaced."""
+        return replace(replace(expression, self.expressions), self.bindings)
+
+
+def elaborate(root: Component, name: str, overrides: Sequence[str] = ()) -> tuple[Elaboration, Component]:
+    """Bind a component tree to symbols. Dependent parameters named in ``overrides`` become independent."""
+    elaboration = Elaboration(name)
+    token = _current.set(elaboration)
+    try:
+        bound = root.bind("", elaboration)
+        for path, (function, scope) in list(elaboration.bindings.items()):
+            elaboration.bindings[path] = ca.SX(function(scope))
+    finally:
+        _current.reset(token)
+    for path in overrides:
+        elaboration.bindings.pop(path, None)
+    elaboration.equations.extend(connection_equations(elaboration))
+    return elaboration, bound
+
+
+def connection_equations(elaboration: Elaboration) -> list[Equation]:
+    """Equal potentials and zero-sum flows of every connection set.
+
+    Within the component that connects, ports of its parts count with their own sign, its own ports with the opposite
+    one (Modelica's inside and outside connectors). Ports nobody connects are left open; the balance check names them.
+    """
+    sets: dict[tuple[str, str], set] = {}  # (owner, port path) -> shared set of ports
+    equations = []
+    for owner, connection in elaboration.connections:
+        ends = (connection.first, connection.second)
+        if not isinstance(ends[0], BoundPort):
+            equations.append(Equation(ends[0], ends[1], owner))
+            for end in ends:
+                elaboration.open_signals.pop(str(end), None)
+            continue
+        merged = set(ends)
+        for end in ends:
+            merged |= sets.get((owner, end.path), set())
+        for end in merged:
+            sets[(owner, end.path)] = merged
+    seen = set()
+    for (owner, _), members in sets.items():
+        if id(members) in seen:
+            continue
+        seen.add(id(members))
+        ports = sorted(members, key=lambda port: port.path)
+        for port in ports[1:]:
+            equations.append(Equation(port.potential, ports[0].potential, owner))
+        total = ca.SX(0)
+        for port in ports:
+            total = total - port.flow if _parent(port.path) == owner else total + port.flow
+        equations.append(Equation(total, ca.SX(0), owner))
+    return equations
+
+
+def _parent(path: str) -> str:
+    return path.rpartition(".")[0]
+
+
+def open_ports(elaboration: Elaboration) -> list[str]:
+    """Ports and input signals that nothing is connected to."""
+    inside = {
+        end.path
+        for owner, c in elaboration.connections
+        for end in (c.first, c.second)
+        if isinstance(end, BoundPort) and _parent(end.path) != owner
+    }
+    return [path for path in elaboration.ports if path not in inside] + list(elaboration.open_signals)
+
+
+def solve(elaboration: Elaboration) -> Solved:
+    """Check units and balance, then solve for every unknown."""
+    name = elaboration.name
+    check_units(name, [*elaboration.equations, *elaboration.initial_equations], elaboration.units)
+    bindings = _resolved_bindings(elaboration)
+    equations = list(elaboration.equations)
+    unknowns = [
+        Unknown(v.path, v.symbol, v.declaration.nominal, getattr(v.declaration, "start", 0.0))
+        for v in elaboration.variables
+    ]
+    states = {s.symbol.element_hash(): s for s in elaboration.states}
+    for key, entry in states.items():
+        rate = elaboration.derivatives[key][1]
+        unknowns.append(Unknown(f"der({entry.path})", rate, entry.declaration.nominal))
+    check_balance(elaboration, equations, unknowns)
+    waiting = {key: pair for key, pair in elaboration.derivatives.items() if key not in states}
+    delayed, dead_times = {}, {}
+    while True:
+        expressions, nonlinear = _solve_once(elaboration, equations, unknowns)
+        delayed, dead_times = _resolve_delays(elaboration, expressions)
+        ready = _explicit_derivatives(elaboration, expressions, waiting, states)
+        if not waiting:
+            break
+        if not ready:
+            stuck = ", ".join(str(pair[0]) for pair in waiting.values())
+            raise TopologyError(
+                f"{name}: the time derivative of {stuck} cannot be found: it depends on the derivative of an input or "
+                "on itself. Put a state (a lag, a mass, a volume) where it is needed."
+            )
+        for key, rate in ready.items():
+            symbol, unknown = waiting.pop(key)
+            equations.append(Equation(unknown, rate, f"der({symbol})"))
+            unknowns.append(Unknown(f"der({symbol})", unknown))
+    return Solved(elaboration, bindings, {**expressions, **delayed}, tuple(nonlinear), dead_times)
+
+
+def _resolved_bindings(elaboration: Elaboration) -> dict[int, ca.SX]:
+    """Dependent parameters as expressions of independent ones, in any order of declaration."""
+    symbol_of = {p.path: p.symbol for p in elaboration.parameters}
+    bindings = {symbol_of[path].element_hash(): ca.SX(e) for path, e in elaboration.bindings.items()}
+    for _ in range(len(bindings)):
+        bindings = {key: replace(e, bindings) for key, e in bindings.items()}
+    for path in elaboration.bindings:
+        left = ca.symvar(bindings[symbol_of[path].element_hash()])
+        if any(s.element_hash() in bindings for s in left):
+            raise DeclarationError(f"{elaboration.name}.{path}: this parameter is bound to itself. Give it a number.")
+    return bindings
+
+
+def check_balance(elaboration: Elaboration, equations, unknowns) -> None:
+    """As many equations as unknowns, or an error that names the open ports and the component that is off."""
+    unconnected = open_ports(elaboration)
+    if len(equations) == len(unknowns) and not unconnected:
+        return
+    message = f"{elaboration.name}: {len(equations)} equations for {len(unknowns)} unknowns."
+    if unconnected:
+        message += f" Not connected: {', '.join(unconnected)}. Connect them, or close them with a plug, stop or source."
+    else:
+        _, unmatched, surplus = match(_incidence(equations, unknowns), len(unknowns))
+        if unmatched:
+            message += f" Nothing determines {', '.join(unknowns[j].path for j in unmatched)}."
+        if surplus:
+            said = "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in surplus[:3])
+            message += f" Over-determined by {said}."
+    raise TopologyError(message)
+
+
+def _incidence(equations, unknowns) -> list[set[int]]:
+    index = {u.symbol.element_hash(): j for j, u in enumerate(unknowns)}
+    found = []
+    for equation in equations:
+        symbols = ca.symvar(ca.vertcat(equation.left, equation.right))
+        found.append({index[s.element_hash()] for s in symbols if s.element_hash() in index})
+    return found
+
+
+def _solve_once(elaboration, equations, unknowns):
+    """Match, order and solve; derivatives that still wait count as known."""
+    incidence = _incidence(equations, unknowns)
+    unknown_of, unmatched, surplus = match(incidence, len(unknowns))
+    if unmatched or surplus:
+        raise TopologyError(
+            f"{elaboration.name}: structurally singular. Nothing determines "
+            f"{', '.join(unknowns[j].path for j in unmatched)}; one too many for the rest is "
+            f"{'; '.join(f'{equations[i].owner or elaboration.name}: {equations[i]}' for i in surplus)}. "
+            "Two states that a rigid connection makes one are the usual cause: merge the masses, or add a stiffness."
+        )
+    expressions: dict[int, ca.SX] = {}
+    nonlinear: list[NonlinearBlock] = []
+    for block in ordered_blocks(incidence, unknown_of):
+        members = [unknowns[int(unknown_of[i])] for i in block]
+        residuals = [replace(equations[i].left - equations[i].right, expressions) for i in block]
+
+        def describe(block=block):
+            return "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in block[:6])
+
+        solution, record = solve_block(elaboration.name, members, residuals, describe)
+        for member, expression in zip(members, solution, strict=True):
+            expressions[member.symbol.element_hash()] = expression
+        if record:
+            nonlinear.append(record)
+    return expressions, nonlinear
+
+
+def _explicit_derivatives(elaboration, expressions, waiting, states) -> dict[int, ca.SX]:
+    """Time derivatives of those waiting symbols that are by now functions of states, time and parameters."""
+    allowed = set(states) | elaboration._known_constant | {elaboration.time.element_hash()}
+    ready = {}
+    for key, (symbol, _) in waiting.items():
+        if key not in expressions:
+            continue
+        expression = expressions[key]
+        symbols = ca.symvar(expression)
+        if all(s.element_hash() in allowed for s in symbols):
+            ready[key] = elaboration.derivative(expression)
+    return ready
+
+
+def _resolve_delays(elaboration, expressions):
+    """Delayed inputs: each delay symbol becomes the input itself, marked with the parameter that delays it."""
+    replaced, dead_times = {}, {}
+    inputs = {i.symbol.element_hash(): i.path for i in elaboration.inputs}
+    parameters = {p.symbol.element_hash(): p.path for p in elaboration.parameters}
+    for item in elaboration.delays:
+        source = replace(item.argument, expressions)
+        path = inputs.get(source.element_hash()) if source.is_symbolic() else None
+        parameter = parameters.get(item.time.element_hash()) if item.time.is_symbolic() else None
+        if path is None or parameter is None or dead_times.get(path, parameter) != parameter:
+            raise TopologyError(
+                f"{elaboration.name}: '{item.symbol}' delays {source} by {item.time}. Only an input of the model can "
+                "be delayed, by one parameter. Move the dead time to the input, or use a lag."
+            )
+        dead_times[path] = parameter
+        replaced[item.symbol.element_hash()] = source
+    return replaced, dead_times
+
+
+def replace(expression: ca.SX, replacements: Mapping[int, ca.SX]) -> ca.SX:
+    """``expression`` with the symbols whose hashes are in ``replacements`` replaced."""
+    symbols = [s for s in ca.symvar(expression) if s.element_hash() in replacements]
+    if not symbols:
+        return expression
+    return ca.substitute([expression], symbols, [replacements[s.element_hash()] for s in symbols])[0]
+

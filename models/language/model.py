@@ -1,0 +1,228 @@
+"""Model: a component tree with its parameter values. Immutable; flattens to one explicit ODE."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from .component import Component
+from .errors import DeclarationError, TopologyError, nearest
+from .flat import FlatModel, ParameterValue, Signal, StateVariable
+from .flattening import Solved, elaborate, replace, solve
+from .initialisation import initialisation
+
+
+class Model:
+    """A component tree, its name, and the parameter values that differ from the declarations.
+
+    Parameters
+    ----------
+    root : the top component; its Inputs and Outputs are those of the model.
+    name : used in files, errors and exports; the class name in lower camel case by default.
+    settings : ``{path: value}`` in SI, or ``{path: {"value": .., "bounds": .., "sigma": .., "source": .., "free": ..}}``.
+    step : recommended fixed integration step [s].
+
+    Raises
+    ------
+    DeclarationError, TopologyError, UnitError : when `flat` is first asked for.
+    """
+
+    def __init__(self, root: Component, name: str | None = None, *, settings: Mapping = (), step: float = 1e-3):
+        if not isinstance(root, Component):
+            raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
+        self.root = root
+        kind = type(root).__name__
+        self.name = name or kind[0].lower() + kind[1:]
+        self.step = step
+        self.settings = {k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()}
+
+    # -- other models ------------------------------------------------------------------------------------------
+    def with_settings(self, settings: Mapping) -> Model:
+        """The same structure with further values, bounds, sigmas or sources, by path."""
+        merged = {k: dict(v) for k, v in self.settings.items()}
+        for path, change in settings.items():
+            merged.setdefault(path, {}).update(change if isinstance(change, Mapping) else {"value": float(change)})
+        other = Model(self.root, self.name, settings=merged, step=self.step)
+        if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
+            other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
+            other.__dict__["_functions"] = self._functions
+        return other
+
+    def with_parameters(self, values: Mapping[str, float]) -> Model:
+        """The same model with other parameter values (SI)."""
+        return self.with_settings({k: float(v) for k, v in values.items()})
+
+    def but(self, name: str | None = None, **changes) -> Model:
+        """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
+        other = copy.copy(self)
+        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings")}
+        other.root, other.name = self.root.but(**changes), name or self.name
+        return other
+
+    # -- flattening --------------------------------------------------------------------------------------------
+    @cached_property
+    def _solved(self) -> Solved:
+        elaboration, _ = elaborate(self.root, self.name, tuple(self.settings))
+        known = [p.path for p in elaboration.parameters]
+        for path in self.settings:
+            if path not in known:
+                owner, _, leaf = path.rpartition(".")
+                where = f"{self.name}.{owner}" if owner else self.name
+                raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(path, known)}")
+        return solve(elaboration)
+
+    @cached_property
+    def _functions(self):
+        """CasADi functions of the explicit ODE and the names of the states that outputs measure."""
+        solved = self._solved
+        e = solved.elaboration
+        x = ca.vertcat(*(s.symbol for s in e.states))
+        u = ca.vertcat(*(i.symbol for i in e.inputs))
+        independent = [q for q in e.parameters if q.symbol.element_hash() not in solved.bindings]
+        p = ca.vertcat(*(q.symbol for q in independent))
+        rates = [solved.of(e.derivatives[s.symbol.element_hash()][1]) for s in e.states]
+        outputs = [solved.of(o.symbol) for o in e.outputs]
+        self._refuse_mixed_delay(solved, [*rates, *outputs])
+        measured = {
+            s.path: next((o.path for o, y in zip(e.outputs, outputs, strict=True) if ca.is_equal(y, s.symbol)), None)
+            for s in e.states
+        }
+        ode = ca.Function(
+            "ode",
+            [e.time, ca.SX(x), ca.SX(u), ca.SX(p)],
+            [ca.SX(ca.vertcat(*rates)), ca.SX(ca.vertcat(*outputs))],
+            ["t", "x", "u", "p"],
+            ["xdot", "y"],
+            {"cse": True},
+        )
+        return ode, initialisation(solved, ca.SX(u), ca.SX(p), rates), measured, independent
+
+    def _refuse_mixed_delay(self, solved: Solved, expressions: Sequence[ca.SX]) -> None:
+        """An input may be used delayed or not delayed, not both."""
+        e = solved.elaboration
+        if not e.delays:
+            return
+        undelayed = {k: v for k, v in solved.expressions.items() if all(k != d.symbol.element_hash() for d in e.delays)}
+        used = {str(s) for v in [e.derivatives[s.symbol.element_hash()][1] for s in e.states] + [o.symbol for o in e.outputs]
+                for s in ca.symvar(replace(v, undelayed))}  # fmt: skip
+        for path, parameter in solved.dead_times.items():
+            if path in used:
+                raise TopologyError(
+                    f"{self.name}: input '{path}' is used both delayed by {parameter} and not delayed. "
+                    "Declare a second input for the other use."
+                )
+
+    @cached_property
+    def flat(self) -> FlatModel:
+        """The explicit ODE with named vectors, see `FlatModel`."""
+        ode, start, measured, independent = self._functions
+        solved = self._solved
+        e = solved.elaboration
+        flat = FlatModel(
+            name=self.name,
+            description=(type(self.root).__doc__ or "").strip().split("\n")[0],
+            inputs=tuple(self._input(i) for i in e.inputs),
+            outputs=tuple(
+                Signal(o.path, o.unit, o.declaration.description, o.declaration.nominal) for o in e.outputs
+            ),
+            states=tuple(
+                StateVariable(s.path, s.unit, d.description, d.nominal, d.bounds, measured[s.path])
+                for s in e.states
+                for d in [s.declaration]
+            ),
+            parameters=tuple(self._parameter(q) for q in independent),
+            ode=ode,
+            initialisation=start,
+            step=self.step,
+        )
+        self._check_newton(flat)
+        return flat
+
+    def _input(self, entry) -> Signal:
+        d = entry.declaration
+        dead_time = self._solved.dead_times.get(entry.path)
+        return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default)
+
+    def _parameter(self, entry) -> ParameterValue:
+        d, change = entry.declaration, self.settings.get(entry.path, {})
+        value = change.get("value", None if callable(d.value) else d.value)
+        if value is None:
+            raise DeclarationError(f"{self.name}.{entry.path}: this parameter follows others. Give it a value to free it.")
+        low, high = change.get("bounds", d.bounds)
+        if not low <= value <= high:
+            raise DeclarationError(
+                f"{self.name}.{entry.path}: value outside its bounds (got {value:g} {entry.unit}). "
+                f"It must lie in [{low:g}, {high:g}]. Correct the value or widen the bounds."
+            )
+        return ParameterValue(
+            name=entry.path,
+            value=float(value),
+            unit=entry.unit,
+            bounds=(float(low), float(high)),
+            nominal=d.nominal or abs(float(value)) or 1.0,
+            sigma=change.get("sigma"),
+            source=change.get("source", d.source),
+            description=d.description,
+            free=bool(change.get("free", d.free)),
+        )
+
+    def _check_newton(self, flat: FlatModel) -> None:
+        """Nonlinear loops must converge at the start values, or the model is refused by name."""
+        for block in self._solved.nonlinear:
+            e = self._solved.elaboration
+            arguments = [e.time, *(ca.vertcat(*(s.symbol for s in group)) for group in (e.states, e.inputs))]
+            independent = [q for q in e.parameters if q.symbol.element_hash() not in self._solved.bindings]
+            check = ca.Function(
+                "newton",
+                [*map(ca.SX, arguments), ca.SX(ca.vertcat(*(q.symbol for q in independent)))],
+                [self._solved.of(block.error)],
+            )
+            u = [i.default for i in flat.inputs]
+            p = flat.parameter_vector()
+            x = flat.start_given()(u, p, [])
+            error = float(check(0, x, u, p))
+            if not error < 1e-8:
+                raise TopologyError(
+                    f"{self.name}: the nonlinear loop of {', '.join(block.unknowns)} does not converge at the start "
+                    f"values (last Newton step {error:g} of nominal). Give its variables a better start, or break it "
+                    "with a small volume, an inertia or a lag."
+                )
+
+    # -- looking inside ----------------------------------------------------------------------------------------
+    def observe(self, paths: Iterable[str]) -> ca.Function:
+        """Any variables by path: ``(t, x, u, p) -> values``, shape (len(paths),)."""
+        solved = self._solved
+        e = solved.elaboration
+        known = {v.path: v.symbol for v in [*e.variables, *e.states, *e.inputs, *e.parameters]}
+        known |= {f"der({s.path})": e.derivatives[s.symbol.element_hash()][1] for s in e.states}
+        chosen = []
+        for path in paths:
+            if path not in known:
+                raise DeclarationError(f"{self.name}: no variable '{path}'. {nearest(path, known)}")
+            chosen.append(solved.of(known[path]))
+        arguments = self._functions[0].sx_in()
+        symbols = [*(s.symbol for s in e.states), *(i.symbol for i in e.inputs)]
+        symbols += [q.symbol for q in self._functions[3]] + [e.time]
+        t, x, u, p = arguments
+        targets = [*ca.vertsplit(x), *ca.vertsplit(u), *ca.vertsplit(p), t]
+        values = ca.substitute([ca.vertcat(*chosen)], symbols, targets)[0]
+        return ca.Function("observe", arguments, [values], ["t", "x", "u", "p"], ["values"])
+
+    def equilibrium(self, inputs: Mapping[str, float] | None = None, states: Mapping[str, float] | None = None):
+        """The start state that the initial equations give for constant inputs and given states, shape (nx,), SI."""
+        u = np.array([(inputs or {}).get(i.name, i.default) for i in self.flat.inputs])
+        given = states or {}
+        start = self.flat.start_given(tuple(given))
+        return np.array(start(u, self.flat.parameter_vector(), list(given.values()))).ravel()
+
+    def __repr__(self):
+        flat = self.flat
+        return (
+            f"Model({self.name}: {len(flat.states)} states, {len(flat.inputs)} inputs, {len(flat.outputs)} outputs, "
+            f"{len(flat.parameters)} parameters)"
+        )
+

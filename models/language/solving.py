@@ -1,0 +1,126 @@
+"""Solving one block of equations symbolically: elimination when it is linear, unrolled Newton when it is small.
+
+A block is a set of equations that determine the same set of unknowns together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from .errors import TopologyError
+
+NEWTON_STEPS = 12
+LARGEST_NONLINEAR_BLOCK = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Unknown:
+    """A symbol to be solved for, with the scale and first guess that a Newton solve needs."""
+
+    path: str
+    symbol: ca.SX
+    nominal: float = 1.0
+    start: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearBlock:
+    """What a Newton solve left behind, so that its convergence can be checked with numbers."""
+
+    unknowns: tuple[str, ...]
+    error: ca.SX  # last Newton step over the nominal values
+
+
+def solve_block(
+    model: str,
+    unknowns: Sequence[Unknown],
+    residuals: Sequence[ca.SX],
+    describe: Callable[[], str],
+) -> tuple[list[ca.SX], NonlinearBlock | None]:
+    """Expressions for ``unknowns`` that make all ``residuals`` zero, and the Newton record if one was needed.
+
+    Raises
+    ------
+    TopologyError : the block is singular, or nonlinear and too large; the unknowns are named.
+    """
+    symbols = ca.vertcat(*(u.symbol for u in unknowns))
+    residual = ca.vertcat(*residuals)
+    jacobian = ca.simplify(ca.jacobian(residual, symbols))
+    if not ca.depends_on(jacobian, symbols):
+        offset = ca.substitute(residual, symbols, ca.SX.zeros(len(unknowns)))
+        return _eliminate(model, unknowns, jacobian, -offset, describe), None
+    names = ", ".join(u.path for u in unknowns)
+    if len(unknowns) > LARGEST_NONLINEAR_BLOCK:
+        raise TopologyError(
+            f"{model}: a nonlinear loop ties {names} (got {len(unknowns)} unknowns; at most {LARGEST_NONLINEAR_BLOCK} "
+            f"are solved). It is made of: {describe()}. Break it with a small volume, an inertia or a lag."
+        )
+    return _newton(model, unknowns, residual, symbols, describe)
+
+
+def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe) -> list[ca.SX]:
+    """Gaussian elimination on expressions; constant pivots first, so that nothing is divided without need."""
+    n = len(unknowns)
+    a = [[matrix[i, j] for j in range(n)] for i in range(n)]
+    b = [right[i] for i in range(n)]
+    rows, order = list(range(n)), []
+    columns = set(range(n))
+    while rows:
+        row, column = _pivot(a, rows, columns)
+        if row is None:
+            stuck = ", ".join(unknowns[j].path for j in sorted(columns))
+            raise TopologyError(
+                f"{model}: the equations for {stuck} are singular: {describe()}. "
+                "One of them says the same as another, or a rigid connection leaves one state too many."
+            )
+        rows.remove(row)
+        columns.remove(column)
+        order.append((row, column))
+        for i in rows:
+            if a[i][column].is_zero():
+                continue
+            factor = a[i][column] / a[row][column]
+            for j in columns:
+                if not a[row][j].is_zero():
+                    a[i][j] = ca.simplify(a[i][j] - factor * a[row][j])
+            b[i] = b[i] - factor * b[row]
+            a[i][column] = ca.SX(0)
+    solution: list[ca.SX] = [ca.SX(0)] * n
+    for row, column in reversed(order):
+        known = sum((a[row][j] * solution[j] for j in range(n) if j != column and not a[row][j].is_zero()), ca.SX(0))
+        solution[column] = (b[row] - known) / a[row][column]
+    return solution
+
+
+def _pivot(a, rows, columns):
+    """The entry to divide by: a number before an expression, then the one that fills least."""
+    best, best_cost = (None, None), np.inf
+    for i in rows:
+        filled = [j for j in columns if not a[i][j].is_zero()]
+        for j in filled:
+            fill = (len(filled) - 1) * (sum(not a[k][j].is_zero() for k in rows) - 1)
+            cost = fill + (0 if a[i][j].is_constant() else 1000)
+            if cost < best_cost:
+                best, best_cost = (i, j), cost
+    return best
+
+
+def _newton(model, unknowns, residual, symbols, describe):
+    """Newton's iteration written out; exact derivatives follow from differentiating it."""
+    matrix = ca.jacobian(residual, symbols)
+    free = [s for s in ca.symvar(ca.vertcat(residual, ca.vec(matrix)))]
+    evaluate = ca.Function("residual", [symbols, ca.vertcat(*free)], [residual, matrix])
+    z = ca.DM([u.start for u in unknowns])
+    update = ca.SX.zeros(len(unknowns))
+    z = ca.SX(z)
+    for _ in range(NEWTON_STEPS):
+        r, j = evaluate(z, ca.vertcat(*free))
+        update = ca.vertcat(*_eliminate(model, unknowns, ca.SX(j), ca.SX(r), describe))
+        z = z - update
+    nominal = ca.DM([u.nominal for u in unknowns])
+    record = NonlinearBlock(tuple(u.path for u in unknowns), ca.norm_inf(update / nominal))
+    return [z[i] for i in range(len(unknowns))], record

@@ -1,0 +1,223 @@
+"""The answer of `compare`: scores, trajectories and everything the report needs, all in SI."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from hydrotwin.models.language.flat import ParameterValue, Signal
+from hydrotwin.records import Record
+
+from .residual import Residual
+
+FREE_RUN, ONE_STEP = "free run", "one step"
+MODES = (FREE_RUN, ONE_STEP)
+MEAN = "mean"
+
+
+@dataclass(frozen=True)
+class Score:
+    """`Errors` of one model on one output of one recording, see there for the metrics.
+
+    ``record`` is MEAN for the mean over the recordings; ``recordings`` counts those that went in.
+    ``relative`` is rmse over the smallest rmse of any model on the same recording, output and mode (1 = best).
+    """
+
+    model: str
+    record: str
+    output: str
+    mode: str
+    rmse: float
+    mae: float
+    maximum: float
+    fit_percent: float
+    unit: str
+    relative: float = float("nan")
+    bias: float = float("nan")
+    deviation: float = float("nan")
+    lowest: float = float("nan")
+    highest: float = float("nan")
+    samples: int = 0
+    recordings: int = 1
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What one model predicted for one recording."""
+
+    model: str
+    record: str
+    mode: str
+    prediction: Record
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Run time of a model: wall seconds per simulated second, median over ``runs`` timed runs of all recordings."""
+
+    model: str
+    mode: str
+    seconds_per_simulated_second: float
+    fastest: float
+    slowest: float
+    runs: int
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A model that could not be scored on a recording, and why."""
+
+    model: str
+    record: str
+    mode: str
+    sentence: str
+
+
+@dataclass(frozen=True)
+class Unscored:
+    """An output that could not be scored, and why."""
+
+    model: str
+    record: str
+    output: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class DomainShare:
+    """How much of a recording lies where the model was trained.
+
+    inside_percent  share of samples inside the training box
+    farthest        largest distance outside, in box widths
+    beyond          quantities that leave the box
+    source          "model" (the box it was trained in) or "recordings" (box of the training recordings)
+    """
+
+    model: str
+    record: str
+    inside_percent: float
+    farthest: float
+    beyond: tuple[str, ...]
+    source: str
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A contender as it was listed: what it is, without what it can do."""
+
+    name: str
+    kind: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    parameters: tuple[ParameterValue, ...] = ()
+    provenance: Mapping = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Models against recordings.
+
+    ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
+    models were made from.
+    """
+
+    title: str
+    entrants: tuple[Entrant, ...]
+    records: tuple[Record, ...]
+    train_records: tuple[Record, ...]
+    modes: tuple[str, ...]
+    outputs: tuple[Signal, ...]
+    scores: tuple[Score, ...]
+    means: tuple[Score, ...]
+    trajectories: tuple[Trajectory, ...]
+    timings: tuple[Timing, ...]
+    failures: tuple[Failure, ...]
+    unscored: tuple[Unscored, ...]
+    domains: tuple[DomainShare, ...]
+    residuals: tuple[Residual, ...]
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of all models, in the order given."""
+        return tuple(e.name for e in self.entrants)
+
+    @property
+    def seconds_per_simulated_second(self) -> dict[str, float]:
+        """Run time of each model in the first mode it ran in."""
+        answer: dict[str, float] = {}
+        for timing in self.timings:
+            answer.setdefault(timing.model, timing.seconds_per_simulated_second)
+        return answer
+
+    def ranking(self, output: str, mode: str = FREE_RUN) -> tuple[Score, ...]:
+        """Means of one output and mode, best first. Models that missed a recording come last, however good."""
+        rows = [s for s in self.means if s.output == output and s.mode == mode]
+        most = max((s.recordings for s in rows), default=0)
+        return tuple(sorted(rows, key=lambda s: (s.recordings < most, s.rmse)))
+
+    def trajectory(self, model: str, record: str, mode: str = FREE_RUN) -> Record | None:
+        """What ``model`` predicted, or None when it failed."""
+        for t in self.trajectories:
+            if (t.model, t.record, t.mode) == (model, record, mode):
+                return t.prediction
+        return None
+
+
+def mean_scores(scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """Mean over the recordings of each metric, per model, output and mode; the maximum and the range are the widest.
+
+    ``relative`` compares only models scored on as many recordings as the most complete one (NaN for the others).
+    """
+    groups: dict[tuple, list[Score]] = {}
+    for s in scores:
+        groups.setdefault((s.mode, s.output, s.model), []).append(s)
+    means = [_mean(g) for g in groups.values()]
+    return tuple(_with_relative(means))
+
+
+def relative_scores(scores: list[Score]) -> tuple[Score, ...]:
+    """The same scores with ``relative`` filled in."""
+    return tuple(_with_relative(scores))
+
+
+def _mean(group: list[Score]) -> Score:
+    def average(metric: str) -> float:
+        return float(np.mean([getattr(s, metric) for s in group]))
+
+    first = group[0]
+    return Score(
+        rmse=average("rmse"),
+        mae=average("mae"),
+        maximum=max(s.maximum for s in group),
+        fit_percent=average("fit_percent"),
+        bias=average("bias"),
+        deviation=average("deviation"),
+        lowest=min(s.lowest for s in group),
+        highest=max(s.highest for s in group),
+        samples=sum(s.samples for s in group),
+        model=first.model,
+        record=MEAN,
+        output=first.output,
+        mode=first.mode,
+        unit=first.unit,
+        recordings=len(group),
+    )
+
+
+def _with_relative(scores: list[Score]):
+    groups: dict[tuple, list[Score]] = {}
+    for s in scores:
+        groups.setdefault((s.mode, s.output, s.record), []).append(s)
+    for s in scores:
+        rivals = groups[s.mode, s.output, s.record]
+        most = max(r.recordings for r in rivals)
+        best = min(r.rmse for r in rivals if r.recordings == most)
+        if s.recordings < most:
+            ratio = float("nan")
+        elif best > 0.0:
+            ratio = s.rmse / best
+        else:
+            ratio = 1.0 if s.rmse == 0.0 else float("inf")
+        yield dataclasses.replace(s, relative=ratio)

@@ -1,0 +1,132 @@
+"""Contenders: whatever can predict the outputs of a recording, seen through one protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+from hydrotwin.simulation import predict_one_step, simulate
+from hydrotwin.simulation.block import Block
+
+
+@runtime_checkable
+class Contender(Protocol):
+    """A model in a comparison.
+
+    Optional attributes: ``parameters`` (tuple of ParameterValue), ``provenance`` (dict of plain values),
+    ``domain`` (TrainingDomain).
+    """
+
+    name: str
+    kind: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+
+    def free_run(self, record: Record) -> Record:
+        """Outputs at ``record.time`` from the inputs and the start alone."""
+
+    def one_step(self, record: Record) -> Record:
+        """Outputs at ``record.time``, each predicted from the measurement one sample before."""
+
+
+class PhysicalContender:
+    """A Model or FlatModel. ``start`` fixes start states by name (SI), ``parameters`` changes values by path (SI)."""
+
+    def __init__(
+        self,
+        model,
+        name: str | None = None,
+        *,
+        kind: str = "physical",
+        start: Mapping[str, float] | None = None,
+        parameters: Mapping[str, float] | None = None,
+        provenance: Mapping | None = None,
+    ):
+        flat = getattr(model, "flat", model)
+        self.flat = flat.with_parameters(parameters) if parameters else flat
+        self.name, self.kind = name or self.flat.name, kind
+        self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
+        self.start = dict(start) if start else None
+        self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
+
+    def free_run(self, record: Record) -> Record:
+        """Outputs simulated from the inputs of ``record``."""
+        return simulate(self.flat, record, start=self.start)
+
+    def one_step(self, record: Record) -> Record:
+        """Outputs predicted from the sample before; measured outputs replace the states they determine."""
+        return predict_one_step(self.flat, record)
+
+
+class BlockContender:
+    """A sampled Block: a trained network, Gaussian process or formula."""
+
+    def __init__(self, block: Block, kind: str = "learned", name: str | None = None):
+        self.block, self.kind, self.name = block, kind, name or block.name
+        self.inputs, self.outputs, self.parameters = block.inputs, block.outputs, block.parameters
+        self.domain, self.provenance = block.domain, dict(block.provenance)
+
+    def free_run(self, record: Record) -> Record:
+        """Outputs of the block run at its own period."""
+        return simulate(self.block, record)
+
+    def one_step(self, record: Record) -> Record:
+        """Outputs of the block, its measured states set to the measurement at every sample."""
+        return predict_one_step(self.block, record)
+
+
+class HoldLast:
+    """The yardstick: nothing changes. One step ahead it repeats the last sample, in free run the first.
+
+    At kHz sampling this is hard to beat one step ahead, because the machine hardly moves in a millisecond.
+    """
+
+    kind = "yardstick"
+    inputs: tuple[Signal, ...] = ()
+
+    def __init__(self, outputs: Sequence[Signal], name: str = "hold last sample"):
+        self.name, self.outputs, self.provenance = name, tuple(outputs), {}
+
+    def free_run(self, record: Record) -> Record:
+        """Every output stays at its first sample."""
+        return self._record(record, {n: np.full(len(record.time), record[n][0]) for n in self._known(record)})
+
+    def one_step(self, record: Record) -> Record:
+        """Every output repeats its last sample."""
+        return self._record(record, {n: np.r_[record[n][0], record[n][:-1]] for n in self._known(record)})
+
+    def _known(self, record: Record) -> list[str]:
+        return [s.name for s in self.outputs if s.name in record.signals]
+
+    def _record(self, record: Record, signals: dict[str, np.ndarray]) -> Record:
+        return Record(record.time, signals, {n: record.units[n] for n in signals}, self.name)
+
+
+def as_contender(thing, name: str | None = None) -> Contender:
+    """Whatever you have as a contender: a Contender stays, a Block, Model or FlatModel gets its adapter."""
+    if isinstance(thing, Contender):
+        if name and name != thing.name:
+            return _Renamed(thing, name)
+        return thing
+    if isinstance(thing, Block):
+        return BlockContender(thing, kind=str(thing.provenance.get("kind", "learned")), name=name)
+    if hasattr(getattr(thing, "flat", thing), "ode"):
+        return PhysicalContender(thing, name)
+    raise DeclarationError(
+        f"comparison: a {type(thing).__name__} cannot take part. It must be a Model, a Block or an FMU read in. "
+        "Wrap it in a class with name, kind, inputs, outputs, free_run and one_step."
+    )
+
+
+class _Renamed:
+    """Another contender under another name."""
+
+    def __init__(self, contender: Contender, name: str):
+        self._contender, self.name = contender, name
+
+    def __getattr__(self, attribute: str):
+        return getattr(self._contender, attribute)

@@ -1,0 +1,245 @@
+"""Run every contender on every recording and score it: the verb of this room."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.units import compatible
+from hydrotwin.records import Record
+
+from .comparison import (
+    FREE_RUN,
+    MODES,
+    Comparison,
+    Entrant,
+    Failure,
+    Score,
+    Timing,
+    Trajectory,
+    Unscored,
+    mean_scores,
+    relative_scores,
+)
+from .contender import Contender
+from .domain import domain_shares
+from .metrics import errors_of
+from .residual import Residual, explain
+
+TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
+
+
+def compare(
+    contenders: Sequence[Contender],
+    records: Sequence[Record],
+    *,
+    modes: Sequence[str] = MODES,
+    outputs: Sequence[str] | None = None,
+    train_records: Sequence[Record] = (),
+    title: str = "Comparison of models",
+    repeats: int = 3,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Comparison:
+    """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
+
+    modes : "free run" (inputs and start only) and "one step" (each sample from the measurement before it).
+    outputs : names to score; by default every output that some contender gives and some recording holds.
+    train_records : the recordings the models were made from, for the share of each recording they cover.
+    repeats : timed runs per model and recording; fewer when they take longer than TIMING_BUDGET together.
+    progress : called with (runs done, runs in all, what is next).
+
+    A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
+    twice or not known, DataError when there is nothing to compare.
+    """
+    contenders, records = list(contenders), _distinct(records)
+    _check(contenders, records, modes)
+    wanted = _wanted(contenders, records, outputs)
+    runs = [(c, r, m) for m in modes for c in contenders for r in records]
+    found = _Findings([], [], {}, [], [], [])
+    for done, (contender, record, mode) in enumerate(runs):
+        if progress:
+            progress(done, len(runs), f"{contender.name}, {record.name}, {mode}")
+        _one(contender, record, mode, wanted, repeats, found)
+    if progress:
+        progress(len(runs), len(runs), "done")
+    scores = relative_scores(found.scores)
+    return Comparison(
+        title=title,
+        entrants=tuple(_entrant(c) for c in contenders),
+        records=tuple(records),
+        train_records=tuple(train_records),
+        modes=tuple(modes),
+        outputs=tuple(wanted),
+        scores=scores,
+        means=mean_scores(scores),
+        trajectories=tuple(found.trajectories),
+        timings=tuple(_timing(key, values) for key, values in found.seconds.items()),
+        failures=tuple(found.failures),
+        unscored=tuple(dict.fromkeys(found.unscored)),
+        domains=domain_shares(contenders, records, train_records, found.trajectories),
+        residuals=tuple(found.residuals),
+    )
+
+
+@dataclasses.dataclass
+class _Findings:
+    scores: list[Score]
+    trajectories: list[Trajectory]
+    seconds: dict[tuple[str, str], list[float]]
+    failures: list[Failure]
+    unscored: list[Unscored]
+    residuals: list[Residual]
+
+
+def _one(contender, record: Record, mode: str, wanted: Sequence[Signal], repeats: int, found: _Findings) -> None:
+    """One contender on one recording in one mode: predict, time, score; failures become rows."""
+    labels = (contender.name, record.name, mode)
+    try:
+        _require_inputs(contender, record)
+        prediction, seconds = _timed(contender.free_run if mode == FREE_RUN else contender.one_step, record, repeats)
+        prediction = _on_time_of(record, prediction)
+    except Exception as error:
+        found.failures.append(Failure(*labels, _sentence(error)))
+        return
+    found.trajectories.append(Trajectory(*labels, prediction))
+    duration = max(record.duration, np.finfo(float).tiny)
+    found.seconds.setdefault((contender.name, mode), []).extend(s / duration for s in seconds)
+    for signal in wanted:
+        reason = _not_comparable(contender, record, prediction, signal)
+        if reason:
+            found.unscored.append(Unscored(contender.name, record.name, signal.name, reason))
+            continue
+        try:
+            errors = errors_of(record[signal.name], prediction[signal.name])
+        except DataError as error:
+            found.failures.append(Failure(*labels, f"{signal.name}: {error}"))
+            continue
+        found.scores.append(
+            Score(contender.name, record.name, signal.name, mode, unit=signal.unit, **dataclasses.asdict(errors))
+        )
+        if mode == FREE_RUN:
+            found.residuals.append(_residual(contender, record, signal.name, prediction))
+
+
+def _residual(contender, record: Record, output: str, prediction: Record) -> Residual:
+    return explain(
+        record.time, record[output], prediction[output], record.signals, (contender.name, record.name, output)
+    )
+
+
+def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:
+    """The prediction and the wall seconds of each timed run; the first run (which may compile) counts only alone."""
+    seconds: list[float] = []
+    while len(seconds) < repeats + 1 and sum(seconds) < TIMING_BUDGET:
+        begin = time.perf_counter()
+        prediction = run(record)
+        seconds.append(time.perf_counter() - begin)
+    return prediction, seconds[1:] or seconds
+
+
+def _require_inputs(contender, record: Record) -> None:
+    for signal in contender.inputs:
+        if signal.name not in record.signals:
+            raise DataError(
+                f"{record.name}: no column '{signal.name}' (got {', '.join(record.signals)}). "
+                f"{contender.name} needs it as an input in {signal.unit}. {nearest(signal.name, record.signals)}"
+            )
+        if not compatible(record.units[signal.name], signal.unit):
+            raise DataError(
+                f"{record.name}: column '{signal.name}' has the wrong dimension (got {record.units[signal.name]}). "
+                f"{contender.name} needs {signal.unit}. Read the recording with a scale for this column."
+            )
+
+
+def _not_comparable(contender, record: Record, prediction: Record, signal: Signal) -> str | None:
+    """Why an output cannot be scored, or None."""
+    if signal.name not in record.signals:
+        return "not recorded"
+    if signal.name not in prediction.signals:
+        return "not an output of this model"
+    unit = prediction.units.get(signal.name, signal.unit)
+    if not compatible(record.units[signal.name], unit):
+        return f"recorded in {record.units[signal.name]}, predicted in {unit}"
+    return None
+
+
+def _on_time_of(record: Record, prediction: Record) -> Record:
+    """The prediction on the samples of the recording (linear in between)."""
+    if len(prediction.time) == len(record.time) and np.allclose(prediction.time, record.time, rtol=0, atol=1e-9):
+        return prediction
+    signals = {n: np.interp(record.time, prediction.time, v) for n, v in prediction.signals.items()}
+    return Record(record.time, signals, dict(prediction.units), prediction.name)
+
+
+def _sentence(error: Exception) -> str:
+    text = " ".join(str(error).split()) or "stopped without a message"
+    return text if isinstance(error, HydrotwinError) else f"{type(error).__name__}: {text}"
+
+
+def _timing(key: tuple[str, str], values: list[float]) -> Timing:
+    return Timing(*key, float(np.median(values)), float(min(values)), float(max(values)), len(values))
+
+
+def _entrant(contender) -> Entrant:
+    return Entrant(
+        contender.name,
+        contender.kind,
+        tuple(contender.inputs),
+        tuple(contender.outputs),
+        tuple(getattr(contender, "parameters", None) or ()),
+        dict(getattr(contender, "provenance", None) or {}),
+    )
+
+
+def _distinct(records: Sequence[Record]) -> list[Record]:
+    """The recordings with distinct names: the second 'run' becomes 'run (2)'."""
+    seen: dict[str, int] = {}
+    answer = []
+    for record in records:
+        seen[record.name] = seen.get(record.name, 0) + 1
+        count = seen[record.name]
+        answer.append(dataclasses.replace(record, name=f"{record.name} ({count})") if count > 1 else record)
+    return answer
+
+
+def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:
+    if not contenders or not records:
+        what = "contenders" if not contenders else "recordings"
+        raise DataError(f"compare: nothing to compare (got 0 {what}). Give at least one model and one recording.")
+    names = [c.name for c in contenders]
+    for name in names:
+        if names.count(name) > 1:
+            raise DeclarationError(
+                f"compare: two models are called '{name}'. Each needs its own name, which is its row in every table. "
+                "Give one of them another name."
+            )
+    for mode in modes:
+        if mode not in MODES:
+            raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
+
+
+def _wanted(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:
+    """Signals to score. An asked-for name that no contender gives raises."""
+    given = {s.name: s for s in _signals(contenders)}
+    if outputs is None:
+        measured = [s for s in given.values() if any(s.name in r.signals for r in records)]
+        if not measured:
+            raise DataError(
+                f"compare: no recording holds an output of any model (got {', '.join(records[0].signals)}). "
+                f"The models give {', '.join(given)}. Rename a column, or record one of them."
+            )
+        return measured
+    for name in outputs:
+        if name not in given:
+            raise DeclarationError(f"compare: no model has an output '{name}'. {nearest(name, given)}")
+    return [given[name] for name in outputs]
+
+
+def _signals(contenders) -> Iterator[Signal]:
+    """Outputs of all contenders; the first to declare one sets its unit, yardsticks come last."""
+    for contender in contenders:
+        yield from contender.outputs

@@ -1,0 +1,208 @@
+"""A scenario file: which models meet on which recordings. TOML, data only."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.records import Record, read_record
+
+from .comparison import MODES, Comparison
+from .contender import Contender, HoldLast, as_contender
+from .run import compare
+
+HOLD_LAST = "hold_last"
+_FILES = (".toml", ".fmu", ".npz")
+
+
+@dataclass(frozen=True)
+class ModelEntry:
+    """One model of a scenario: ``model`` as on the command line (name, file or ``file.py:factory``), and its label."""
+
+    model: str
+    name: str | None = None
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Shared inputs, starts and metrics on which models are compared.
+
+    ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading (see
+    `read_record`), ``base`` the folder that relative paths start from.
+    """
+
+    title: str
+    models: tuple[ModelEntry, ...]
+    validate: tuple[Path, ...]
+    train: tuple[Path, ...] = ()
+    modes: tuple[str, ...] = MODES
+    outputs: tuple[str, ...] | None = None
+    scale: Mapping[str, str] = field(default_factory=dict)
+    base: Path = Path(".")
+
+
+def read_scenario(path: str | Path) -> Scenario:
+    """Read a scenario from TOML; paths in it are relative to the file, and may hold ``*``.
+
+    ::
+
+        title = "C-EHA: physics against formula"
+        models = ["cehA", "fitted.toml", {model = "vendor.fmu", name = "vendor"}]
+        validate = ["validation_*.csv"]
+        train = ["training_1.csv"]                # optional, as all that follow
+        modes = ["free run", "one step"]
+        outputs = ["arm_angle"]
+        scale = {command = "0.05 V/%"}
+
+    The model ``hold_last`` is the yardstick that repeats the last sample.
+
+    Raises DataError for a file that is missing or no TOML, DeclarationError for keys and modes that do not exist.
+    """
+    path = Path(path)
+    table = _read_toml(path)
+    where = path.name
+    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "scale"), where)
+    for key in ("models", "validate"):
+        if not table.get(key):
+            raise DeclarationError(f"{where}: no '{key}'. A scenario lists at least one. Add {key} = [...].")
+    modes = _strings(table, "modes", where) or MODES
+    for mode in modes:
+        if mode not in MODES:
+            raise DeclarationError(f"{where}: no mode '{mode}'. {nearest(mode, MODES)}")
+    return Scenario(
+        title=str(table.get("title", path.stem)),
+        models=tuple(_entry(e, path) for e in _list(table, "models", where)),
+        validate=_paths(_strings(table, "validate", where), path),
+        train=_paths(_strings(table, "train", where), path),
+        modes=tuple(modes),
+        outputs=_strings(table, "outputs", where) or None,
+        scale=_scale(table, where),
+        base=path.parent,
+    )
+
+
+def run_scenario(
+    scenario: Scenario,
+    resolve: Callable[[str], object],
+    *,
+    repeats: int = 3,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> Comparison:
+    """Read the recordings, make every model a contender and `compare`.
+
+    ``resolve`` turns a model as written (name or path) into a Model, Block or Contender; the face knows how.
+    """
+    contenders = load_contenders(scenario, resolve)
+    return compare(
+        contenders,
+        _read(scenario.validate, scenario),
+        modes=scenario.modes,
+        outputs=scenario.outputs,
+        train_records=_read(scenario.train, scenario),
+        title=scenario.title,
+        repeats=repeats,
+        progress=progress,
+    )
+
+
+def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> list[Contender]:
+    """The contenders of a scenario, in its order; the yardstick holds the outputs of all others."""
+    contenders: list[Contender] = []
+    for entry in scenario.models:
+        if entry.model != HOLD_LAST:
+            contenders.append(as_contender(resolve(entry.model), entry.name))
+    for k, entry in enumerate(scenario.models):
+        if entry.model == HOLD_LAST:
+            outputs = {s.name: s for c in contenders for s in c.outputs}
+            contenders.insert(k, HoldLast(tuple(outputs.values()), entry.name or "hold last sample"))
+    return contenders
+
+
+def _read(paths: Sequence[Path], scenario: Scenario) -> list[Record]:
+    return [read_record(p, scale=dict(scenario.scale) or None) for p in paths]
+
+
+def _read_toml(path: Path) -> dict:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DataError(f"{path}: no such scenario. {_nearest_file(path)}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: not a TOML file ({error}). A scenario is plain TOML. Mend that line.") from None
+
+
+def _only(table: Mapping, known: Sequence[str], where: str) -> None:
+    for key in table:
+        if key not in known:
+            raise DeclarationError(f"{where}: unknown key '{key}'. {nearest(key, known)}")
+
+
+def _list(table: Mapping, key: str, where: str) -> list:
+    value = table.get(key, [])
+    if not isinstance(value, list):
+        raise DeclarationError(f"{where}: '{key}' is not a list (got {value!r}). Write {key} = [...].")
+    return value
+
+
+def _strings(table: Mapping, key: str, where: str) -> tuple[str, ...]:
+    values = _list(table, key, where)
+    for value in values:
+        if not isinstance(value, str):
+            raise DeclarationError(f"{where}: '{key}' holds no text (got {value!r}). Put it in quotes.")
+    return tuple(values)
+
+
+def _scale(table: Mapping, where: str) -> dict[str, str]:
+    scale = table.get("scale", {})
+    if not isinstance(scale, dict) or not all(isinstance(v, str) for v in scale.values()):
+        raise DeclarationError(f"{where}: 'scale' is no table of texts (got {scale!r}). Write command = '0.05 V/%'.")
+    return scale
+
+
+def _entry(value, path: Path) -> ModelEntry:
+    """One item of ``models``: a text, or a table with model and name."""
+    if isinstance(value, str):
+        return ModelEntry(_located(value, path))
+    if not isinstance(value, dict):
+        raise DeclarationError(f'{path.name}: a model is a text or a table (got {value!r}). Write "cehA".')
+    _only(value, ("model", "name"), f"{path.name}: models")
+    if not isinstance(value.get("model"), str):
+        raise DeclarationError(
+            f"{path.name}: a model has no 'model'. It is a name or a file. Write {{model = 'cehA'}}."
+        )
+    name = value.get("name")
+    return ModelEntry(_located(value["model"], path), None if name is None else str(name))
+
+
+def _located(model: str, path: Path) -> str:
+    """The model with its path made relative to the scenario file, when it is a path."""
+    file, colon, factory = model.partition(".py:")
+    if colon:
+        return f"{path.parent / file}.py:{factory}"
+    if not model.endswith(_FILES):
+        return model
+    file = path.parent / model
+    if not file.exists():
+        raise DataError(f"{path.name}: no model file '{model}'. {_nearest_file(file)}")
+    return str(file)
+
+
+def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:
+    """The recordings named; a pattern stands for all files it matches, sorted."""
+    found: list[Path] = []
+    for name in names:
+        matches = sorted(path.parent.glob(name)) if "*" in name or "?" in name else [path.parent / name]
+        if not matches or not matches[0].exists():
+            raise DataError(f"{path.name}: no recording '{name}'. {_nearest_file(path.parent / name)}")
+        found += matches
+    return tuple(found)
+
+
+def _nearest_file(path: Path) -> str:
+    folder = path.parent
+    return (
+        nearest(path.name, sorted(p.name for p in folder.iterdir())) if folder.is_dir() else f"{folder} is no folder."
+    )

@@ -1,0 +1,145 @@
+"""CSV: a header of ``name [unit]``, first column ``time [s]``; comma, semicolon (with decimal comma) or tab."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError
+
+from .record import Record
+from .table import Column, Table, split_header
+
+_MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+
+
+def read_csv(path: Path) -> Table:
+    """The table of a CSV file. Raises `DataError` for text in numbers, ragged rows, a truncated or empty file."""
+    content = path.read_bytes()
+    text = _decode(content, path)
+    skip, header, delimiter = _header(text, path)
+    body = text.split("\n", skip)[-1].partition("\n")[2]
+    decimal_comma = delimiter != "," and "," in body[: body.find("\n") if "\n" in body else None]
+    values, row = _numbers(body, header, delimiter, decimal_comma, skip + 2, path)
+    columns = tuple(Column(*split_header(h), values[:, k]) for k, h in enumerate(header))
+    return Table(str(path), columns, row, hashlib.sha256(content).hexdigest())
+
+
+def write_csv(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
+    """Write columns with the shortest digits that read back to the same number."""
+    with open(path, "w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerow(headers)
+        for start in range(0, len(columns[0]), 4096):
+            rows = zip(*(c[start : start + 4096].tolist() for c in columns), strict=True)
+            file.write("".join(",".join(map(repr, row)) + "\n" for row in rows))
+
+
+def _decode(content: bytes, path: Path) -> str:
+    if not content.strip():
+        raise DataError(f"{path}: row 1: the file is empty. It needs a header 'time [s],name [unit],...' and rows.")
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in content[:4096]:
+        raise DataError(f"{path}: row 1: not a text file in UTF-8 (it has zero bytes). Export it again as CSV UTF-8.")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("cp1252", errors="replace")
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _header(text: str, path: Path) -> tuple[int, list[str], str]:
+    """Lines before the header (blank or starting with #), the header's cells, the delimiter."""
+    lines = enumerate(io.StringIO(text))
+    skip, line = next(((k, line) for k, line in lines if line.strip() and not line.startswith("#")), (0, ""))
+    if not line:
+        raise DataError(f"{path}: row 1: there are only comments. Write a header 'time [s],name [unit],...'.")
+    outside_units = "".join(part.rpartition("]")[2] if "]" in part else part for part in line.split("["))
+    delimiter = max(",;\t", key=outside_units.count)
+    cells = next(csv.reader([line.rstrip("\n")], delimiter=delimiter, skipinitialspace=True))
+    if all(_number(cell, False) is not None for cell in cells):
+        raise DataError(
+            f"{path}: row {skip + 1}, column 1: numbers where the header belongs (got '{line.strip()[:40]}'). "
+            "Write 'time [s],name [unit],...' above them."
+        )
+    return skip, cells, delimiter
+
+
+def _numbers(
+    body: str, header: list[str], delimiter: str, decimal_comma: bool, first_row: int, path: Path
+) -> tuple[np.ndarray, Callable[[int], int]]:
+    if not body.strip():
+        return np.empty((0, len(header))), lambda k: first_row + k
+    plain = body.replace(",", ".") if decimal_comma else body
+    try:
+        values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments=None, ndmin=2)
+        if values.shape[1] == len(header):
+            return values, _row_finder(body, first_row)
+    except (ValueError, UnicodeError):
+        pass  # the careful reader below finds the cell, or takes empty ones as missing
+    return _read_carefully(body, header, delimiter, decimal_comma, first_row, path)
+
+
+def _row_finder(body: str, first_row: int) -> Callable[[int], int]:
+    """Sample index -> line number; blank lines count in the file and hold no sample."""
+
+    def row(k: int) -> int:
+        filled = [number for number, line in enumerate(body.split("\n"), start=first_row) if line.strip()]
+        return filled[k] if k < len(filled) else filled[-1] + 1
+
+    return row
+
+
+def _read_carefully(
+    body: str, header: list[str], delimiter: str, decimal_comma: bool, first_row: int, path: Path
+) -> tuple[np.ndarray, Callable[[int], int]]:
+    """Cell by cell: raises with row and column of the first cell that is wrong; missing ones become NaN."""
+    values, rows = [], []
+    lines = body.split("\n")
+    last = max(k for k, line in enumerate(lines) if line.strip())
+    for k, line in enumerate(lines):
+        if not line.strip():
+            continue
+        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+        if len(cells) != len(header):
+            _fail_ragged(path, first_row + k, cells, header, cut_off=k == last and len(lines) == last + 1)
+        numbers = [_number(cell, decimal_comma) for cell in cells]
+        if None in numbers:
+            column = numbers.index(None)
+            raise DataError(
+                f"{path}: row {first_row + k}, column '{split_header(header[column])[0]}': not a number "
+                f"(got '{cells[column]}'). Write a decimal point, no thousands separator, no unit in the cell."
+            )
+        values.append(numbers)
+        rows.append(first_row + k)
+    return np.array(values), lambda k: rows[k] if k < len(rows) else rows[-1] + 1
+
+
+def _fail_ragged(path: Path, row: int, cells: list[str], header: list[str], cut_off: bool) -> None:
+    counted = f"(got {len(cells)} values, the header names {len(header)})"
+    if len(cells) > len(header):
+        raise DataError(
+            f"{path}: row {row}, column {len(header) + 1}: a value without a column {counted}. "
+            "Remove it, or look for a decimal comma in this row."
+        )
+    column = split_header(header[len(cells)])[0]
+    if cut_off:
+        raise DataError(
+            f"{path}: row {row}, column '{column}': the file ends in the middle of this row {counted}. "
+            "It was cut off while it was written or copied: copy it again, or delete this row."
+        )
+    raise DataError(f"{path}: row {row}, column '{column}': the row is too short {counted}. Repair or delete this row.")
+
+
+def _number(cell: str, decimal_comma: bool) -> float | None:
+    """The number in a cell, NaN for a missing one, None for text."""
+    cell = cell.strip()
+    if cell.lower() in _MISSING_TEXTS:
+        return float("nan")
+    try:
+        return None if "_" in cell else float(cell.replace(",", ".") if decimal_comma else cell)
+    except ValueError:
+        return None

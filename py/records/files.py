@@ -1,0 +1,107 @@
+"""read_record and write_record: one pair of verbs for every file format."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, nearest
+from hydrotwin.models.language.units import convert
+
+from .binary_files import read_mdf, read_parquet, write_mdf, write_parquet
+from .csv_file import read_csv, write_csv
+from .mat_file import read_mat, write_mat, write_mat73
+from .record import Record
+from .scale import Scale, scales_of
+from .table import record_from_table
+
+_FORMATS = {
+    ".csv": (read_csv, write_csv),
+    ".txt": (read_csv, write_csv),
+    ".parquet": (read_parquet, write_parquet),
+    ".mat": (read_mat, write_mat),
+    ".mf4": (read_mdf, write_mdf),
+}
+
+
+def read_record(
+    path: str | os.PathLike,
+    *,
+    scale: Mapping[str, str | Scale] | Sequence[str | Scale] | str | None = None,
+    units: Mapping[str, str] | None = None,
+    missing: str = "error",
+) -> Record:
+    """Read a recording (CSV, Parquet, MAT v5 or v7.3, MDF 4) and convert it to SI.
+
+    scale : what one unit of a column stands for, ``"command=0.05 V/%"``.
+    units : units of the columns for which the file names none.
+    missing : "error" refuses NaN and empty cells, "drop rows" leaves rows with one out.
+
+    Non-uniform time is normal; holes in it are listed in ``Record.gaps``. Raises `DataError` or `UnitError` naming the
+    file, the row (as an editor counts it; binary files count samples from 1) and the column.
+    """
+    path = Path(path)
+    read, _ = _format_of(path)
+    if not path.is_file():
+        raise DataError(f"{path}: {_why_absent(path)}")
+    return record_from_table(read(path), path.stem, scales_of(scale), units or {}, missing)
+
+
+def write_record(
+    record: Record, path: str | os.PathLike, *, units: Mapping[str, str] | None = None, mat_version: str = "5"
+) -> Path:
+    """Write a record; each column in the unit of ``units``, else the one it was read in, else SI.
+
+    The suffix picks the format; MAT is v5 unless ``mat_version="7.3"``. A failed write leaves an old file whole.
+    """
+    path = Path(path)
+    _, write = _format_of(path)
+    if mat_version not in ("5", "7.3"):
+        raise DataError(f"mat_version: not a choice (got {mat_version!r}). {nearest(str(mat_version), ('5', '7.3'))}")
+    if path.suffix.lower() == ".mat" and mat_version == "7.3":
+        write = write_mat73
+    shown = {**record.units, **record.display_units, **(units or {})}
+    for name in units or {}:
+        record[name]
+    columns = [record.time, *(convert(record[n], record.units[n], shown[n]) for n in record)]
+    headers = ["time [s]", *(f"{n} [{shown[n]}]" for n in record)]
+    _replace_whole(path, lambda beside: write(headers, columns, record, beside))
+    return path
+
+
+def _replace_whole(path: Path, write) -> None:
+    """Write beside, then rename."""
+    if not path.parent.is_dir():
+        raise DataError(f"{path}: the folder '{path.parent}' does not exist. Make it first.")
+    handle, beside = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    os.close(handle)
+    try:
+        write(Path(beside))
+        os.chmod(beside, 0o666 & ~_umask())
+        os.replace(beside, path)
+    finally:
+        Path(beside).unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+def _format_of(path: Path):
+    suffix = path.suffix.lower()
+    if suffix not in _FORMATS:
+        raise DataError(f"{path}: not a recording format (got '{suffix}'). {nearest(suffix, _FORMATS)}")
+    return _FORMATS[suffix]
+
+
+def _why_absent(path: Path) -> str:
+    if path.is_dir():
+        return "a folder, not a recording. Name a file in it."
+    if not path.parent.is_dir():
+        return f"no such file: the folder '{path.parent}' does not exist."
+    beside = [p.name for p in path.parent.iterdir() if p.suffix.lower() in _FORMATS]
+    return f"no such file. {nearest(path.name, sorted(beside))}"

@@ -1,0 +1,195 @@
+"""Record: named signals on one time axis, in SI; measured and simulated are the same type."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, UnitError, nearest
+from hydrotwin.models.language.units import si_unit
+
+from . import resampling
+
+GAP_RATIO = 20.0  # a step above this many median steps is a gap
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A hole in the time axis: no sample between ``start`` and ``end`` [s]; ``index`` is the sample before it."""
+
+    start: float
+    end: float
+    index: int
+
+    def __str__(self) -> str:
+        return f"no samples from {self.start:g} s to {self.end:g} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Named signals on one strictly increasing time axis.
+
+    time : (n,) s, uniform or not. signals : name -> (n,), SI. units : name -> SI unit.
+    display_units : the units a person reads them in, kept from the file. source, digest : the file and its SHA-256.
+
+    Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
+    `UnitError` for a unit that is not SI.
+    """
+
+    time: np.ndarray
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    name: str = "record"
+    source: str | None = None
+    digest: str | None = None
+    display_units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        time = _frozen_array(self.time, f"{self.name}: time")
+        signals = {n: _frozen_array(v, f"{self.name}: column '{n}'") for n, v in self.signals.items()}
+        for name, values in signals.items():
+            if len(values) != len(time):
+                raise DataError(
+                    f"{self.name}: column '{name}' has {len(values)} values, time has {len(time)}. "
+                    "All columns of a record share one time axis."
+                )
+        if not (np.diff(time) > 0).all():  # NaN fails too
+            k = int(np.argmin(np.diff(time) > 0))
+            raise DataError(
+                f"{self.name}: time must grow (got {time[k + 1]:.9g} s after {time[k]:.9g} s). "
+                "Sort the samples and remove those with the same time."
+            )
+        for name in signals:
+            self._check_unit(name)
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "signals", signals)
+        object.__setattr__(self, "units", {n: self.units[n] for n in signals})
+        object.__setattr__(self, "display_units", {n: u for n, u in self.display_units.items() if n in signals})
+
+    def _check_unit(self, name: str):
+        if name not in self.units:
+            raise UnitError(f"{self.name}: column '{name}' has no unit. Give units={{'{name}': ...}}, '1' for none.")
+        unit = self.units[name]
+        if si_unit(unit) != unit:
+            raise UnitError(
+                f"{self.name}: column '{name}' is in {unit}, a record holds SI. Convert it to {si_unit(unit)} (to_si)."
+            )
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.signals:
+            raise DataError(f"{self.source or self.name}: no column '{name}'. {nearest(str(name), self.signals)}")
+        return self.signals[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.signals
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.signals)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the signals, in order."""
+        return tuple(self.signals)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.time[-1] - self.time[0]) if len(self) else 0.0
+
+    @cached_property
+    def period(self) -> float:
+        """Median time step [s]; NaN for fewer than two samples."""
+        return float(np.median(np.diff(self.time))) if len(self) > 1 else float("nan")
+
+    @cached_property
+    def uniform(self) -> bool:
+        """Whether every sample lies within 1 % of a step of an even grid."""
+        even = np.linspace(self.time[0], self.time[-1], len(self)) if len(self) else self.time
+        return len(self) < 3 or bool(np.abs(self.time - even).max() <= 0.01 * self.period)
+
+    @cached_property
+    def gaps(self) -> tuple[Gap, ...]:
+        """Holes in the time axis: steps above 20 median steps. They are reported, never filled."""
+        if len(self) < 3:
+            return ()
+        at = np.flatnonzero(np.diff(self.time) > GAP_RATIO * self.period)
+        return tuple(Gap(float(self.time[k]), float(self.time[k + 1]), int(k)) for k in at)
+
+    def array(self, names: Sequence[str]) -> np.ndarray:
+        """The named signals as columns, (n, k), SI."""
+        return np.column_stack([self[n] for n in names]) if len(names) else np.empty((len(self), 0))
+
+    def select(self, names: Sequence[str]) -> Record:
+        """Only the named signals, in that order."""
+        return dataclasses.replace(self, signals={n: self[n] for n in names})
+
+    def window(self, start: float | None = None, end: float | None = None) -> Record:
+        """The samples with ``start <= time <= end`` [s]; time keeps its origin."""
+        low, high = -np.inf if start is None else start, np.inf if end is None else end
+        inside = (self.time >= low) & (self.time <= high)
+        if not inside.any():
+            covered = f"{self.time[0]:g} s to {self.time[-1]:g} s" if len(self) else "no time at all"
+            raise DataError(
+                f"{self.name}: no sample in the window (got {low:g} s to {high:g} s). The record covers {covered}."
+            )
+        return self._at(self.time[inside], {n: v[inside] for n, v in self.signals.items()})
+
+    def resample(
+        self,
+        period: float | None = None,
+        *,
+        times: Sequence[float] | None = None,
+        hold: Sequence[str] = (),
+        anti_alias: bool = False,
+    ) -> Record:
+        """The signals on another time axis: an even grid of ``period`` [s], or at ``times`` [s] inside the record.
+
+        Signals named in ``hold`` keep their last value, the others are linear between samples. ``anti_alias``
+        removes what the new rate cannot carry (see `resampling.low_pass`) from the linear ones before down-sampling.
+        """
+        for name in hold:
+            self[name]
+        new_time = resampling.new_time_axis(self.time, period, times, self.name)
+        signals = {}
+        for name, values in self.signals.items():
+            if name in hold:
+                signals[name] = resampling.hold(self.time, values, new_time)
+                continue
+            smooth = resampling.low_pass(self.time, values, new_time) if anti_alias else (self.time, values)
+            signals[name] = np.interp(new_time, *smooth)
+        return self._at(new_time, signals)
+
+    def with_signals(
+        self,
+        signals: Mapping[str, np.ndarray],
+        units: Mapping[str, str] | None = None,
+        display_units: Mapping[str, str] | None = None,
+    ) -> Record:
+        """The record with signals (SI) added or replaced; new names need a unit in ``units``."""
+        return dataclasses.replace(
+            self,
+            signals={**self.signals, **signals},
+            units={**self.units, **(units or {})},
+            display_units={**self.display_units, **(display_units or {})},
+        )
+
+    def _at(self, time: np.ndarray, signals: Mapping[str, np.ndarray]) -> Record:
+        return dataclasses.replace(self, time=time, signals=signals)
+
+
+def _frozen_array(values, where: str) -> np.ndarray:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise DataError(f"{where}: not numbers ({error}). Give one real number per sample.") from None
+    if array.ndim != 1:
+        raise DataError(f"{where}: one value per sample is needed (got shape {array.shape}). Give a 1-D array.")
+    array.setflags(write=False)
+    return array

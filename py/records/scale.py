@@ -1,0 +1,63 @@
+"""Scale: what one unit of a column stands for, ``command=0.05 V/%``."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, UnitError
+from hydrotwin.models.language.units import si_unit, to_si
+
+_FORM = "Write --scale command=0.05 V/%."
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A factor with unit for one column: value [V] = factor [V/%] * column [%]."""
+
+    column: str
+    factor: float
+    unit: str
+
+    def apply(self, values: np.ndarray, unit: str) -> tuple[np.ndarray, str]:
+        """Values in SI times the factor in SI, and the SI unit of the product."""
+        factor, own = to_si(self.factor, self.unit)
+        return values * factor, si_unit(f"({own}).({unit})")
+
+
+def parse_scale(text: str) -> Scale:
+    """``"command=0.05 V/%"`` -> Scale; a unit left out is 1.
+
+    >>> parse_scale("command=0.05 V/%")
+    Scale(column='command', factor=0.05, unit='V/%')
+    """
+    column, equals, rest = text.partition("=")
+    match = re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(.*)", rest.strip())
+    if not (equals and column.strip() and match):
+        raise DataError(f"scale: not understood (got '{text}'). {_FORM}")
+    try:
+        factor = float(match[1])
+        si_unit(match[2] or "1")
+    except ValueError:
+        raise DataError(f"scale: '{match[1]}' is not a number (got '{text}'). {_FORM}") from None
+    except UnitError as error:
+        raise UnitError(f"scale: '{text}': {error}") from None
+    if factor == 0 or not math.isfinite(factor):
+        raise DataError(f"scale: the factor of '{column.strip()}' must be finite and not zero (got '{text}'). {_FORM}")
+    return Scale(column.strip(), factor, match[2] or "1")
+
+
+def scales_of(scale: Mapping[str, str | Scale] | Sequence[str | Scale] | str | None) -> dict[str, Scale]:
+    """Every accepted way to give scales, as ``column -> Scale``: texts, Scales, or a mapping column -> "0.05 V/%"."""
+    if scale is None:
+        return {}
+    if isinstance(scale, str | Scale):
+        scale = [scale]
+    if isinstance(scale, Mapping):
+        scale = [s if isinstance(s, Scale) else f"{column}={s}" for column, s in scale.items()]
+    parsed = [s if isinstance(s, Scale) else parse_scale(s) for s in scale]
+    return {s.column: s for s in parsed}

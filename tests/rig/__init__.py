@@ -1,0 +1,23 @@
+"""The truth rig: an independent simulator of both machines, with effects the models do not know."""
+
+from __future__ import annotations
+
+from . import commands
+from .effects import EFFECTS
+from .files import read_csv, write_csv
+from .friction import friction_test
+from .machines import MACHINES, sensor_noise
+from .recording import clean_recordings, drive, record
+
+__all__ = [
+    "EFFECTS",
+    "MACHINES",
+    "clean_recordings",
+    "commands",
+    "drive",
+    "friction_test",
+    "read_csv",
+    "record",
+    "sensor_noise",
+    "write_csv",
+]

@@ -1,0 +1,96 @@
+"""Excitations. All are functions of a time axis (any spacing) and a seed; amplitudes in command units."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+
+def jittered_time(duration: float, rate: float, jitter: float, seed: int = 0) -> np.ndarray:
+    """Sample times with a spread: each off its place by at most ``jitter`` of a period (< 0.5), from zero on."""
+    ticks = np.arange(round(duration * rate) + 1, dtype=float)
+    ticks[1:] += np.random.default_rng(seed).uniform(-jitter, jitter, len(ticks) - 1)
+    return ticks / rate
+
+
+def multisine(time, low: float, high: float, seed: int = 0, tones: int = 24, tilt: float = 0.0) -> np.ndarray:
+    """Sum of sines of random phase, frequencies log-spaced with a spread, amplitude ~ f^-tilt, rms 1."""
+    random = np.random.default_rng(seed)
+    frequencies = np.geomspace(low, high, tones) * random.uniform(0.95, 1.05, tones)
+    amplitudes = frequencies**-tilt
+    phases = random.uniform(0, 2 * np.pi, tones)
+    waves = amplitudes * np.sin(2 * np.pi * frequencies * np.asarray(time)[:, None] + phases)
+    return waves.sum(axis=1) / np.sqrt(0.5 * np.sum(amplitudes**2))
+
+
+def pauses(time, seed: int = 0, *, every: float = 9.0, rest: float = 1.2, taper: float = 0.4) -> np.ndarray:
+    """A gate between 0 (at rest) and 1, smooth; at rest for the first half second and about every ``every`` s."""
+    time = np.asarray(time, dtype=float)
+    random = np.random.default_rng(seed)
+    closed, t = [(time[0] - 1.0, time[0] + 0.5)], time[0]
+    while t < time[-1]:
+        t += every * random.uniform(0.7, 1.3)
+        closed.append((t, t + rest * random.uniform(0.6, 1.4)))
+    gate = np.ones_like(time)
+    for begin, end in closed:
+        away = np.maximum(np.maximum(begin - time, time - end), 0.0)
+        gate *= np.where(away < taper, 0.5 - 0.5 * np.cos(np.pi * away / taper), 1.0)
+    return gate
+
+
+def path(time, span, fastest: float, band, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A smooth position inside ``span`` no faster than ``fastest``, its gate, and a quick part of rms 1.
+
+    The path stands still where the gate is closed. ``band``: (low, high) of its frequencies [Hz].
+    """
+    gate = pauses(time, seed)
+    warped = np.concatenate([[0.0], np.cumsum(0.5 * (gate[1:] + gate[:-1]) * np.diff(time))])
+    slow = multisine(warped, *band, seed + 1, tones=9, tilt=0.5)
+    half = 0.5 * (span[1] - span[0]) / np.max(np.abs(slow))
+    half = min(half, fastest / np.max(np.abs(np.gradient(slow, time))))
+    quick = multisine(time, 0.5, 12.0, seed + 2, tones=24, tilt=0.5)
+    return 0.5 * (span[0] + span[1]) + half * slow, gate, quick
+
+
+def smoothed(values, samples: float) -> np.ndarray:
+    """Gaussian, zero phase."""
+    return gaussian_filter1d(values, samples, mode="nearest")
+
+
+def steps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed: float = 0.0, room=None) -> np.ndarray:
+    """Hard steps to random levels; with ``speed`` [m/s per unit] and ``room`` (low, high) [m] the path stays in it."""
+    return _levels(time, amplitude, seed, hold, speed, room)[0]
+
+
+def ramps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed: float = 0.0, room=None) -> np.ndarray:
+    """The levels of ``steps``, joined by straight lines."""
+    levels, corners = _levels(time, amplitude, seed, hold, speed, room)
+    at = np.searchsorted(time, corners).clip(max=len(time) - 1)
+    return np.interp(time, corners, levels[at])
+
+
+def _levels(time, amplitude, seed, hold, speed, room):
+    random = np.random.default_rng(seed)
+    time = np.asarray(time, dtype=float)
+    levels, x, t, corners = np.zeros_like(time), 0.0, time[0] + 0.5, [time[0]]
+    while t < time[-1]:
+        length, level = random.uniform(*hold), amplitude * random.uniform(-1, 1)
+        if room is not None:
+            if not room[0] < x + speed * level * length < room[1]:
+                level = -level
+            level = np.clip(x + speed * level * length, *room) - x
+            level = float(np.clip(level / (speed * length), -amplitude, amplitude))
+            x += speed * level * length
+        levels[time >= t] = level
+        corners.append(t)
+        t += length
+    return levels, np.array(corners)
+
+
+def sweep(time, amplitude: float, low: float = 0.2, high: float = 15.0) -> np.ndarray:
+    """Exponential sine sweep from ``low`` to ``high`` Hz, faded in and out over a twentieth of its length."""
+    t = np.asarray(time, dtype=float) - time[0]
+    rate = np.log(high / low) / t[-1]
+    wave = np.sin(2 * np.pi * low * np.expm1(rate * t) / rate)
+    fade = np.clip(np.minimum(t, t[-1] - t) / (0.05 * t[-1]), 0, 1)
+    return amplitude * wave * fade

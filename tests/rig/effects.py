@@ -1,0 +1,160 @@
+"""The hidden effects by name. Ids are those of the catalogue where it has one; the equations here are the rig's own.
+
+An effect is one of four kinds: fields of the C core, a change of base parameters, a stage of the command path, or a
+property of a sensor. Options not given take the defaults listed here (a visible size on the default machine).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from . import command_path, sensors
+from .machines import machine_of, parameter_values
+
+BOTH = ("cehA", "spool_valve")
+
+
+@dataclass(frozen=True)
+class RigEffect:
+    """How one effect enters the truth."""
+
+    kind: str  # "field" | "parameter" | "command" | "sensor"
+    defaults: Mapping[str, object]
+    fields: Mapping[str, str] | None = None  # option -> C field, or parameter path by machine
+    machines: tuple[str, ...] = BOTH
+
+
+def _field(machines=BOTH, /, **options):
+    """Option=(C field, default)."""
+    defaults = {option: default for option, (_, default) in options.items()}
+    return RigEffect("field", defaults, {option: field for option, (field, _) in options.items()}, machines)
+
+
+def _factor(value, /, **paths):
+    """A base parameter that differs from its value by a factor."""
+    return RigEffect("parameter", {"factor": value}, paths, tuple(paths))
+
+
+FIELDS = {
+    "coulomb_friction": _field(force=("coulomb", 150.0)),
+    "stribeck_friction": _field(
+        kinetic=("coulomb", 100.0), extra=("breakaway", 80.0), velocity=("stribeck_velocity", 0.01)
+    ),
+    "asymmetric_friction": _field(force=("coulomb", 150.0), asymmetry=("asymmetry", 0.4)),
+    "position_dependent_friction": _field(
+        force=("coulomb", 150.0), share=("ripple", 0.5), length=("ripple_length", 0.05)
+    ),
+    "pressure_dependent_friction": _field(area=("per_pressure", 3e-5)),
+    "presliding_friction": _field(
+        stiffness=("bristle_stiffness", 2e6),
+        damping=("bristle_damping", 1e3),
+        kinetic=("bristle_kinetic", 120.0),
+        static=("bristle_static", 160.0),
+        velocity=("bristle_velocity", 0.005),
+    ),
+    "exact_friction": _field(("cehA",), on=("exact", 1.0)),
+    "internal_leakage": _field(conductance=("leak", 1e-14)),
+    "turbulent_leakage": _field(coefficient=("leak_turbulent", 1e-11)),
+    "external_leakage": _field(cap=("leak_a", 3e-15), rod=("leak_b", 0.0)),
+    "pump_slip": _field(("cehA",), conductance=("slip", 2e-14), speed=("slip_speed", 100.0)),
+    "speed_dependent_efficiency": _field(("cehA",), share=("lost_share", 0.1), speed=("lost_speed", 50.0)),
+    "entrained_air": _field(fraction=("air", 0.02), exponent=("air_exponent", 1.3)),
+    "line_compliance": _field(cap=("hose_a", 3e-14), rod=("hose_b", 0.0)),
+    "relief_saturation": _field(pressure=("relief_pressure", 4e6), conductance=("relief_conductance", 1e-11)),
+    "check_valve_cracking": _field(pressure=("refill_pressure", 1e5), conductance=("refill_conductance", 1e-11)),
+    "end_stop": _field(
+        low=("stop_low", -0.03),
+        high=("stop_high", 0.06),
+        stiffness=("stop_stiffness", 2e7),
+        damping=("stop_damping", 2.0),
+    ),
+    "structural_compliance": _field(
+        stiffness=("coupling_stiffness", 1e7), damping=("coupling_damping", 3e3), rod_mass=("rod_mass", 2.0)
+    ),
+    "backlash": _field(
+        gap=("coupling_gap", 5e-4),
+        stiffness=("coupling_stiffness", 3e7),
+        damping=("coupling_damping", 5e3),
+        rod_mass=("rod_mass", 2.0),
+    ),
+    "constant_load": _field(force=("constant_force", 200.0)),
+    "external_push": _field(force=("push_force", 300.0), start=("push_start", 15.0), end=("push_end", 18.0)),
+    "payload_change": _field(mass=("payload_step", 10.0), time=("payload_time", 20.0)),
+    "gravity_tilt": _field(("cehA",), angle=("tilt", 0.1)),
+    "actuator_lag": _field(time_constant=("command_lag", 0.03)),
+    "motor_droop": _field(("cehA",), resistance=("droop", 50.0)),
+    "drift": _field(rate=("drift", 2e-3)),
+    "viscosity_warming": _field(share=("warming", 0.5), time_constant=("warming_time", 60.0)),
+    "pump_ripple": _field(("cehA",), share=("ripple_flow", 0.05), pistons=("pistons", 7.0)),
+    "cogging": _field(("cehA",), torque=("cogging", 0.02), poles=("poles", 8.0)),
+    "valve_overlap": RigEffect("field", {"share": 0.03}, None, ("spool_valve",)),
+    "asymmetric_overlap": _field(
+        ("spool_valve",),
+        pressure_a=("overlap_pa", 0.03),
+        tank_a=("overlap_at", 0.01),
+        pressure_b=("overlap_pb", 0.01),
+        tank_b=("overlap_bt", 0.03),
+    ),
+    "flow_saturation": _field(("spool_valve",), knee=("flow_knee", 0.4), limit=("flow_limit", 0.8)),
+    "supply_droop": _field(("spool_valve",), resistance=("supply_resistance", 1e10), volume=("supply_volume", 1e-3)),
+    "load_dependent_flow": _field(("spool_valve",), share=("load_sensitivity", 0.2)),
+    "load_spring": _field(("spool_valve",), stiffness=("spring", 3e3)),
+    "displacement_error": _factor(1.05, cehA="pump.displacement", spool_valve="valve.flow_gain"),
+    "area_error": _factor(1.05, cehA="cylinder.cap_area", spool_valve="cylinder.area_a"),
+    "linkage_error": _factor(1.02, cehA="arm.pin_length"),
+    "payload_error": _factor(1.2, cehA="arm.extra_mass", spool_valve="load.mass"),
+    "viscous_friction": _factor(3.0, cehA="cylinder.friction.viscous", spool_valve="cylinder.friction.viscous"),
+    "spool_lag": _factor(0.5, spool_valve="valve.frequency"),
+}
+EFFECTS: dict[str, RigEffect] = {
+    **FIELDS,
+    **{stage.__name__: RigEffect("command", defaults) for stage, defaults in command_path.STAGES},
+    **{name: RigEffect("sensor", defaults) for name, defaults in sensors.DEFAULTS.items()},
+}
+
+
+def named_effects(machine: str, effects) -> list[tuple[str, dict]]:
+    """Effects with all their options, from a mapping or a sequence of (name, options) pairs."""
+    pairs = list(effects.items()) if isinstance(effects, Mapping) else list(effects or ())
+    answer = []
+    for name, options in pairs:
+        if name not in EFFECTS or machine not in EFFECTS[name].machines:
+            able = [key for key, effect in EFFECTS.items() if machine in effect.machines]
+            raise KeyError(f"rig: no effect {name!r} for {machine} (there are {', '.join(able)}).")
+        wrong = set(options or {}) - set(EFFECTS[name].defaults)
+        if wrong:
+            raise KeyError(f"rig: {name} has no option {sorted(wrong)} (it has {', '.join(EFFECTS[name].defaults)}).")
+        full = {**EFFECTS[name].defaults, **(options or {})}
+        if EFFECTS[name].kind == "sensor" and full["output"] not in machine_of(machine).outputs:
+            raise KeyError(f"rig: {name} needs output=one of {', '.join(machine_of(machine).outputs)}.")
+        answer.append((name, full))
+    return answer
+
+
+def true_values(machine: str, changes: Mapping[str, float], effects) -> tuple[dict, dict]:
+    """Base parameters and C fields after every effect that lives in them."""
+    parameters = parameter_values(machine, changes)
+    fields = {}
+    for name, options in effects:
+        effect = EFFECTS[name]
+        if effect.kind == "parameter":
+            path = effect.fields[machine]
+            parameters[path] *= options["factor"]
+        elif name == "valve_overlap":
+            fields |= dict.fromkeys(("overlap_pa", "overlap_at", "overlap_pb", "overlap_bt"), options["share"])
+        elif effect.kind == "field":
+            fields |= {effect.fields[option]: float(value) for option, value in options.items()}
+    return parameters, fields
+
+
+def changed_command(signal, effects):
+    """The command as it reaches the machine: the stages in their physical order."""
+    wanted = {}
+    for name, options in effects:
+        if EFFECTS[name].kind == "command":
+            wanted[name] = options
+    for stage, _ in command_path.STAGES:
+        if stage.__name__ in wanted:
+            signal = stage(signal, **wanted[stage.__name__])
+    return signal

@@ -1,0 +1,189 @@
+"""The two machines: parameter names and values, outputs, starts. Values: Table 1 of the C-EHA paper, else ours."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+GRAVITY = 9.80665
+NEUTRAL = {  # C fields whose absence is not zero
+    "stribeck_velocity": 0.0,
+    "ripple_length": 0.05,
+    "bristle_velocity": 1e-3,
+    "air_exponent": 1.3,
+    "rod_mass": 2.0,
+    "warming_time": 60.0,
+    "slip_speed": 100.0,
+    "lost_speed": 50.0,
+    "supply_volume": 1e-3,
+}
+
+
+@dataclass(frozen=True)
+class RigMachine:
+    """One machine as the rig sees it: names, defaults, and how it stands still."""
+
+    name: str
+    input: str
+    input_unit: str
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]  # SI
+    file_units: tuple[str, ...]
+    noise: tuple[float, ...]  # realistic sensor noise, SI
+    parameters: Mapping[str, float]
+    fields: Mapping[str, str]  # parameter path -> C field
+    start_output: str
+    start_value: float
+    command_limit: float
+    position: str  # the output a drive command is shaped with
+    span: tuple[float, float]  # where `drive` keeps it
+    path_band: tuple[float, float]  # its frequencies [Hz]
+    fastest: float  # speed at the command limit [m/s]
+    speed_per_command: tuple[float, float]  # out and in, default values
+    start_state: Callable
+
+
+def _cehA_start(p, fields, theta, command):
+    """At rest on the rod-side precharge; the cap pressure carries arm and load."""
+    pin, base = p["arm.pin_length"], p["arm.base_length"]
+    s = np.sqrt(pin**2 + base**2 + 2 * pin * base * np.sin(theta))
+    lever = pin * base * np.cos(theta) / s
+    mass = p["arm.extra_mass"] + p["arm.arm_mass"] / 2
+    force = mass * GRAVITY * p["arm.length"] * np.cos(theta) / lever
+    rod, x = p["precharge"], s - p["arm.retracted_length"]
+    cap = (force + rod * p["cylinder.rod_area"]) / p["cylinder.cap_area"]
+    return [0.0, cap, rod, theta, 0.0, x + _preload(fields, force), 0.0, 0.0, command, 0.0]
+
+
+def _spool_start(p, fields, x, command):
+    """At rest, spool where the command holds it; chamber A carries the load."""
+    b = p["precharge"]
+    a = (p["load.force"] + b * p["cylinder.area_b"]) / p["cylinder.area_a"]
+    s = p["valve.gain"] * command + p["valve.offset"]
+    rod = x + _preload(fields, p["load.force"])
+    return [s, 0.0, a, b, x, 0.0, rod, 0.0, 0.0, command, p["supply.pressure"]]
+
+
+def _preload(fields, force):
+    if fields["coupling_stiffness"] <= 0:
+        return 0.0
+    return force / fields["coupling_stiffness"] + np.sign(force) * fields["coupling_gap"] / 2
+
+
+def _table(rows: str) -> tuple[dict[str, float], dict[str, str]]:
+    entries = [line.split() for line in rows.strip().splitlines()]
+    return {path: float(value) for path, value, _ in entries}, {path: field for path, _, field in entries}
+
+
+_CEHA, _CEHA_FIELDS = _table("""
+    motor.gain                            120        gain
+    motor.time_constant                   0.03       time_constant
+    pump.displacement                     1.05e-7    displacement
+    cylinder.cap_area                     8.042e-4   area_a
+    cylinder.rod_area                     6.319e-4   area_b
+    cylinder.cap_dead_volume              8e-5       dead_a
+    cylinder.rod_dead_volume              8e-5       dead_b
+    cylinder.oil.bulk_modulus             1.747e9    beta
+    cylinder.friction.kinetic             1.87       kinetic
+    cylinder.friction.static              13.15      static_force
+    cylinder.friction.viscous             741.36     viscous
+    cylinder.friction.stribeck_velocity   0.0028     stribeck
+    cylinder.friction.smoothing_velocity  1e-3       smoothing
+    arm.extra_mass                        46.7       extra_mass
+    arm.arm_mass                          1.64       arm_mass
+    arm.length                            0.488      length
+    arm.pin_length                        0.225      pin
+    arm.base_length                       nan        base
+    arm.retracted_length                  0.3055     retracted
+    precharge                             2e6        -
+""")
+_CEHA["arm.base_length"] = float(np.sqrt(_CEHA["arm.retracted_length"] ** 2 - _CEHA["arm.pin_length"] ** 2))
+
+_SPOOL, _SPOOL_FIELDS = _table("""
+    valve.frequency            120      frequency
+    valve.damping              0.8      damping
+    valve.gain                 1        command_gain
+    valve.offset               0        offset
+    valve.flow_gain            6e-8     flow_gain
+    supply.pressure            180e5    supply
+    tank.pressure              5e5      tank
+    cylinder.area_a            1.96e-3  area_a
+    cylinder.area_b            1.37e-3  area_b
+    cylinder.dead_volume_a     4e-4     dead_a
+    cylinder.dead_volume_b     4e-4     dead_b
+    cylinder.stroke            0.9      stroke
+    cylinder.oil.bulk_modulus  1e9      beta
+    cylinder.friction.viscous  4000     viscous
+    load.mass                  350      mass
+    load.force                 4000     load
+    precharge                  60e5     -
+""")
+
+MACHINES = {
+    "cehA": RigMachine(
+        name="cehA",
+        input="command",
+        input_unit="V",
+        outputs=("arm_angle", "motor_speed", "rod_position", "pressure_cap", "pressure_rod", "piston_force"),
+        units=("rad", "rad/s", "m", "Pa", "Pa", "N"),
+        file_units=("deg", "rad/s", "mm", "bar", "bar", "N"),
+        noise=(1e-4, 0.3, 2e-5, 2e4, 2e4, 10.0),
+        parameters=_CEHA,
+        fields=_CEHA_FIELDS,
+        start_output="arm_angle",
+        start_value=0.12,
+        command_limit=5.0,
+        position="rod_position",
+        span=(-0.032, 0.072),
+        path_band=(0.05, 0.45),
+        fastest=0.078,
+        speed_per_command=(120 * 1.05e-7 / 8.042e-4,) * 2,
+        start_state=_cehA_start,
+    ),
+    "spool_valve": RigMachine(
+        name="spool_valve",
+        input="current",
+        input_unit="1",
+        outputs=("position", "spool", "pressure_a", "pressure_b", "velocity"),
+        units=("m", "1", "Pa", "Pa", "m/s"),
+        file_units=("mm", "1", "bar", "bar", "m/s"),
+        noise=(1e-4, 1e-3, 2e4, 2e4, 5e-4),
+        parameters=_SPOOL,
+        fields=_SPOOL_FIELDS,
+        start_output="position",
+        start_value=0.45,
+        command_limit=1.0,
+        position="position",
+        span=(0.2, 0.7),
+        path_band=(0.02, 0.25),
+        fastest=0.1,
+        speed_per_command=(0.104, 0.099),
+        start_state=_spool_start,
+    ),
+}
+
+
+def machine_of(name: str) -> RigMachine:
+    if name not in MACHINES:
+        raise KeyError(f"rig: no machine {name!r} (there are {', '.join(MACHINES)}).")
+    return MACHINES[name]
+
+
+def sensor_noise(machine: str, scale: float = 1.0) -> dict[str, float]:
+    """Realistic standard deviations of the sensors [SI], times ``scale``."""
+    m = machine_of(machine)
+    return {name: scale * sigma for name, sigma in zip(m.outputs, m.noise, strict=True)}
+
+
+def parameter_values(machine: str, changes: Mapping[str, float]) -> dict[str, float]:
+    """The defaults with some changed by name; the base length follows pin and retracted length unless given."""
+    defaults = machine_of(machine).parameters
+    unknown = set(changes) - set(defaults)
+    if unknown:
+        raise KeyError(f"rig: {machine} has no parameter {sorted(unknown)} (there are {', '.join(defaults)}).")
+    values = {**defaults, **changes}
+    if machine == "cehA" and "arm.base_length" not in changes:
+        values["arm.base_length"] = float(np.sqrt(values["arm.retracted_length"] ** 2 - values["arm.pin_length"] ** 2))
+    return values

@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
-
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 
 

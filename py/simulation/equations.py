@@ -1,0 +1,168 @@
+"""The CasADi functions of one model that the C driver and the virtual machine both run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import FlatModel
+
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-10  # of the implicit method; states and time in nominal units
+
+
+@dataclass(frozen=True)
+class Directions:
+    """What the sensitivities are taken to: free parameters, then free start states.
+
+    ``dead`` pairs every input whose dead time is free with the column of that dead time.
+    """
+
+    parameters: tuple[int, ...]
+    states: tuple[int, ...]
+    dead: tuple[tuple[int, int], ...]
+
+    @property
+    def count(self) -> int:
+        return len(self.parameters) + len(self.states)
+
+
+def directions(flat: FlatModel, free_parameters: Sequence[str], free_states: Sequence[str]) -> Directions:
+    """Positions of the free parameters and states; an unknown name raises with the nearest right one."""
+    names = [s.name for s in flat.states]
+    for name in free_states:
+        if name not in names:
+            raise DeclarationError(f"{flat.name}: no state '{name}'. {nearest(name, names)}")
+    columns = tuple(flat.index_of(name) for name in free_parameters)
+    dead = tuple(
+        (j, columns.index(delay)) for j, delay in enumerate(delays(flat)) if delay is not None and delay in columns
+    )
+    return Directions(columns, tuple(names.index(name) for name in free_states), dead)
+
+
+def delays(flat: FlatModel) -> list[int | None]:
+    """Per input, the position of the parameter that is its dead time, or None."""
+    return [None if s.dead_time is None else flat.index_of(s.dead_time) for s in flat.inputs]
+
+
+def symbols(flat: FlatModel) -> list[ca.SX]:
+    """Fresh ``t, x, u, p`` of the model's sizes."""
+    sizes = {"t": 1, "x": len(flat.states), "u": len(flat.inputs), "p": len(flat.parameters)}
+    return [ca.SX.sym(name, size) for name, size in sizes.items()]
+
+
+def rate(flat: FlatModel, t, x, u, p) -> ca.SX:
+    """Dense ``x' = f(t, x, u, p)``."""
+    return ca.densify(flat.ode(t, x, u, p)[0])
+
+
+def rk4_substep(flat: FlatModel) -> ca.Function:
+    """``(t, x, u, p, h) -> x(t + h)``, the classical fourth order Runge-Kutta step, u constant inside."""
+    t, x, u, p = symbols(flat)
+    h = ca.SX.sym("h")
+    k1 = rate(flat, t, x, u, p)
+    k2 = rate(flat, t + h / 2, x + h / 2 * k1, u, p)
+    k3 = rate(flat, t + h / 2, x + h / 2 * k2, u, p)
+    k4 = rate(flat, t + h, x + h * k3, u, p)
+    following = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return _shared("rk4_substep", [t, x, u, p, h], [following])
+
+
+def output(flat: FlatModel) -> ca.Function:
+    """``(t, x, u, p) -> y``."""
+    arguments = symbols(flat)
+    return _shared("output", arguments, [ca.densify(flat.ode(*arguments)[1])])
+
+
+def linear_rate(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, u, p) -> x', df/dx, df/dp, df/du``; columns of dp: directions, of du: inputs with free dead time."""
+    return _linear("linear_rate", flat, to, 0)
+
+
+def linear_output(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, u, p) -> y, dh/dx, dh/dp, dh/du``, columns as in `linear_rate`."""
+    return _linear("linear_output", flat, to, 1)
+
+
+def _linear(name: str, flat: FlatModel, to: Directions, which: int) -> ca.Function:
+    t, x, u, p = symbols(flat)
+    value = ca.densify(flat.ode(t, x, u, p)[which])
+    by_p = ca.jacobian(value, p)[:, list(to.parameters)]
+    by_u = ca.jacobian(value, u)[:, [j for j, _ in to.dead]]
+    return _shared(name, [t, x, u, p], [value, ca.jacobian(value, x), by_p, by_u])
+
+
+def rk4_tangent(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, u, p, h, dx, du) -> x, dx`` after the step: what the C driver does stage by stage, as one function."""
+    t, x, u, p = symbols(flat)
+    h, dx = ca.SX.sym("h"), ca.SX.sym("dx", x.numel(), to.count)
+    du = ca.SX.sym("du", len(to.dead))
+    rates = linear_rate(flat, to)
+
+    def stage(time, state, tangent):
+        xdot, fx, fp, fu = rates(time, state, u, p)
+        return xdot, ca.densify(fx @ tangent + _placed(fp, fu, du, to))
+
+    k1, d1 = stage(t, x, dx)
+    k2, d2 = stage(t + h / 2, x + h / 2 * k1, dx + h / 2 * d1)
+    k3, d3 = stage(t + h / 2, x + h / 2 * k2, dx + h / 2 * d2)
+    k4, d4 = stage(t + h, x + h * k3, dx + h * d3)
+    after = [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), dx + h / 6 * (d1 + 2 * d2 + 2 * d3 + d4)]
+    return _shared("rk4_tangent", [t, x, u, p, h, dx, du], after)
+
+
+def output_tangent(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, u, p, dx, du) -> y, dy``."""
+    t, x, u, p = symbols(flat)
+    dx, du = ca.SX.sym("dx", x.numel(), to.count), ca.SX.sym("du", len(to.dead))
+    y, hx, hp, hu = linear_output(flat, to)(t, x, u, p)
+    return _shared("output_tangent", [t, x, u, p, dx, du], [y, ca.densify(hx @ dx + _placed(hp, hu, du, to))])
+
+
+def _placed(by_p, by_u, du, to: Directions):
+    """Direct derivative per direction: parameters, then zeros for start states; dead times through their inputs."""
+    direct = ca.horzcat(by_p, type(by_p)(by_p.size1(), len(to.states)))
+    for m, (_, column) in enumerate(to.dead):
+        direct[:, column] += by_u[:, m] * du[m]
+    return direct
+
+
+def implicit_substep(flat: FlatModel) -> ca.Function:
+    """``(t, x, u, p, h) -> x(t + h)`` by CasADi's Rosenbrock integrator: L-stable, order 5(4), adaptive inside h.
+
+    It sees states in units of their nominal values and the time as a fraction of h, so one tolerance serves all.
+    """
+    t, x, u, p = symbols(flat)
+    h, fraction = ca.SX.sym("h"), ca.SX.sym("fraction")
+    scale = np.array([s.nominal for s in flat.states])
+    slope = h * rate(flat, t + fraction * h, scale * x, u, p) / scale
+    dae = {"t": fraction, "x": x, "p": ca.vertcat(t, u, p, h), "ode": slope}
+    tolerances = {"reltol": RELATIVE_TOLERANCE, "abstol": ABSOLUTE_TOLERANCE}
+    within = ca.integrator("implicit_within", "rosenbrock", dae, 0, 1, tolerances)
+    T, X, U, P, H = (ca.MX.sym(n, s.numel()) for n, s in zip("txuph", (t, x, u, p, h), strict=True))
+    after = within(x0=X / scale, p=ca.vertcat(T, U, P, H))["xf"] * scale
+    return ca.Function("implicit_substep", [T, X, U, P, H], [after])
+
+
+def implicit_tangent(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, u, p, h, dx, du) -> dx`` after the step, from the integrator's own forward derivatives."""
+    substep = implicit_substep(flat)
+    t, x, u, p, h = (ca.MX.sym(n, substep.size1_in(i)) for i, n in enumerate("txuph"))
+    dx = ca.MX.sym("dx", x.numel(), to.count)
+    du = ca.MX.sym("du", len(to.dead))
+    seed_p = np.zeros((p.numel(), to.count))
+    seed_p[list(to.parameters), range(len(to.parameters))] = 1
+    seed_u = ca.MX(u.numel(), to.count)
+    for m, (j, column) in enumerate(to.dead):
+        seed_u[j, column] = du[m]
+    forward = substep.forward(to.count)
+    seeds = [ca.DM(1, to.count), dx, ca.densify(seed_u), seed_p, ca.DM(1, to.count)]
+    after = forward(t, x, u, p, h, ca.MX(x.numel(), 1), *seeds)
+    return ca.Function("implicit_tangent", [t, x, u, p, h, dx, du], [ca.densify(after)])
+
+
+def _shared(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:
+    """A function whose common sub-expressions are computed once."""
+    return ca.Function(name, arguments, ca.cse(results))

@@ -1,0 +1,96 @@
+"""What the model sees of sampled inputs: held or linear in between, delayed, averaged over each substep.
+
+With U(t) the integral of an input from the first sample, the mean over a substep h delayed by Td is
+
+    u_mean = (U(t + h - Td) - U(t - Td)) / h
+
+exact for held and for linear inputs, without half a sample of delay, and differentiable in Td. Before the first sample
+an input has its first value, after the last sample its last. The same rules are in ``driver.c``, for one substep at a
+time; here they are for whole arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+SNAP = 1e-9  # a delayed instant this close to a sample, in intervals, is that sample
+
+
+@dataclass(frozen=True, eq=False)
+class Substeps:
+    """All substeps of a recording in order: start time and length (m,), mean input (m, nu) and its rate by Td.
+
+    ``first`` and ``last`` (n - 1,) are the positions of the first and last substep of every interval.
+    """
+
+    time: np.ndarray
+    length: np.ndarray
+    mean: np.ndarray
+    mean_rate: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def substeps(time: np.ndarray, u: np.ndarray, step: float, linear: list[bool], dead_time: list[float | None]) -> Substeps:
+    """Cut every interval of ``time`` (n,) into ceil(dt / step) equal substeps and average ``u`` (n, nu) over each."""
+    dt = np.diff(time)
+    counts = np.maximum(np.ceil(dt / step - 1e-6), 1.0).astype(int)
+    interval = np.repeat(np.arange(len(dt)), counts)
+    within = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
+    h = (dt / counts)[interval]
+    start = time[interval] + within * h
+    mean, rate = np.empty((len(h), u.shape[1])), np.zeros((len(h), u.shape[1]))
+    for j, Td in enumerate(dead_time):
+        if Td is None and not linear[j]:
+            mean[:, j] = u[interval, j]
+            continue
+        a = start - (Td or 0.0)
+        mean[:, j] = mean_over(time, u[:, j], a, a + h, linear[j])
+        if Td is not None:
+            rate[:, j] = (at(time, u[:, j], a, linear[j], "left") - at(time, u[:, j], a + h, linear[j], "left")) / h
+    ends = np.cumsum(counts)
+    return Substeps(start, h, mean, rate, ends - counts, ends - 1)
+
+
+def mean_over(time: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, linear: bool) -> np.ndarray:
+    """Mean of one input (n,) over the windows from ``a`` to ``b`` (m,)."""
+    pieces = np.diff(time) * (0.5 * (u[1:] + u[:-1]) if linear else u[:-1])
+    integral = np.concatenate([[0.0], np.cumsum(pieces)])
+
+    def upto(instant):
+        i = np.clip(np.searchsorted(time, instant, side="right") - 1, 0, len(time) - 1)
+        past = instant - time[i]
+        return integral[i] + past * u[i] + 0.5 * past**2 * _slope(time, u, i, instant, linear)
+
+    return (upto(b) - upto(a)) / (b - a)
+
+
+def at(time: np.ndarray, u: np.ndarray, instant: np.ndarray, linear: bool, side: str) -> np.ndarray:
+    """Value of one input (n,) at instants (m,), from the "left" or the "right" of a sample."""
+    i = _piece(time, instant, side)
+    return u[i] + _slope(time, u, i, instant, linear) * (instant - time[i])
+
+
+def slope_at(time: np.ndarray, u: np.ndarray, instant: np.ndarray, linear: bool) -> np.ndarray:
+    """Slope of one input (n,) just before instants (m,)."""
+    slope = _slope(time, u, _piece(time, instant, "left"), instant, linear)
+    first = SNAP * (time[1] - time[0]) if len(time) > 1 else 0.0
+    return np.where(instant - time[0] < first, 0.0, slope)
+
+
+def _piece(time, instant, side):
+    gap = np.diff(time, append=time[-1] + 1.0)
+    i = np.clip(np.searchsorted(time, instant, side="right") - 1, 0, len(time) - 1)
+    if side == "right":
+        following = np.minimum(i + 1, len(time) - 1)
+        return np.where((following > i) & (time[following] - instant < SNAP * gap[i]), following, i)
+    return np.where((i > 0) & (instant - time[i] < SNAP * gap[np.maximum(i - 1, 0)]), i - 1, i)
+
+
+def _slope(time, u, i, instant, linear):
+    if not linear or len(time) < 2:
+        return np.zeros(np.shape(instant))
+    slopes = np.append(np.diff(u) / np.diff(time), 0.0)
+    return np.where(instant < time[0], 0.0, slopes[i])

@@ -1,0 +1,44 @@
+"""The compiled driver of one model, called through ctypes: the GIL is released while it runs."""
+
+from __future__ import annotations
+
+import ctypes
+from pathlib import Path
+
+import numpy as np
+
+_NUMBER, _ARRAY, _COUNT = ctypes.c_double, ctypes.c_void_p, ctypes.c_longlong
+
+
+class Library:
+    """``propagate`` and ``propagate_tangent`` of one shared library; safe to call from several threads."""
+
+    def __init__(self, path: Path, outputs: int):
+        self._outputs = outputs
+        loaded = ctypes.CDLL(str(path))
+        self._propagate = loaded.propagate
+        self._propagate.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 5]
+        self._tangent = getattr(loaded, "propagate_tangent", None)
+        if self._tangent is not None:
+            self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 7]
+
+    def propagate(self, time, u, p, step, x0, restart=None):
+        """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
+        n, nx = len(time), len(x0)
+        y, x, where = np.empty((n, self._outputs)), np.empty((n, nx)), np.empty(nx + 1)
+        arrays = (x0, restart, y, x, where)
+        status = self._propagate(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
+        return status, where, y, x
+
+    def propagate_tangent(self, time, u, p, step, x0, dx0, with_states=True):
+        """``(status, where, y, dy, x, dx)``; dx is None without ``with_states``."""
+        n, (nx, nt) = len(time), dx0.shape
+        y, dy, x = np.empty((n, self._outputs)), np.empty((n, self._outputs, nt)), np.empty((n, nx))
+        dx, where = np.empty((n, nx, nt)) if with_states else None, np.empty(nx + 1)
+        arrays = (x0, dx0, y, dy, x, dx, where)
+        status = self._tangent(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
+        return status, where, y, dy, x, dx
+
+
+def _address(array):
+    return None if array is None else array.ctypes.data

@@ -1,0 +1,218 @@
+"""`prepare`: a model lowered to C, compiled and ready to run; `Propagator`: its runs and sensitivities."""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections import OrderedDict
+from collections.abc import Sequence
+
+import numpy as np
+from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
+from hydrotwin.models.language.flat import FlatModel
+
+from . import equations, stiffness
+from .compiler import compile_library
+from .library import Library
+from .machine import DONE, NO_MEMORY, OUTPUT, STATE, VirtualMachine
+from .source import c_source
+
+METHODS = ("auto", "explicit", "rosenbrock", "vm")
+
+
+class Diverged(SolveError):
+    """A run that left the finite numbers; ``time`` [s] and ``state`` say where (state: None when an output did)."""
+
+    def __init__(self, message: str, time: float, state: str | None):
+        super().__init__(message)
+        self.time, self.state = time, state
+
+
+def prepare(
+    model,
+    *,
+    free_parameters: Sequence[str] = (),
+    free_states: Sequence[str] = (),
+    step: float | None = None,
+    method: str = "auto",
+) -> Propagator:
+    """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
+
+    step : longest substep [s]; the model's own by default.
+    method : "explicit" (RK4), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto": explicit
+        unless the eigenvalues along the first run ask for rosenbrock.
+
+    Raises DeclarationError for an unknown parameter, state or method; SolveError when the compiler fails.
+    """
+    flat = getattr(model, "flat", model)
+    if method not in METHODS:
+        raise DeclarationError(f"{flat.name}: no simulation method '{method}'. {nearest(method, METHODS)}")
+    longest = float(flat.step if step is None else step)
+    if not longest > 0:
+        raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
+    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method)
+
+
+class Propagator:
+    """Runs one model over recordings. Arrays are SI; safe to call from several threads.
+
+    ``method`` is "auto" until the first run decided it, ``engine`` is "c" or "vm" (CasADi's interpreter).
+    """
+
+    def __init__(self, flat: FlatModel, free_parameters, free_states, step: float, method: str):
+        self.flat, self.step = flat, step
+        self.free_parameters, self.free_states = free_parameters, free_states
+        self.method = "explicit" if method == "vm" else method
+        self._interpreted = method == "vm"
+        self._to = equations.directions(flat, free_parameters, free_states)
+        self._deciding = threading.Lock()
+        explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
+        self._engines = {False: explicit}
+
+    @property
+    def engine(self) -> str:
+        """What runs the model: "c" or "vm"."""
+        return "c" if isinstance(self._chosen(), Library) else "vm"
+
+    def run(self, time, u, p, x0, restart=None) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (n, ny) and states (n, nx) at ``time`` (n,) from inputs (n, nu), parameters (np,), start (nx,).
+
+        restart : states (n, nx) from which each interval starts instead of the end of the one before.
+
+        Raises Diverged with the time and the state that left the finite numbers; SolveError for unusable arrays.
+        """
+        time, u, p, x0 = self._arrays(time, u, p, x0)
+        restart = None if restart is None else _shaped("restart", restart, (len(time), len(x0)), self.flat.name)
+        self._decide(time, u, p, x0)
+        status, where, y, x = self._chosen().propagate(time, u, p, self._longest(), x0, restart)
+        self._stop(status, where, time, u, p)
+        return y, x
+
+    def sensitivity(self, time, u, p, x0, x0_jacobian, with_states: bool = True):
+        """``(y, dy, x, dx)``: as `run`, and derivatives (n, ny, n_theta), (n, nx, n_theta) to theta.
+
+        theta : the free parameters, then the free states; x0_jacobian (nx, n_theta) = d x0 / d theta, to be given
+            by the caller (unit columns for free states).
+        with_states : False leaves dx out (None), which saves memory.
+        """
+        time, u, p, x0 = self._arrays(time, u, p, x0)
+        dx0 = _shaped("x0_jacobian", x0_jacobian, (len(x0), self._to.count), self.flat.name)
+        self._decide(time, u, p, x0)
+        if self._to.count == 0:
+            y, x = self.run(time, u, p, x0)
+            return y, np.empty((*y.shape, 0)), x, np.empty((*x.shape, 0)) if with_states else None
+        status, where, y, dy, x, dx = self._chosen().propagate_tangent(
+            time, u, p, self._longest(), x0, dx0, with_states
+        )
+        self._stop(status, where, time, u, p)
+        return y, dy, x, dx
+
+    def _arrays(self, time, u, p, x0):
+        flat, time = self.flat, np.ascontiguousarray(time, dtype=float)
+        name = flat.name
+        if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+            raise SolveError(f"{name}: the time must be finite and rising (n,). Sort it and drop repeated samples.")
+        u = _shaped("u", np.reshape(u, (len(time), -1)) if np.ndim(u) < 2 else u, (len(time), len(flat.inputs)), name)
+        if not np.isfinite(u).all():
+            k, j = np.argwhere(~np.isfinite(u))[0]
+            raise SolveError(
+                f"{name}.{flat.inputs[j].name}: an input must be finite (got {u[k, j]} at t = {time[k]:g} s). "
+                "Fill the gap or cut the recording there."
+            )
+        return time, u, _shaped("p", p, (len(flat.parameters),), name), _shaped("x0", x0, (len(flat.states),), name)
+
+    def _longest(self) -> float:
+        """Adaptive steps need no substeps when every input is held without delay."""
+        held = all(s.interpolation == "hold" and s.dead_time is None for s in self.flat.inputs)
+        return np.inf if self.method == "rosenbrock" and held else self.step
+
+    def _decide(self, time, u, p, x0) -> None:
+        """Settle "auto" on the first run: explicit steps must be stable at the eigenvalues met along it."""
+        if self.method != "auto":
+            return
+        with self._deciding:
+            if self.method == "auto":
+                stable = stiffness.explicit_is_stable(self.flat, self._engines[False], self.step, time, u, p, x0)
+                if not stable:
+                    self._engines[True] = self._engine(implicit=True)
+                self.method = "explicit" if stable else "rosenbrock"
+
+    def _chosen(self):
+        implicit = self.method == "rosenbrock"
+        if self._engines.get(implicit) is None:
+            self._engines[implicit] = self._engine(implicit)
+        return self._engines[implicit]
+
+    def _engine(self, implicit: bool):
+        return _engine(self.flat, self._to, implicit, self._interpreted)
+
+    def _stop(self, status: int, where, time, u, p) -> None:
+        """Raise what a driver's status means, naming the state or output that blew up."""
+        if status == DONE:
+            return
+        name = self.flat.name
+        if status == NO_MEMORY:
+            raise SolveError(f"{name}: out of memory for the run. Shorten the recording.")
+        t, x = float(where[0]), where[1:]
+        k = max(int(np.searchsorted(time, t, side="right")) - 1, 0)
+        if status == OUTPUT:
+            y = np.ravel(self.flat.ode(t, x, u[k], p)[1])
+            bad = ~np.isfinite(y)
+            blown = self.flat.outputs[int(np.argmax(bad))].name if bad.any() else "an output"
+            raise Diverged(
+                f"{name}.{blown}: the output is not finite at t = {t:.6g} s. Check the parameters it depends on.", t, None
+            )
+        blown = self._blown(t, x, u[k], p)
+        what = "left the finite numbers" if status == STATE else "could not be integrated further"
+        raise Diverged(
+            f"{name}.{self.flat.states[blown].name}: the run {what} at t = {t:.6g} s "
+            f"(got {x[blown]:.3g} {self.flat.states[blown].unit} last). "
+            "Check parameters and start there, or give a smaller step or method='rosenbrock'.",
+            t,
+            self.flat.states[blown].name,
+        )
+
+    def _blown(self, t, x, u, p) -> int:
+        """The state that moves fastest, in nominal units, from the last finite point."""
+        scale = np.array([s.nominal for s in self.flat.states])
+        speed = np.abs(np.ravel(self.flat.ode(t, x, u, p)[0]) / scale)
+        return int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
+
+
+def _shaped(label: str, values, shape: tuple[int, ...], name: str) -> np.ndarray:
+    array = np.ascontiguousarray(values, dtype=float)
+    if array.shape != shape:
+        raise SolveError(f"{name}: {label} must have shape {shape} (got {array.shape}). Check the order of axes.")
+    return array
+
+
+_kept: OrderedDict = OrderedDict()
+_kept_lock = threading.Lock()
+
+
+def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool):
+    """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
+    scales = tuple(s.nominal for s in flat.states)
+    key = (id(flat.ode), flat.inputs, len(flat.outputs), scales, tuple(equations.delays(flat)), to, implicit, interpreted)
+    with _kept_lock:
+        if key in _kept:
+            _kept.move_to_end(key)
+            return _kept[key][0]
+    made = VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit)
+    with _kept_lock:
+        _kept[key] = made, flat.ode  # the function is kept alive: its id is the key
+        while len(_kept) > 24:
+            _kept.popitem(last=False)
+    return made
+
+
+def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
+    path = compile_library(c_source(flat, to, implicit), "".join(c if c.isalnum() else "_" for c in flat.name))
+    if path is not None:
+        return Library(path, len(flat.outputs))
+    warnings.warn(
+        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, several times slower. "
+        "Install ziglang (pip install ziglang) or set CC.",
+        stacklevel=2,
+    )
+    return VirtualMachine(flat, to, implicit)

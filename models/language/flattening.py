@@ -90,14 +90,21 @@ def _parent(path: str) -> str:
 
 
 def open_ports(elaboration: Elaboration) -> list[str]:
-    """Ports and input signals that nothing is connected to."""
+    """Ports that nothing is connected to, and input signals that no component around them connects or sets."""
     inside = {
         end.path
         for owner, c in elaboration.connections
         for end in (c.first, c.second)
         if isinstance(end, BoundPort) and _parent(end.path) != owner
     }
-    return [path for path in elaboration.ports if path not in inside] + list(elaboration.open_signals)
+    signals = {symbol.element_hash(): path for path, symbol in elaboration.open_signals.items()}
+    set_outside = {
+        signals[s.element_hash()]
+        for equation in elaboration.equations
+        for s in ca.symvar(ca.vertcat(equation.left, equation.right))
+        if s.element_hash() in signals and _parent(signals[s.element_hash()]) != equation.owner
+    }
+    return [path for path in (*elaboration.ports, *signals.values()) if path not in inside | set_outside]
 
 
 def solve(elaboration: Elaboration) -> Solved:

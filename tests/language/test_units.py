@@ -1,0 +1,165 @@
+"""Unit strings: what they mean, their SI form, conversion, errors."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from hydrotwin.models.language.errors import UnitError
+from hydrotwin.models.language.units import (
+    compatible,
+    convert,
+    dimension,
+    display_units,
+    from_si,
+    known_symbols,
+    modelica_unit,
+    parse_unit,
+    si_unit,
+    to_si,
+)
+
+TEXTS = [
+    ("bar", "Pa", 1e5),
+    ("mm", "m", 1e-3),
+    ("deg", "rad", np.pi / 180),
+    ("rev", "rad", 2 * np.pi),
+    ("rpm", "rad/s", 2 * np.pi / 60),
+    ("L/min", "m3/s", 1e-3 / 60),
+    ("cm3/rev", "m3/rad", 1e-6 / (2 * np.pi)),
+    ("kN", "N", 1e3),
+    ("%", "1", 1e-2),
+    ("1", "1", 1.0),
+    ("A", "A", 1.0),
+    ("ohm", "ohm", 1.0),
+    ("kΩ", "ohm", 1e3),
+    ("V.s/rad", "V.s/rad", 1.0),
+    ("m3/(s.Pa)", "m3/(s.Pa)", 1.0),
+    ("m3/(s.sqrt(Pa))", "m3/(s.sqrt(Pa))", 1.0),
+    ("L/(min.sqrt(bar))", "m3/(s.sqrt(Pa))", 1e-3 / 60 / np.sqrt(1e5)),
+    ("rad/(s.V)", "rad/(s.V)", 1.0),
+    ("N.s/m", "N.s/m", 1.0),
+    ("N.s/mm", "N.s/m", 1e3),
+    ("mm²", "m2", 1e-6),
+    ("µm", "m", 1e-6),
+    ("kN·m", "N.m", 1e3),
+    ("N m", "N.m", 1.0),
+    ("m*s^-2", "m/s2", 1.0),
+    ("N/(m/s)2", "N.s2/m2", 1.0),
+    ("m^(1/2)", "sqrt(m)", 1.0),
+    ("V/%", "V", 100.0),
+    ("h", "s", 3600.0),
+    ("psi", "Pa", 6894.757293168361),
+    ("cSt", "m2/s", 1e-6),
+]
+
+
+@pytest.mark.parametrize(("text", "si", "factor"), TEXTS, ids=[t for t, _, _ in TEXTS])
+def test_a_unit_string_has_its_si_form_and_factor(text, si, factor):
+    value, unit = to_si(1.0, text)
+    assert unit == si
+    assert value == pytest.approx(factor, rel=1e-14)
+
+
+@pytest.mark.parametrize("text", [t for t, _, _ in TEXTS])
+def test_the_si_form_is_its_own_si_form_with_factor_one(text):
+    si = si_unit(text)
+    assert si_unit(si) == si
+    assert parse_unit(si).factor == 1.0
+    assert dimension(si) == dimension(text)
+
+
+@pytest.mark.parametrize("symbol", known_symbols())
+def test_every_symbol_converts_there_and_back(symbol):
+    values = np.random.default_rng(7).normal(scale=100.0, size=50)
+    si, unit = to_si(values, symbol)
+    np.testing.assert_allclose(from_si(si, symbol), values, rtol=1e-12, atol=1e-11)
+    assert compatible(symbol, unit)
+    assert dimension(unit) == dimension(symbol)
+
+
+def test_conversion_is_linear_transitive_and_multiplicative_in_its_units():
+    rng = np.random.default_rng(3)
+    pairs = [("bar", "psi", "MPa"), ("rpm", "deg/s", "rad/s"), ("L/min", "cm3/s", "m3/h"), ("mm", "in", "ft")]
+    for a, b, c in pairs:
+        x, y = rng.normal(size=2)
+        assert convert(x + y, a, b) == pytest.approx(convert(x, a, b) + convert(y, a, b), rel=1e-12)
+        assert convert(convert(x, a, b), b, c) == pytest.approx(convert(x, a, c), rel=1e-12)
+        assert parse_unit(f"({a}).({b})").factor == pytest.approx(parse_unit(a).factor * parse_unit(b).factor)
+        assert parse_unit(f"({a})/({b})").dimension == (Fraction(0),) * 7
+
+
+def test_dimensions_are_the_seven_base_exponents():
+    assert dimension("N.s/m") == (0, 1, -1, 0, 0, 0, 0)
+    assert dimension("ohm") == (2, 1, -3, -2, 0, 0, 0)
+    assert dimension("m3/(s.sqrt(Pa))") == (Fraction(7, 2), Fraction(-1, 2), 0, 0, 0, 0, 0)
+    for text in ("rad", "1", "%", "deg", "rev", "-", "", "mm/m"):
+        assert dimension(text) == (0,) * 7
+
+
+def test_temperatures_have_a_zero_point_and_their_differences_none():
+    assert to_si(25.0, "degC") == (298.15, "K")
+    assert convert(212.0, "degF", "degC") == pytest.approx(100.0)
+    assert to_si(2.0, "W/degC") == (2.0, "W/K")
+
+
+def test_arrays_stay_arrays_and_integers_become_floats():
+    values, _ = to_si([1, 2, 3], "bar")
+    assert values.dtype == float
+    assert values.tolist() == [1e5, 2e5, 3e5]
+    assert isinstance(to_si(1, "bar")[0], float)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("barr", "Did you mean 'bar'?"),
+        ("m3/(s.Paa)", "'Paa' in 'm3/(s.Paa)': not known. Did you mean 'Pa'?"),
+        ("m3/s.Pa", "ambiguous"),
+        ("m3/(s", "ends too early"),
+        ("m)", "unexpected"),
+        ("m//s", "unexpected '/'"),
+        ("2", "unexpected '2'"),
+        ("m^(1/0)", "fraction"),
+        ("m^x", "not an exponent"),
+        ("€", "unexpected"),
+        (3.0, "not text"),
+    ],
+)
+def test_a_wrong_unit_string_is_refused_with_a_next_step(text, says):
+    with pytest.raises(UnitError) as error:
+        parse_unit(text)
+    assert says in str(error.value)
+
+
+def test_units_of_another_dimension_do_not_convert():
+    with pytest.raises(UnitError, match=r"'bar': cannot become 'm' .* Pa, bar, MPa"):
+        convert(1.0, "bar", "m")
+    assert not compatible("bar", "m")
+
+
+def test_a_frequency_is_not_an_angular_speed():
+    assert not compatible("Hz", "rad/s")
+    assert not compatible("kHz", "rpm")
+    assert convert(1.0, "kHz", "1/s") == 1000.0
+    with pytest.raises(UnitError, match="rev/s"):
+        convert(50.0, "Hz", "rad/s")
+
+
+def test_display_units_suit_the_quantity():
+    assert [display_units(u)[0] for u in ("Pa", "rad", "m", "rad/s", "m3/s", "m3/rad", "m2")] == [
+        "bar", "deg", "mm", "rpm", "L/min", "cm3/rev", "mm2",
+    ]  # fmt: skip
+    assert display_units("V.s/rad") == ("V.s/rad",)
+    for unit in ("Pa", "rad", "m", "rad/s", "m3/s", "N", "1", "K", "Pa/s", "W"):
+        assert all(compatible(unit, shown) for shown in display_units(unit))
+
+
+def test_modelica_units_follow_its_grammar():
+    assert modelica_unit("bar") == "Pa"
+    assert modelica_unit("kohm.m2") == "Ohm.m2"
+    assert modelica_unit("m3/(s.Pa)") == "m3/(s.Pa)"
+    assert modelica_unit("%") == "1"
+    assert modelica_unit("m3/(s.sqrt(Pa))") == ""

@@ -233,15 +233,18 @@ static inline void weigh(int n, double *restrict x, double h, const double *rest
 
 static int advance_tangent(Run *run, double t, double h, const double *u, const double *du, double *x, double *dx) {
 #if IMPLICIT
-  double kept[NX + 1], next[NX * NT + 1];
-  const double *arg[TANGENT_ARG] = {&t, kept, u, run->p, &h, dx, du};
+  double kept[NX + 1], seeds[NX * NT + 1], next[NX * NT + 1]; /* column by column, as CasADi stores matrices */
+  const double *arg[TANGENT_ARG] = {&t, kept, u, run->p, &h, seeds, du};
   double *res[TANGENT_RES] = {next};
   memcpy(kept, x, NX * sizeof(double));
+  for (int i = 0; i < NX; i++)
+    for (int c = 0; c < NT; c++) seeds[c * NX + i] = dx[i * LD + c];
   int status = advance(run, t, h, u, x);
   if (status) return status;
   if (implicit_tangent(arg, res, run->integers, run->work, 0)) return 3;
-  memcpy(dx, next, NX * NT * sizeof(double));
-  return not_finite(dx, NX * NT) ? 1 : 0;
+  for (int i = 0; i < NX; i++)
+    for (int c = 0; c < NT; c++) dx[i * LD + c] = next[c * NX + i];
+  return not_finite(next, NX * NT) ? 3 : 0;
 #else
   double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1];
   double d1[NX * LD + 1], d2[NX * LD + 1], d3[NX * LD + 1], d4[NX * LD + 1], ds[NX * LD + 1];

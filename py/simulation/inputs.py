@@ -33,7 +33,9 @@ class Substeps:
     last: np.ndarray
 
 
-def substeps(time: np.ndarray, u: np.ndarray, step: float, linear: list[bool], dead_time: list[float | None]) -> Substeps:
+def substeps(
+    time: np.ndarray, u: np.ndarray, step: float, linear: list[bool], dead_time: list[float | None]
+) -> Substeps:
     """Cut every interval of ``time`` (n,) into ceil(dt / step) equal substeps and average ``u`` (n, nu) over each."""
     dt = np.diff(time)
     counts = np.maximum(np.ceil(dt / step - 1e-6), 1.0).astype(int)

@@ -160,7 +160,9 @@ class Propagator:
             bad = ~np.isfinite(y)
             blown = self.flat.outputs[int(np.argmax(bad))].name if bad.any() else "an output"
             raise Diverged(
-                f"{name}.{blown}: the output is not finite at t = {t:.6g} s. Check the parameters it depends on.", t, None
+                f"{name}.{blown}: the output is not finite at t = {t:.6g} s. Check the parameters it depends on.",
+                t,
+                None,
             )
         blown = self._blown(t, x, u[k], p)
         what = "left the finite numbers" if status == STATE else "could not be integrated further"
@@ -193,7 +195,7 @@ _kept_lock = threading.Lock()
 def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool):
     """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
     scales = tuple(s.nominal for s in flat.states)
-    key = (id(flat.ode), flat.inputs, len(flat.outputs), scales, tuple(equations.delays(flat)), to, implicit, interpreted)
+    key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), to, implicit, interpreted)
     with _kept_lock:
         if key in _kept:
             _kept.move_to_end(key)

@@ -30,13 +30,15 @@ def explicit_is_stable(flat: FlatModel, engine, step: float, time, u, p, x0) -> 
     x = x0[None, :] if x is None else x
     chosen = np.unique(np.linspace(0, len(x) - 1, min(len(x), LOOKS)).astype(int))
     chosen = chosen[np.isfinite(x[chosen]).all(axis=1)]
-    return bool((fastest_growth(flat, min(step, np.diff(time).max()), time[chosen], x[chosen], u[chosen], p) <= 1).all())
+    h = min(step, np.diff(time).max())
+    return bool((fastest_growth(flat, h, time[chosen], x[chosen], u[chosen], p) <= 1).all())
 
 
 def fastest_growth(flat: FlatModel, h: float, time, x, u, p) -> np.ndarray:
     """Largest |R(h lambda)| over the decaying modes at every given point (m,); rounding apart."""
     arguments = equations.symbols(flat)
-    jacobian = ca.Function("jacobian", arguments, [ca.densify(ca.jacobian(equations.rate(flat, *arguments), arguments[1]))])
+    by_state = ca.jacobian(equations.rate(flat, *arguments), arguments[1])
+    jacobian = ca.Function("jacobian", arguments, [ca.densify(by_state)])
     nx = len(flat.states)
     scale = np.array([s.nominal for s in flat.states])
     columns = jacobian(time[None, :], x.T, u.T, p).full().reshape(nx, len(time), nx)

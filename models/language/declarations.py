@@ -129,6 +129,15 @@ class RotationalFlange(Port):
 
 
 @dataclass(frozen=True)
+class Shaft(Port):
+    """Speed ``w`` [rad/s] and torque ``tau`` [N.m] on the component; for drives whose angle does not matter."""
+
+    potential: tuple[str, str] = field(default=("w", "rad/s"), init=False)
+    flow: tuple[str, str] = field(default=("tau", "N.m"), init=False)
+    nominals: tuple[float, float] = field(default=(100.0, 1.0), init=False)
+
+
+@dataclass(frozen=True)
 class ElectricPin(Port):
     """Voltage ``v`` [V] and current ``i`` [A] into the component."""
 

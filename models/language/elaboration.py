@@ -176,7 +176,7 @@ class Elaboration:
             if statement.is_op(ca.OP_EQ):
                 into.append(Equation(statement.dep(0), statement.dep(1), owner))
             elif statement.is_constant() and float(statement) == 1:
-                raise TopologyError(f"{owner or self.name}: an equation has the same expression on both sides. Drop it.")
+                raise TopologyError(f"{owner or self.name}: an equation has the same two sides. Drop it.")
             else:
                 raise DeclarationError(f"{owner or self.name}: '{statement}' is no equation. Yield 'left == right'.")
 

@@ -36,7 +36,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class StateVariable:
-    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it, if one does."""
+    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it."""
 
     name: str
     unit: str

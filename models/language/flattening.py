@@ -28,6 +28,7 @@ class Solved:
     expressions: Mapping[int, ca.SX]  # hash of an unknown -> expression
     nonlinear: tuple[NonlinearBlock, ...]
     dead_times: Mapping[str, str]  # input -> parameter that delays it
+    undelayed_inputs: frozenset[str]  # inputs that rates or outputs use as they are
 
     def of(self, expression: ca.SX) -> ca.SX:
         """``expression`` with every unknown and dependent parameter replaced."""
@@ -140,7 +141,9 @@ def solve(elaboration: Elaboration) -> Solved:
             symbol, unknown = waiting.pop(key)
             equations.append(Equation(unknown, rate, f"der({symbol})"))
             unknowns.append(Unknown(f"der({symbol})", unknown))
-    return Solved(elaboration, bindings, {**expressions, **delayed}, tuple(nonlinear), dead_times)
+    undelayed = _inputs_used(elaboration, expressions)
+    expressions = {key: replace(e, delayed) for key, e in expressions.items()}
+    return Solved(elaboration, bindings, {**expressions, **delayed}, tuple(nonlinear), dead_times, undelayed)
 
 
 def _resolved_bindings(elaboration: Elaboration) -> dict[int, ca.SX]:
@@ -215,7 +218,7 @@ def _explicit_derivatives(elaboration, expressions, waiting, states) -> dict[int
     """Time derivatives of those waiting symbols that are by now functions of states, time and parameters."""
     allowed = set(states) | elaboration._known_constant | {elaboration.time.element_hash()}
     ready = {}
-    for key, (symbol, _) in waiting.items():
+    for key in waiting:
         if key not in expressions:
             continue
         expression = expressions[key]
@@ -223,6 +226,14 @@ def _explicit_derivatives(elaboration, expressions, waiting, states) -> dict[int
         if all(s.element_hash() in allowed for s in symbols):
             ready[key] = elaboration.derivative(expression)
     return ready
+
+
+def _inputs_used(elaboration, expressions) -> frozenset[str]:
+    """Inputs that the rates and outputs use without a delay."""
+    ends = [elaboration.derivatives[s.symbol.element_hash()][1] for s in elaboration.states]
+    ends += [o.symbol for o in elaboration.outputs]
+    used = {s.element_hash() for end in ends for s in ca.symvar(replace(end, expressions))}
+    return frozenset(i.path for i in elaboration.inputs if i.symbol.element_hash() in used)
 
 
 def _resolve_delays(elaboration, expressions):

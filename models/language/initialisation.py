@@ -20,7 +20,8 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     name = solved.elaboration.name
     states = solved.elaboration.states
     symbols = [s.symbol for s in states]
-    rate_of = {solved.elaboration.derivatives[s.element_hash()][1].element_hash(): r for s, r in zip(symbols, rates)}
+    rate = solved.elaboration.derivatives
+    rate_of = {rate[s.element_hash()][1].element_hash(): r for s, r in zip(symbols, rates, strict=True)}
     residuals = [
         solved.of(replace(solved.of(e.left - e.right), rate_of)) for e in solved.elaboration.initial_equations
     ]

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
 from .component import Component
-from .errors import DeclarationError, TopologyError, nearest
+from .errors import DeclarationError, TopologyError, UnitError, nearest
 from .flat import FlatModel, ParameterValue, Signal, StateVariable
-from .flattening import Solved, elaborate, replace, solve
+from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
+from .units import compatible
 
 
 class Model:
@@ -23,7 +24,7 @@ class Model:
     ----------
     root : the top component; its Inputs and Outputs are those of the model.
     name : used in files, errors and exports; the class name in lower camel case by default.
-    settings : ``{path: value}`` in SI, or ``{path: {"value": .., "bounds": .., "sigma": .., "source": .., "free": ..}}``.
+    settings : ``{path: value}`` in SI, or ``{path: {...}}`` with value, unit, bounds, sigma, source, free.
     step : recommended fixed integration step [s].
 
     Raises
@@ -38,7 +39,9 @@ class Model:
         kind = type(root).__name__
         self.name = name or kind[0].lower() + kind[1:]
         self.step = step
-        self.settings = {k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()}
+        self.settings = {
+            k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()
+        }
 
     # -- other models ------------------------------------------------------------------------------------------
     def with_settings(self, settings: Mapping) -> Model:
@@ -67,12 +70,17 @@ class Model:
     @cached_property
     def _solved(self) -> Solved:
         elaboration, _ = elaborate(self.root, self.name, tuple(self.settings))
-        known = [p.path for p in elaboration.parameters]
-        for path in self.settings:
+        known = {p.path: p.unit for p in elaboration.parameters}
+        for path, setting in self.settings.items():
             if path not in known:
                 owner, _, leaf = path.rpartition(".")
                 where = f"{self.name}.{owner}" if owner else self.name
                 raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(path, known)}")
+            if not compatible(setting.get("unit", known[path]), known[path]):
+                raise UnitError(
+                    f"{self.name}.{path}: the value is in {setting['unit']}, the model needs {known[path]}. "
+                    "Correct the unit or the value."
+                )
         return solve(elaboration)
 
     @cached_property
@@ -86,7 +94,7 @@ class Model:
         p = ca.vertcat(*(q.symbol for q in independent))
         rates = [solved.of(e.derivatives[s.symbol.element_hash()][1]) for s in e.states]
         outputs = [solved.of(o.symbol) for o in e.outputs]
-        self._refuse_mixed_delay(solved, [*rates, *outputs])
+        self._refuse_mixed_delay(solved)
         measured = {
             s.path: next((o.path for o, y in zip(e.outputs, outputs, strict=True) if ca.is_equal(y, s.symbol)), None)
             for s in e.states
@@ -101,18 +109,12 @@ class Model:
         )
         return ode, initialisation(solved, ca.SX(u), ca.SX(p), rates), measured, independent
 
-    def _refuse_mixed_delay(self, solved: Solved, expressions: Sequence[ca.SX]) -> None:
+    def _refuse_mixed_delay(self, solved: Solved) -> None:
         """An input may be used delayed or not delayed, not both."""
-        e = solved.elaboration
-        if not e.delays:
-            return
-        undelayed = {k: v for k, v in solved.expressions.items() if all(k != d.symbol.element_hash() for d in e.delays)}
-        used = {str(s) for v in [e.derivatives[s.symbol.element_hash()][1] for s in e.states] + [o.symbol for o in e.outputs]
-                for s in ca.symvar(replace(v, undelayed))}  # fmt: skip
-        for path, parameter in solved.dead_times.items():
-            if path in used:
+        for path in solved.dead_times:
+            if path in solved.undelayed_inputs:
                 raise TopologyError(
-                    f"{self.name}: input '{path}' is used both delayed by {parameter} and not delayed. "
+                    f"{self.name}: input '{path}' is used both delayed by {solved.dead_times[path]} and not delayed. "
                     "Declare a second input for the other use."
                 )
 
@@ -151,7 +153,9 @@ class Model:
         d, change = entry.declaration, self.settings.get(entry.path, {})
         value = change.get("value", None if callable(d.value) else d.value)
         if value is None:
-            raise DeclarationError(f"{self.name}.{entry.path}: this parameter follows others. Give it a value to free it.")
+            raise DeclarationError(
+                f"{self.name}.{entry.path}: this parameter follows others. Give it a value to free it."
+            )
         low, high = change.get("bounds", d.bounds)
         if not low <= value <= high:
             raise DeclarationError(

@@ -24,7 +24,7 @@ class Unknown:
     path: str
     symbol: ca.SX
     nominal: float = 1.0
-    start: float = 0.0
+    start: float | ca.SX = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +112,21 @@ def _pivot(a, rows, columns):
 def _newton(model, unknowns, residual, symbols, describe):
     """Newton's iteration written out; exact derivatives follow from differentiating it."""
     matrix = ca.jacobian(residual, symbols)
-    free = [s for s in ca.symvar(ca.vertcat(residual, ca.vec(matrix)))]
-    evaluate = ca.Function("residual", [symbols, ca.vertcat(*free)], [residual, matrix])
-    z = ca.DM([u.start for u in unknowns])
+    sought = {s.element_hash() for s in ca.vertsplit(symbols)}
+    given = ca.vertcat(*(s for s in ca.symvar(residual) if s.element_hash() not in sought))
+    evaluate = ca.Function("residual", [symbols, ca.SX(given)], [residual, matrix])
+    z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
     update = ca.SX.zeros(len(unknowns))
-    z = ca.SX(z)
     for _ in range(NEWTON_STEPS):
-        r, j = evaluate(z, ca.vertcat(*free))
-        update = ca.vertcat(*_eliminate(model, unknowns, ca.SX(j), ca.SX(r), describe))
+        r, j = evaluate(z, given)
+        try:
+            update = ca.vertcat(*_eliminate(model, unknowns, ca.SX(j), ca.SX(r), describe))
+        except TopologyError:
+            names = ", ".join(u.path for u in unknowns)
+            raise TopologyError(
+                f"{model}: the nonlinear loop of {names} cannot be solved from its start values: nothing changes with "
+                f"them there. It is made of: {describe()}. Give its variables another start."
+            ) from None
         z = z - update
     nominal = ca.DM([u.nominal for u in unknowns])
     record = NonlinearBlock(tuple(u.path for u in unknowns), ca.norm_inf(update / nominal))

@@ -1,6 +1,17 @@
 """Simulation: lower a model to C, compile it once, run it, with sensitivities to parameters and start states."""
 
 from .block import Block, TrainingDomain
+from .lowering import lower
 from .propagator import Diverged, Propagator, prepare
+from .simulate import predict_one_step, simulate
 
-__all__ = ["Block", "Diverged", "Propagator", "TrainingDomain", "prepare"]
+__all__ = [
+    "Block",
+    "Diverged",
+    "Propagator",
+    "TrainingDomain",
+    "lower",
+    "predict_one_step",
+    "prepare",
+    "simulate",
+]

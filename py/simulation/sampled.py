@@ -1,0 +1,83 @@
+"""Running a Block: its sample grid, its free run and its one-step predictions."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from hydrotwin.models.language.errors import DataError
+
+from . import inputs
+from .block import Block
+from .propagator import Diverged
+
+CHUNK = 100  # samples per call of the interpreter
+
+
+def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
+    """The block's own sample times over a recording; ``time`` itself when it already is that grid."""
+    steps = max(int(np.ceil((time[-1] - time[0]) / block.period - 1e-6)), 0)
+    grid = time[0] + block.period * np.arange(steps + 1)
+    on_grid = len(grid) == len(time) and np.abs(grid - time).max() < 1e-3 * block.period
+    return time if on_grid else grid
+
+
+def sampled_inputs(block: Block, time: np.ndarray, u: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """Inputs (m, nu) at the block's samples: the held or the linear value there, the last one after the end."""
+    columns = [inputs.at(time, u[:, j], grid, s.interpolation == "linear", "right") for j, s in enumerate(block.inputs)]
+    return np.column_stack(columns) if columns else np.empty((len(grid), 0))
+
+
+def start_state(block: Block, u: np.ndarray, y: np.ndarray, p: np.ndarray, start: Mapping[str, float]) -> np.ndarray:
+    """State before the first step; ``y`` (ny,) is nan where not measured, ``start`` replaces states by name."""
+    x = block.start(u, y, p).full().ravel()
+    for j, state in enumerate(block.states):
+        x[j] = start.get(state.name, x[j])
+        if not np.isfinite(x[j]):
+            measured = state.measured_by or "the outputs"
+            raise DataError(
+                f"{block.name}.{state.name}: the start is not known (got {x[j]} {state.unit}). "
+                f"It comes from the first sample of {measured}. Record that, or give start={{'{state.name}': ...}}."
+            )
+    return x
+
+
+def run_block(block: Block, time: np.ndarray, u: np.ndarray, p: np.ndarray, x0: np.ndarray):
+    """Outputs (n, ny) and states (n, nx) of a free run at the samples ``time`` with inputs ``u`` (n, nu)."""
+    walk = block.step.mapaccum("walk", CHUNK, 1)
+    y, x = np.empty((len(time), len(block.outputs))), np.empty((len(time), len(block.states)))
+    state = x0
+    for first in range(0, len(time), CHUNK):
+        part = u[first : first + CHUNK]
+        padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part), axis=0)])
+        following, seen = (value.full().T for value in walk(state, padded.T, p))
+        y[first : first + len(part)] = seen[: len(part)]
+        x[first : first + len(part)] = np.vstack([state, following])[: len(part)]
+        state = following[-1]
+        _stop_if_not_finite(block, time, x, y, first + len(part))
+    return y, x
+
+
+def predict_block(block: Block, u: np.ndarray, p: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Outputs (n, ny), each one step after the state (n, nx) of the sample before."""
+    first = block.step(x[0], u[0], p)[1].full().T
+    if len(u) == 1:
+        return first
+    following = block.step(x[:-1].T, u[:-1].T, p)[0]
+    return np.vstack([first, block.step(following, u[1:].T, p)[1].full().T])
+
+
+def _stop_if_not_finite(block: Block, time, x, y, upto: int) -> None:
+    if np.isfinite(x[:upto]).all() and np.isfinite(y[:upto]).all():
+        return
+    k = int(np.argmax(~(np.isfinite(x[:upto]).all(axis=1) & np.isfinite(y[:upto]).all(axis=1))))
+    states = [s.name for s, value in zip(block.states, x[k], strict=True) if not np.isfinite(value)]
+    outputs = [s.name for s, value in zip(block.outputs, y[k], strict=True) if not np.isfinite(value)]
+    raise Diverged(
+        f"{block.name}.{(states or outputs)[0]}: the run left the finite numbers at t = {time[k]:.6g} s. "
+        "Check the parameters, the start and whether the inputs are in SI.",
+        float(time[k]),
+        states[0] if states else None,
+    )
+
+

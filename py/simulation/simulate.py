@@ -1,0 +1,142 @@
+"""`simulate` and `predict_one_step`: a model or block over a recording."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records import Record, require
+
+from . import sampled
+from .block import Block
+from .propagator import prepare
+
+
+def simulate(
+    model,
+    record: Record,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    step: float | None = None,
+    method: str = "auto",
+) -> Record:
+    """Outputs of a model or Block at ``record.time``, driven by the inputs in the record.
+
+    States start from ``start`` (SI, by name), else from the first sample of the output that measures them, else from
+    the model's own initialisation. A Block runs at its own period: inputs are held or linear between the samples of
+    the record, outputs are linear between those of the block.
+
+    parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
+
+    Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
+    """
+    _filled(record, model)
+    if isinstance(model, Block):
+        run = _block_run(model, record, parameters, start)
+        return _answer(record, model, sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0], run.grid)
+    flat = getattr(model, "flat", model)
+    u, p, x0 = _driven(flat, record, parameters, start)
+    return _answer(record, flat, prepare(flat, step=step, method=method).run(record.time, u, p, x0)[0])
+
+
+def predict_one_step(
+    model,
+    record: Record,
+    *,
+    parameters: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | None = None,
+    step: float | None = None,
+    method: str = "auto",
+) -> Record:
+    """Outputs predicted from each sample to the next.
+
+    At every sample the measured outputs replace the states they determine (``StateVariable.measured_by``); all other
+    states are those of the free run. The first sample is that of the free run.
+    """
+    _filled(record, model)
+    if isinstance(model, Block):
+        run = _block_run(model, record, parameters, start)
+        _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
+        measured = _corrected(model, record, x, run.grid)
+        return _answer(record, model, sampled.predict_block(model, run.u, run.p, measured), run.grid)
+    flat = getattr(model, "flat", model)
+    u, p, x0 = _driven(flat, record, parameters, start)
+    propagator = prepare(flat, step=step, method=method)
+    _, x = propagator.run(record.time, u, p, x0)
+    restart = _corrected(flat, record, x, record.time)
+    return _answer(record, flat, propagator.run(record.time, u, p, x0, restart)[0])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _BlockRun:
+    grid: np.ndarray
+    u: np.ndarray
+    p: np.ndarray
+    x0: np.ndarray
+
+
+def _filled(record: Record, model) -> None:
+    if len(record.time) == 0:
+        raise DataError(f"{record.source or record.name}: no samples to run {model.name} on. Give one with data.")
+
+
+def _driven(flat: FlatModel, record: Record, parameters, start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Inputs, parameters and start state of a model on a record."""
+    u = require(record, flat.inputs, flat.name).array([s.name for s in flat.inputs])
+    p = flat.parameter_vector(parameters)
+    given = {s.name: record[s.measured_by][0] for s in flat.states if _measures(record, s.measured_by)}
+    given = {name: float(value) for name, value in given.items() if np.isfinite(value)} | dict(start or {})
+    x0 = flat.start_given(tuple(given))(u[0], p, list(given.values())).full().ravel()
+    return u, p, x0
+
+
+def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
+    u = require(record, block.inputs, block.name).array([s.name for s in block.inputs])
+    grid = sampled.sample_grid(block, record.time)
+    u = u if grid is record.time else sampled.sampled_inputs(block, record.time, u, grid)
+    p, start = block.parameter_vector(), dict(start or {})
+    _replace(p, [q.name for q in block.parameters], parameters or {}, f"{block.name}: no parameter")
+    _replace(np.empty(len(block.states)), [s.name for s in block.states], start, f"{block.name}: no state")
+    y = np.array([record[s.name][0] if _measures(record, s.name) else np.nan for s in block.outputs])
+    return _BlockRun(grid, u, p, sampled.start_state(block, u[0], y, p, start))
+
+
+def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:
+    for name, value in changes.items():
+        if name not in names:
+            raise DeclarationError(f"{refusal} '{name}'. {nearest(name, names)}")
+        values[names.index(name)] = value
+
+
+def _measures(record: Record, output: str | None) -> bool:
+    return output is not None and output in record
+
+
+def _corrected(system: FlatModel | Block, record: Record, x: np.ndarray, grid: np.ndarray) -> np.ndarray:
+    """The states with the measured ones replaced by what was measured; gaps (nan) keep the free run."""
+    corrected = x.copy()
+    for j, state in enumerate(system.states):
+        if not _measures(record, state.measured_by):
+            continue
+        measured = record[state.measured_by]
+        measured = measured if grid is record.time else np.interp(grid, record.time, measured)
+        corrected[:, j] = np.where(np.isfinite(measured), measured, x[:, j])
+    return corrected
+
+
+def _answer(record: Record, system: FlatModel | Block, y: np.ndarray, grid: np.ndarray | None = None) -> Record:
+    """Outputs as a record on the time axis of the input record."""
+    columns = [y[:, j] if grid is None or grid is record.time else np.interp(record.time, grid, y[:, j])
+               for j in range(len(system.outputs))]  # fmt: skip
+    return dataclasses.replace(
+        record,
+        signals={s.name: column for s, column in zip(system.outputs, columns, strict=True)},
+        units={s.name: s.unit for s in system.outputs},
+        name=f"{record.name}, {system.name}",
+        source=None,
+        digest=None,
+    )

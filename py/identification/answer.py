@@ -1,0 +1,175 @@
+"""From a minimum to a Fit: uncertainty, residuals, findings, provenance."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hydrotwin.models.language.errors import SolveError
+
+from .descent import Task, whole_runs
+from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
+from .identifiability import bounds_reached, identifiability, unexplained
+from .least_squares import Minimum, minimise
+from .loss import Loss
+from .problem import FreeParameters, Recording
+from .shooting import Shooting
+from .uncertainty import correlation, uncertainty, without_starts
+from .whiteness import SIGNIFICANCE, ljung_box
+
+
+def answer(
+    task: Task, best: Minimum, judged: Sequence[Recording], noise: np.ndarray, settings: Mapping, began: float
+) -> Fit:
+    """Everything a Fit knows, from the best minimum of the training runs."""
+    free, flat = task.free, task.flat
+    values = free.values(best.q)
+    at_bound = _at_bound(free, best)
+    shooting, _ = whole_runs(task)
+    rows = [shooting.sensitivities(i, best.q, best.z[i]) for i in range(len(shooting.segments))]
+    known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
+    slope = free.slope(best.q)
+    sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
+    parameters = _fitted(free, values, at_bound, sandwich, white)
+    records, residuals, findings = _judged(task, shooting, best, judged, noise)
+    findings = [
+        *identifiability(flat, free, known.information, _unrecorded(task, rows), at_bound),
+        *bounds_reached(free.names, values, free.lower, free.upper, free.units, at_bound),
+        *findings,
+    ]
+    chi2 = float(sum(r @ r for r, _, _ in rows))
+    starts = shooting.locals * len(shooting.segments)
+    return Fit(
+        name=flat.name,
+        flat=_with_results(task, parameters),
+        parameters=parameters,
+        covariance=sandwich,
+        covariance_white=white,
+        correlation=correlation(white),
+        noise={s.name: float(n) for s, n in zip(flat.outputs, noise, strict=True) if np.isfinite(n)},
+        cost=best.cost,
+        chi2=chi2,
+        degrees_of_freedom=sum(len(r) for r, _, _ in rows) - int((~at_bound).sum()) - starts,
+        records=records,
+        residuals=residuals,
+        findings=tuple(findings),
+        history=tuple(task.history),
+        converged=best.converged,
+        message=best.message,
+        seconds=time.perf_counter() - began,
+        settings=dict(settings),
+    )
+
+
+def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
+    """On a bound, with the cost still falling beyond it."""
+    lower, upper = free.scaled(free.lower), free.scaled(free.upper)
+    gradient = best.at.gradient[:, : len(best.q)].sum(axis=0)
+    return ((best.q - lower <= 1e-9) & (gradient > 0)) | ((upper - best.q <= 1e-9) & (gradient < 0))
+
+
+def _weighted_rows(rows, shooting: Shooting):
+    """Residuals, projected Jacobians, sample numbers per recording, under the loss."""
+    residuals, jacobians, samples = [], [], []
+    for (r, J, _), segment in zip(rows, shooting.segments, strict=True):
+        r, J = shooting.loss.linearised(r, J)
+        measured = np.isfinite(shooting.recordings[segment.recording].y) & (shooting.weights > 0)
+        residuals.append(r)
+        jacobians.append(without_starts(J, len(shooting.free.names)))
+        samples.append(np.nonzero(measured)[0])
+    return residuals, jacobians, samples
+
+
+def _fitted(free: FreeParameters, values, at_bound, sandwich, white) -> tuple[FittedParameter, ...]:
+    sigma, sigma_white = np.sqrt(np.diag(sandwich)), np.sqrt(np.diag(white))
+    return tuple(
+        FittedParameter(
+            name, float(values[j]), float(free.start[j]), float(sigma[j]), free.units[j],
+            (float(free.lower[j]), float(free.upper[j])), bool(at_bound[j]), float(sigma_white[j]),
+        )
+        for j, name in enumerate(free.names)
+    )  # fmt: skip
+
+
+def _with_results(task: Task, parameters: Sequence[FittedParameter]):
+    """The model with fitted values, their sigmas and where they come from."""
+    fitted = {p.name: p for p in parameters}
+    source = f"identified from {', '.join(r.name for r in task.recordings)}"
+    names = [p.name for p in task.flat.parameters]
+    given = task.flat.with_parameters(dict(zip(names, task.free.all_values, strict=True)))
+    return dataclasses.replace(
+        given,
+        parameters=tuple(
+            dataclasses.replace(
+                p, value=fitted[p.name].value, source=source,
+                sigma=fitted[p.name].sigma if np.isfinite(fitted[p.name].sigma) else None,
+            )
+            if p.name in fitted
+            else p
+            for p in given.parameters
+        ),
+    )  # fmt: skip
+
+
+def _unrecorded(task: Task, rows) -> dict[str, np.ndarray]:
+    """Mean of dy dy^T over all samples for each output without a recording, y in units of its own size."""
+    k, mean = len(task.free.names), {}
+    for j, signal in enumerate(task.flat.outputs):
+        if task.weights[j] > 0:
+            continue
+        moved = [dy[:, j, :k] / abs(signal.nominal) for _, _, dy in rows]
+        mean[signal.name] = sum(m.T @ m for m in moved) / sum(len(m) for m in moved)
+    return mean
+
+
+def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Recording], noise: np.ndarray):
+    """Records, residuals and findings of training and validation runs."""
+    records, residuals, findings = [], [], []
+    for i, recording in enumerate(task.recordings):
+        records.append(_record_fit(task, shooting, recording, "train", best.z[i]))
+        residuals += _output_residuals(task, shooting.residuals(i, best.q, best.z[i]), recording, "train", noise)
+    for recording in judged:
+        alone, z = _started(task, best, recording)
+        left = None if alone is None else alone.residuals(0, best.q, z[0])
+        if left is None:
+            findings.append(Finding("diverged", (), (
+                f"identify: the free run over {recording.name} diverges at the fitted parameters. The recording "
+                "leaves the range in which the model holds. Look at its inputs."
+            )))  # fmt: skip
+            continue
+        records.append(_record_fit(task, alone, recording, "validate", z[0]))
+        residuals += _output_residuals(task, left, recording, "validate", noise)
+    return tuple(records), tuple(residuals), [*findings, *unexplained(residuals)]
+
+
+def _started(task: Task, best: Minimum, recording: Recording) -> tuple[Shooting | None, np.ndarray]:
+    """A validation run whose start states are estimated and nothing else."""
+    fixed = dataclasses.replace(task, loss=Loss(task.loss.kind, task.loss.scale))
+    shooting, z = whole_runs(fixed, [recording])
+    try:
+        return shooting, minimise(shooting, best.q, z, most=10, hold=True).z
+    except SolveError:
+        return None, z
+
+
+def _record_fit(task: Task, shooting: Shooting, recording: Recording, role: str, z: np.ndarray) -> RecordFit:
+    start = {n: float(v) for n, v in zip(shooting.start.names, z * shooting.start.nominal, strict=True)}
+    return RecordFit(recording.name, role, recording.digest, len(recording.time), start)
+
+
+def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, role: str, noise: np.ndarray):
+    rows = []
+    for j, signal in enumerate(task.flat.outputs):
+        r = weighted[:, j][np.isfinite(weighted[:, j])]
+        if not task.weights[j] > 0 or not len(r):
+            continue
+        lag_one, p_value = ljung_box(r)
+        level = float(np.mean(r**2))
+        rows.append(OutputResidual(
+            recording.name, signal.name, role, float(np.sqrt(level) * noise[j]), float(noise[j]), signal.unit, len(r),
+            level, lag_one, p_value, p_value > SIGNIFICANCE,
+        ))  # fmt: skip
+    return rows

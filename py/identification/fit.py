@@ -1,0 +1,169 @@
+"""Fit: what an identification knows when it is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrotwin.models.language.flat import FlatModel
+
+
+@dataclass(frozen=True)
+class FittedParameter:
+    """One free parameter: where it started, where it ended, how sure that is.
+
+    ``sigma`` is the standard deviation allowing for coloured residuals (SI); nan when the value rests on a bound or
+    the recordings do not determine it. ``bounds`` are those of the fit.
+    """
+
+    name: str
+    value: float
+    start: float
+    sigma: float
+    unit: str
+    bounds: tuple[float, float]
+    at_bound: bool
+    sigma_white: float = np.nan
+
+    @property
+    def shift(self) -> float:
+        """Change against the start, as a fraction of the start (of 1 where the start is zero)."""
+        return (self.value - self.start) / (abs(self.start) or 1.0)
+
+
+@dataclass(frozen=True)
+class OutputResidual:
+    """What is left on one output of one recording, in a free run from its estimated start.
+
+    ``rmse`` and ``noise`` are in ``unit``; ``chi2_per_sample`` is (rmse/noise)^2, 1 when only noise is left.
+    ``white`` is the verdict of a Ljung-Box test (``p_value``), ``lag_one`` the correlation of neighbouring residuals.
+    """
+
+    record: str
+    output: str
+    role: str
+    rmse: float
+    noise: float
+    unit: str
+    samples: int
+    chi2_per_sample: float
+    lag_one: float
+    p_value: float
+    white: bool
+
+    @property
+    def explained(self) -> bool:
+        """Nothing is left but noise: the size is right and the residual is white."""
+        return self.chi2_per_sample < 1.1 and self.white
+
+
+@dataclass(frozen=True)
+class RecordFit:
+    """One recording in the fit: its role ("train" or "validate"), its content hash and its estimated start states."""
+
+    name: str
+    role: str
+    digest: str | None
+    samples: int
+    start: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence about what the recordings can and cannot say, and the parameters it is about."""
+
+    kind: str
+    parameters: tuple[str, ...]
+    sentence: str
+
+    def __str__(self) -> str:
+        return self.sentence
+
+
+@dataclass(frozen=True)
+class Iteration:
+    """One accepted step: which stage, the cost (half the weighted sum of squares) after it, the damping."""
+
+    stage: str
+    number: int
+    cost: float
+    damping: float
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The fitted model and everything known about the fit.
+
+    cost : half the (robust) weighted sum of squares of the free runs; chi2 : the plain weighted sum of squares.
+    covariance : of the free parameters in the order of ``parameters``, SI, allowing for coloured residuals
+    (the sandwich); ``covariance_white`` is (J^T J)^-1. ``correlation`` belongs to ``covariance_white``: it is a
+    property of the experiment. Rows of parameters at a bound or undetermined are nan.
+    """
+
+    name: str
+    flat: FlatModel
+    parameters: tuple[FittedParameter, ...]
+    covariance: np.ndarray
+    covariance_white: np.ndarray
+    correlation: np.ndarray
+    noise: Mapping[str, float]
+    cost: float
+    chi2: float
+    degrees_of_freedom: int
+    records: tuple[RecordFit, ...]
+    residuals: tuple[OutputResidual, ...]
+    findings: tuple[Finding, ...]
+    history: tuple[Iteration, ...]
+    converged: bool
+    message: str
+    seconds: float
+    settings: Mapping[str, object] = field(default_factory=dict)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Fitted values by path, SI."""
+        return {p.name: p.value for p in self.parameters}
+
+    @property
+    def sigma(self) -> dict[str, float]:
+        """Standard deviations by path, SI."""
+        return {p.name: p.sigma for p in self.parameters}
+
+    @property
+    def chi2_per_dof(self) -> float:
+        """1 when the model explains the training recordings up to the noise."""
+        return self.chi2 / max(self.degrees_of_freedom, 1)
+
+    @property
+    def rmse(self) -> dict[str, dict[str, float]]:
+        """RMSE by role ("train", "validate") and output, over all recordings of the role, SI."""
+        pooled: dict[str, dict[str, float]] = {}
+        for role in ("train", "validate"):
+            rows = [r for r in self.residuals if r.role == role]
+            for output in dict.fromkeys(r.output for r in rows):
+                of = [r for r in rows if r.output == output]
+                squares = sum(r.samples * r.rmse**2 for r in of)
+                pooled.setdefault(role, {})[output] = float(np.sqrt(squares / sum(r.samples for r in of)))
+        return pooled
+
+    @property
+    def provenance(self) -> dict[str, str | None]:
+        """Content hashes of the recordings by name."""
+        return {r.name: r.digest for r in self.records}
+
+    def parameter(self, name: str) -> FittedParameter:
+        """The row of one free parameter."""
+        return next(p for p in self.parameters if p.name == name)
+
+    def summary(self) -> str:
+        """The fit as a table and sentences, for a terminal."""
+        lines = [f"{self.name}: {self.message} ({self.seconds:.2f} s)"]
+        for p in self.parameters:
+            mark = "  at bound" if p.at_bound else ""
+            lines.append(f"  {p.name:<36} {p.start:>12.5g} -> {p.value:>12.5g} ± {p.sigma:<9.2g} {p.unit}{mark}")
+        for r in self.residuals:
+            left = "noise only" if r.explained else f"{np.sqrt(r.chi2_per_sample):.2f} x noise, unexplained"
+            lines.append(f"  {r.record} ({r.role}) {r.output}: RMSE {r.rmse:.4g} {r.unit} ({left})")
+        return "\n".join(lines + [f"  {finding}" for finding in self.findings])

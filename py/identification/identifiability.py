@@ -1,0 +1,111 @@
+"""What the recordings cannot say: parameters without effect, and parameters that only show together.
+
+    J = U S V^T with unit columns: a small singular value is a direction in which parameters trade places unseen.
+
+The next step comes from the outputs that were not recorded: the one that such a trade moves most would separate them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydrotwin.models.language.flat import FlatModel
+
+from .fit import Finding
+from .problem import FreeParameters
+
+INVISIBLE = 1.0  # a change of 100 % that moves the recordings by less than one sigma in all has no effect
+VAGUE = 0.2  # a direction known worse than this (relative to the start) ...
+PARALLEL = 0.05  # ... and with a singular value below this is a trade, not just a weak effect
+MEMBER = 0.2
+REVEALING = 1e-3
+
+
+def identifiability(
+    flat: FlatModel, free: FreeParameters, information: np.ndarray, unrecorded: dict[str, np.ndarray],
+    held: np.ndarray,
+) -> list[Finding]:  # fmt: skip
+    """Findings from J^T J in scaled parameters (np, np).
+
+    ``unrecorded`` maps each output without a recording to the mean of dy dy^T over the samples, y in its nominal
+    (np, np); ``held`` marks parameters at a bound.
+    """
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    invisible = size < INVISIBLE
+    findings = [_no_effect(free.names[j], size[j], unrecorded, j) for j in np.flatnonzero(invisible)]
+    seen = np.flatnonzero(~invisible & ~held)
+    if len(seen) < 2:
+        return findings
+    unit = information[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    values, vectors = np.linalg.eigh(unit)
+    for value, vector in zip(values, vectors.T, strict=True):
+        singular = np.sqrt(max(value, 1e-16))
+        step = vector / size[seen] / singular
+        if singular > PARALLEL or np.abs(step).max() < VAGUE:
+            continue
+        members = np.flatnonzero(np.abs(vector) > MEMBER * np.abs(vector).max())
+        if len(members) < 2:
+            continue
+        direction = np.zeros(len(free.names))
+        direction[seen] = step / np.abs(step).max()
+        findings.append(_confused(free, seen[members], unit[np.ix_(members, members)], direction, unrecorded))
+    return findings
+
+
+def _no_effect(name: str, size: float, unrecorded: dict[str, np.ndarray], j: int) -> Finding:
+    direction = np.zeros(len(next(iter(unrecorded.values()))) if unrecorded else j + 1)
+    direction[j] = 1.0
+    how = "none at all" if size == 0 else f"a change of 100 % moves them by {size:.2g} noise sigmas in all"
+    step = f"Fix it{_or_record(direction, unrecorded)}"
+    sentence = f"identify: {name} has no effect on any recorded output ({how}). {step}."
+    return Finding("no_effect", (name,), sentence)
+
+
+def _confused(free, members, unit, direction, unrecorded) -> Finding:
+    names = tuple(free.names[j] for j in members)
+    listed = f"{', '.join(names[:-1])} and {names[-1]}"
+    if len(names) == 2:
+        how, fix = f"correlation {-unit[0, 1]:.4f}", "Fix one"
+    else:
+        parts = " ".join(f"{100 * direction[j]:+.0f} %" for j in members)
+        how, fix = f"changing them together by {parts} changes no output", "Fix one of them"
+    step = f"{fix}{_or_record(direction, unrecorded)}"
+    sentence = f"identify: {listed} cannot be told apart in these recordings ({how}). {step}."
+    return Finding("indistinguishable", names, sentence)
+
+
+def _or_record(direction: np.ndarray, unrecorded: dict[str, np.ndarray]) -> str:
+    moved = {name: float(direction @ G @ direction) for name, G in unrecorded.items()}
+    best = max(moved, key=moved.get, default=None)
+    return f", or record {best}" if best is not None and moved[best] > REVEALING**2 else ""
+
+
+def bounds_reached(names: Sequence[str], values, lower, upper, units, at_bound) -> list[Finding]:
+    """One sentence per parameter that rests on a bound."""
+    findings = []
+    for name, value, low, high, unit, hit in zip(names, values, lower, upper, units, at_bound, strict=True):
+        if hit:
+            side, bound = ("lower", low) if value - low <= high - value else ("upper", high)
+            findings.append(Finding("at_bound", (name,), (
+                f"identify: {name} rests on its {side} bound ({bound:g} {unit}). The recordings ask for more. "
+                "Widen the bound if physics allows, or look for an effect the model lacks."
+            )))  # fmt: skip
+    return findings
+
+
+def unexplained(residuals: Sequence) -> list[Finding]:
+    """One sentence per output whose training residual is more than noise."""
+    findings = []
+    for output in dict.fromkeys(r.output for r in residuals):
+        rows = [r for r in residuals if r.output == output and r.role == "train"]
+        if not rows or all(r.explained for r in rows):
+            continue
+        worst = max(rows, key=lambda r: r.chi2_per_sample)
+        colour = "" if worst.white else f", neighbours correlate by {worst.lag_one:.2f}"
+        findings.append(Finding("unexplained", (), (
+            f"identify: the fitted model leaves {np.sqrt(worst.chi2_per_sample):.2f} times the noise on {output} in "
+            f"{worst.record}{colour}. The parameters cannot explain it. Look for a missing effect, or free more."
+        )))  # fmt: skip
+    return findings

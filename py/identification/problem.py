@@ -1,0 +1,159 @@
+"""What is asked: which parameters are free between which bounds, and what the recordings measured."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import FlatModel
+
+
+@dataclass(frozen=True, eq=False)
+class FreeParameters:
+    """The free parameters and the scaled coordinate q in which the solver moves.
+
+    q = ln p where the lower bound is positive, q = p / unit otherwise: steps are relative, signs are kept.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    index: np.ndarray
+    start: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    logarithmic: np.ndarray
+    unit: np.ndarray
+    all_values: np.ndarray
+
+    def scaled(self, p: np.ndarray) -> np.ndarray:
+        """q of free values p (SI)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.logarithmic, np.log(np.where(self.logarithmic, p, 1.0)), p / self.unit)
+
+    def values(self, q: np.ndarray) -> np.ndarray:
+        """Free values p (SI) of q."""
+        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, q, 0.0)), q * self.unit)
+
+    def slope(self, q: np.ndarray) -> np.ndarray:
+        """dp/dq."""
+        return np.where(self.logarithmic, self.values(q), self.unit)
+
+    def vector(self, q: np.ndarray) -> np.ndarray:
+        """The model's whole parameter vector at q."""
+        p = self.all_values.copy()
+        p[self.index] = self.values(q)
+        return p
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured."""
+
+    name: str
+    digest: str | None
+    time: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+
+
+def free_parameters(
+    flat: FlatModel,
+    free: Sequence[str] | None,
+    start: Mapping[str, float] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+) -> FreeParameters:
+    """The parameters that match the globs in ``free`` (default: those the model declares free), in model order."""
+    known = [p.name for p in flat.parameters]
+    chosen = _matching(flat, free, known)
+    values = flat.parameter_vector(start)
+    bounds = dict(bounds or {})
+    for name in bounds:
+        flat.index_of(name)
+    rows = [p for p in flat.parameters if p.name in chosen]
+    index = np.array([flat.index_of(p.name) for p in rows])
+    limits = [bounds.get(p.name, p.bounds) for p in rows]
+    lower, upper = (np.array([float(limit[side]) for limit in limits]) for side in (0, 1))
+    for p, low, high in zip(rows, lower, upper, strict=True):
+        value = values[flat.index_of(p.name)]
+        if not low <= value <= high:
+            raise DeclarationError(
+                f"{flat.name}.{p.name}: the start lies outside its bounds (got {value:g} {p.unit}). It must lie in "
+                f"[{low:g}, {high:g}] {p.unit}. Change the start or the bounds."
+            )
+    nominal = np.array([p.nominal for p in rows])
+    return FreeParameters(
+        names=tuple(p.name for p in rows),
+        units=tuple(p.unit for p in rows),
+        index=index,
+        start=values[index],
+        lower=lower,
+        upper=upper,
+        logarithmic=lower > 0,
+        unit=np.where(values[index] != 0, np.abs(values[index]), np.abs(nominal)),
+        all_values=values,
+    )
+
+
+def _matching(flat: FlatModel, free: Sequence[str] | None, known: Sequence[str]) -> set[str]:
+    if free is None:
+        chosen = {p.name for p in flat.parameters if p.free}
+        if not chosen:
+            raise DeclarationError(f"{flat.name}: no parameter is declared free. Name some: free=['{known[0]}'].")
+        return chosen
+    patterns = [free] if isinstance(free, str) else list(free)
+    if not patterns:
+        raise DeclarationError(f"{flat.name}: nothing to identify (got an empty list of free parameters). Name some.")
+    chosen = set()
+    for pattern in patterns:
+        hits = fnmatch.filter(known, pattern)
+        if not hits:
+            raise DeclarationError(f"{flat.name}: no parameter matches '{pattern}'. {nearest(pattern, known)}")
+        chosen.update(hits)
+    return chosen
+
+
+def recordings(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None, role: str) -> tuple[Recording, ...]:
+    """Records as arrays; the outputs to fit are those of the model that a record holds (or those in ``outputs``)."""
+    known = [s.name for s in flat.outputs]
+    for name in outputs or ():
+        if name not in known:
+            raise DeclarationError(f"{flat.name}: no output '{name}'. {nearest(name, known)}")
+    wanted = [n for n in known if outputs is None or n in outputs]
+    return tuple(_recording(flat, record, wanted, role) for record in records)
+
+
+def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Recording:
+    name = record.name or role
+    time = np.asarray(record.time, dtype=float)
+    if len(time) < 2 or np.any(np.diff(time) <= 0):
+        raise DataError(f"{name}: time must increase over at least two samples (got {len(time)}). Sort or trim it.")
+    columns = []
+    for signal in flat.inputs:
+        if signal.name not in record.signals:
+            raise DataError(
+                f"{name}: input '{signal.name}' [{signal.unit}] of {flat.name} is not recorded. "
+                f"{nearest(signal.name, list(record.signals))}"
+            )
+        column = np.asarray(record[signal.name], dtype=float)
+        if not np.isfinite(column).all():
+            raise DataError(
+                f"{name}: input '{signal.name}' has {np.sum(~np.isfinite(column))} missing values. An input must be "
+                "known at every sample. Cut the recording there."
+            )
+        columns.append(column)
+    y = np.full((len(time), len(flat.outputs)), np.nan)
+    for j, signal in enumerate(flat.outputs):
+        if signal.name in wanted and signal.name in record.signals:
+            y[:, j] = record[signal.name]
+    if not np.isfinite(y).any():
+        raise DataError(
+            f"{name}: none of the outputs of {flat.name} is recorded (got {', '.join(record.signals) or 'nothing'}). "
+            f"At least one of {', '.join(wanted)} is needed."
+        )
+    u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
+    return Recording(name, record.digest, time, u, y)
+

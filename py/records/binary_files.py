@@ -90,7 +90,7 @@ def as_numbers(values: np.ndarray, path: Path, name: str) -> np.ndarray:
         return values.astype(float)
     for k, value in enumerate(values):
         try:
-            if isinstance(value, str | bytes):
+            if isinstance(value, str | bytes) or np.iscomplexobj(value):
                 raise ValueError
             float("nan" if value is None else value)
         except (TypeError, ValueError):

@@ -64,11 +64,16 @@ class Record:
                 "Sort the samples and remove those with the same time."
             )
         for name in signals:
+            self._check_name(name)
             self._check_unit(name)
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "units", {n: self.units[n] for n in signals})
         object.__setattr__(self, "display_units", {n: u for n, u in self.display_units.items() if n in signals})
+
+    def _check_name(self, name: str):
+        if name == "time" or not name.strip() or "\n" in name:
+            raise DataError(f"{self.name}: a column cannot be named {name!r}. Use a word; time has its own axis.")
 
     def _check_unit(self, name: str):
         if name not in self.units:

@@ -1,0 +1,92 @@
+"""The noise floor of a channel, on signals whose noise is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.records import Record, noise_floor
+from hydrotwin.records.noise import channel_noise, quantisation_step
+
+T = np.arange(8000) * 0.005
+
+
+def arm_motion(t):
+    return 0.8 * np.sin(0.7 * t) + 0.3 * np.sin(2.3 * t + 1)
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-4, 1e-2])
+@pytest.mark.parametrize("seed", range(4))
+def test_white_noise_on_smooth_motion_is_found_to_six_percent(sigma, seed):
+    rng = np.random.default_rng(seed)
+    found = channel_noise(T, arm_motion(T) + sigma * rng.normal(size=T.size))
+    assert found.sigma == pytest.approx(sigma, rel=0.06)
+    assert found.quantum == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bursts_of_fast_motion_do_not_raise_the_floor(seed):
+    rng = np.random.default_rng(seed)
+    ringing = np.where(T % 10 < 6, np.sin(2 * np.pi * 35 * T), 0.0)
+    found = channel_noise(T, arm_motion(T) + ringing + 1e-4 * rng.normal(size=T.size))
+    assert found.sigma == pytest.approx(1e-4, rel=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_uneven_time_does_not_raise_the_floor(seed):
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.001, 0.009, 8000))
+    found = channel_noise(t, arm_motion(t) + 1e-4 * rng.normal(size=t.size))
+    assert found.sigma == pytest.approx(1e-4, rel=0.08)
+
+
+@pytest.mark.parametrize("q", [1e-3, 2.5e-5])
+def test_a_resting_encoder_has_the_noise_of_its_step(q):
+    motion = np.where(T < 10, 0.5 * np.sin(0.3 * T), 0.5 * np.sin(3.0))
+    found = channel_noise(T, np.round(motion / q) * q)
+    if len(np.unique(np.round(motion / q))) < T.size / 2:
+        assert found.quantum == pytest.approx(q, rel=1e-6)
+        assert found.sigma == pytest.approx(q / np.sqrt(12), rel=0.05)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 1.0, 3.0])
+def test_noise_and_rounding_add_as_variances_and_are_not_counted_twice(ratio):
+    rng = np.random.default_rng(1)
+    q = 1e-2
+    found = channel_noise(T, np.round((arm_motion(T) + ratio * q * rng.normal(size=T.size)) / q) * q)
+    assert found.quantum == pytest.approx(q, rel=1e-6)
+    assert found.sigma == pytest.approx(q * np.sqrt(ratio**2 + 1 / 12), rel=0.06)
+    assert found.white == pytest.approx(q * ratio, rel=0.1)
+
+
+def test_the_step_is_found_when_no_two_levels_are_neighbours():
+    rng = np.random.default_rng(4)
+    values = 0.1 + 0.05 * rng.choice([2, 5, 8, 14, 20, 26, 33], 1000)
+    assert quantisation_step(values) == pytest.approx(0.05, rel=1e-6)
+
+
+def test_single_precision_levels_keep_their_step():
+    rng = np.random.default_rng(4)
+    values = (0.0625 * rng.integers(-100, 4000, 9000)).astype(np.float32).astype(float) * 1e5
+    assert quantisation_step(values) == pytest.approx(6250.0, rel=1e-4)
+
+
+def test_continuous_and_held_continuous_channels_have_no_step():
+    rng = np.random.default_rng(4)
+    assert quantisation_step(rng.normal(size=1000)) == 0.0
+    assert quantisation_step(np.repeat(rng.normal(size=500), 10)) == 0.0
+    assert quantisation_step(np.full(100, 3.7)) == 0.0
+
+
+def test_a_constant_or_tiny_channel_has_no_noise_and_no_error():
+    assert channel_noise(T, np.full(T.size, 2.0)).sigma == 0.0
+    assert channel_noise(T[:3], np.array([1.0, 2.0, 4.0])).white == 0.0
+    assert channel_noise(T[:7], np.random.default_rng(0).normal(size=7)).sigma > 0.0
+
+
+def test_every_channel_of_a_record_gets_its_floor():
+    rng = np.random.default_rng(0)
+    signals = {"x": 1e-4 * rng.normal(size=T.size), "p": 1e4 * rng.normal(size=T.size)}
+    floor = noise_floor(Record(T, signals, {"x": "m", "p": "Pa"}))
+    assert floor["x"].sigma == pytest.approx(1e-4, rel=0.06)
+    assert floor["p"].sigma == pytest.approx(1e4, rel=0.06)

@@ -1,0 +1,249 @@
+"""From a FlatModel or a Block to the functions, sizes and default values that the C runtime needs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable
+from hydrotwin.simulation.block import Block, TrainingDomain
+
+TRAINING_DISTANCE = "training_distance"
+
+
+@dataclass(frozen=True)
+class StartParameter:
+    """A fixed parameter that sets an initial value: its FMU name, default, and the output that measures it, if any."""
+
+    name: str
+    unit: str
+    value: float
+    description: str
+    nominal: float = 1.0
+    bounds: tuple[float, float] = (-np.inf, np.inf)
+    output: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Lowered:
+    """A system ready to be written as C.
+
+    method : "explicit" (Runge-Kutta, fixed step), "adaptive" (Rosenbrock) or "sampled" (held between samples).
+    step : longest internal step or sample period [s].
+    functions : the generated functions by role: start, start_forward, output, forward, derivative, advance.
+    """
+
+    name: str
+    method: str
+    step: float
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    states: tuple[StateVariable, ...]
+    parameters: tuple[ParameterValue, ...]
+    starts: tuple[StartParameter, ...]
+    functions: dict[str, ca.Function]
+    description: str = ""
+    provenance: dict = field(default_factory=dict)
+
+    @property
+    def sampled(self) -> bool:
+        """Whether the system only moves at its sample times."""
+        return self.method == "sampled"
+
+    @property
+    def dead_times(self) -> tuple[int, ...]:
+        """Per input the place of the parameter that delays it, or -1."""
+        names = [p.name for p in self.parameters]
+        return tuple(names.index(s.dead_time) if s.dead_time else -1 for s in self.inputs)
+
+    @property
+    def defaults(self) -> np.ndarray:
+        """Start values of inputs, parameters and start parameters, in this order."""
+        return np.array(
+            [s.default for s in self.inputs] + [p.value for p in self.parameters] + [s.value for s in self.starts]
+        )
+
+
+def lower_model(
+    flat: FlatModel, given: Sequence[str] | None, method: str, step: float, tolerance: float, name: str
+) -> Lowered:
+    """A continuous model with ``<state>.start`` parameters for the states in ``given``.
+
+    ``given=None`` takes the states that have an output measuring a position or an angle (unit m or rad): where a
+    recording begins is what differs from one to the next, the rest follows from equilibrium.
+    """
+    starts = _state_starts(flat, _given_states(flat, given))
+    start = flat.start_given([s.name.removesuffix(".start") for s in starts])
+    functions = {
+        "start": _named("ht_start", start),
+        "start_forward": _tangent("ht_start_forward", start, ["x"]),
+        "output": _named("ht_output", flat.ode),
+        "forward": _tangent("ht_forward", flat.ode, ["xdot", "y"], skip=("t",)),
+        "derivative": _rate(flat.ode),
+    }
+    if method == "adaptive":
+        functions["advance"] = adaptive_advance(flat, tolerance)
+    return Lowered(
+        name, method, step, flat.inputs, flat.outputs, flat.states, flat.parameters, starts, functions,
+        flat.description, dict(getattr(flat, "provenance", None) or {}),
+    )  # fmt: skip
+
+
+def lower_block(block: Block, name: str) -> Lowered:
+    """A sampled block; its ``start`` function reads ``<output>.start`` where it depends on measured outputs."""
+    step, outputs = block.step, block.outputs
+    if block.domain is not None:
+        step, outputs = _with_training_distance(block)
+    start = _start_of_block(block)
+    starts = tuple(
+        StartParameter(f"{s.name}.start", s.unit, s.default, f"{s.name} at the start", s.nominal, output=s.name)
+        for s in _start_outputs(block)
+    )
+    functions = {
+        "start": _named("ht_start", start),
+        "start_forward": _tangent("ht_start_forward", start, ["x"]),
+        "advance": _named("ht_advance", step),
+        "output": _sampled_output(step),
+        "forward": _tangent("ht_forward", _sampled_output(step), ["y"], skip=("t",), lead=["xdot"]),
+    }
+    return Lowered(
+        name, "sampled", block.period, block.inputs, outputs, block.states, block.parameters, starts, functions,
+        block.description, dict(block.provenance),
+    )  # fmt: skip
+
+
+def adaptive_advance(flat: FlatModel, tolerance: float) -> ca.Function:
+    """``(t, h, x, u, p) -> x`` after h by CasADi's Rosenbrock method of order 5(4), inputs constant.
+
+    The unit interval is integrated with ``dz/dtau = h f(t + tau h, N z, u, p) / N``: one compiled function serves every
+    step size, and the nominal values N make the tolerance the same for Pa and rad.
+    """
+    n = [np.array([abs(s.nominal) or 1.0 for s in flat.states])]
+    sizes = [len(flat.states), len(flat.inputs), len(flat.parameters)]
+    sym = _symbols_for(flat.ode)
+    tau, z, q = sym.sym("tau"), sym.sym("z", sizes[0]), sym.sym("q", 2 + sizes[1] + sizes[2])
+    t, h, u, p = ca.vertsplit(q, [0, 1, 2, 2 + sizes[1], q.shape[0]])
+    rate = h * flat.ode(t + tau * h, z * n[0], u, p)[0] / n[0]
+    solver = ca.integrator(
+        "rosenbrock", "rosenbrock", {"x": z, "p": q, "t": tau, "ode": rate}, 0, 1,
+        {"reltol": tolerance, "abstol": tolerance},
+    )  # fmt: skip
+    t, h = ca.MX.sym("t"), ca.MX.sym("h")
+    x, u, p = ca.MX.sym("x", sizes[0]), ca.MX.sym("u", sizes[1]), ca.MX.sym("p", sizes[2])
+    after = solver(x0=x / n[0], p=ca.vertcat(t, h, u, p))["xf"] * n[0]
+    return ca.Function("ht_advance", [t, h, x, u, p], [after], ["t", "h", "x", "u", "p"], ["x_next"])
+
+
+def _given_states(flat: FlatModel, given: Sequence[str] | None) -> list[str]:
+    if given is None:
+        return [s.name for s in flat.states if s.measured_by and s.unit in ("m", "rad")]
+    known = [s.name for s in flat.states]
+    for name in given:
+        if name not in known:
+            raise DeclarationError(f"{flat.name}: no state '{name}' to give a start. {nearest(name, known)}")
+    return list(given)
+
+
+def _state_starts(flat: FlatModel, given: list[str]) -> tuple[StartParameter, ...]:
+    u0 = [s.default for s in flat.inputs]
+    x0 = np.array(flat.start_given(())(u0, flat.parameter_vector(), [])).ravel()
+    position = {s.name: k for k, s in enumerate(flat.states)}
+    return tuple(
+        StartParameter(
+            f"{s.name}.start", s.unit, float(x0[position[s.name]]), f"start of: {s.description or s.name}",
+            s.nominal, s.bounds, s.measured_by,
+        )
+        for s in (flat.states[position[name]] for name in given)
+    )  # fmt: skip
+
+
+def _start_outputs(block: Block) -> list[Signal]:
+    """The outputs whose measured start the block's ``start`` function uses."""
+    if not block.states or not block.outputs:
+        return []
+    used = set(block.start.jac_sparsity(0, 1).get_triplet()[1])
+    return [s for k, s in enumerate(block.outputs) if k in used]
+
+
+def _start_of_block(block: Block) -> ca.Function:
+    """``(u, y, p) -> x`` as ``(u, p, z) -> x`` with z the used outputs alone."""
+    sym = _symbols_for(block.start)
+    used = _start_outputs(block)
+    u, p, z = (sym.sym(c, n) for c, n in zip("upz", (len(block.inputs), len(block.parameters), len(used)), strict=True))
+    y = ca.vertcat(*(z[used.index(s)] if s in used else 0.0 for s in block.outputs))
+    return ca.Function("start", [u, p, z], [sym(ca.densify(block.start(u, y, p)))], ["u", "p", "z"], ["x"])
+
+
+def _with_training_distance(block: Block) -> tuple[ca.Function, tuple[Signal, ...]]:
+    """The step with one more output: how far the block is outside the box of its training data."""
+    x, u, p = _arguments(block.step)
+    after, y = block.step(x, u, p)
+    distance = _distance_from(block.domain, [s.name for s in block.inputs], [s.name for s in block.outputs], u, y)
+    step = ca.Function("step", [x, u, p], [after, ca.vertcat(y, distance)], ["x", "u", "p"], ["x_next", "y"])
+    meaning = "distance outside the box of the training data, in box widths; 0 inside"
+    return step, (*block.outputs, Signal(TRAINING_DISTANCE, "1", meaning))
+
+
+def _distance_from(domain: TrainingDomain, inputs: list[str], outputs: list[str], u, y):
+    distance = 0.0
+    for name, low, high in zip(domain.names, domain.lower, domain.upper, strict=True):
+        if name not in inputs and name not in outputs:
+            raise DeclarationError(
+                f"training domain: '{name}' is neither an input nor an output of the block. "
+                f"{nearest(name, [*inputs, *outputs])}"
+            )
+        value = u[inputs.index(name)] if name in inputs else y[outputs.index(name)]
+        width = high - low if high > low else 1.0
+        distance = ca.fmax(distance, ca.fmax(low - value, value - high) / width)
+    return distance
+
+
+def _sampled_output(step: ca.Function) -> ca.Function:
+    x, u, p = _arguments(step)
+    t = type(x).sym("t")
+    return ca.Function("ht_output", [t, x, u, p], [step(x, u, p)[1]], ["t", "x", "u", "p"], ["y"])
+
+
+def _rate(ode: ca.Function) -> ca.Function:
+    arguments = _arguments(ode)
+    rate = ca.densify(ode(*arguments)[0])
+    return ca.Function("ht_derivative", arguments, [rate], ["t", "x", "u", "p"], ["xdot"])
+
+
+def _named(name: str, f: ca.Function) -> ca.Function:
+    """The same function under the name it has in C, with dense results."""
+    arguments = _arguments(f)
+    results = [ca.densify(r) for r in f.call(arguments)]
+    return ca.Function(name, arguments, results, f.name_in(), f.name_out())
+
+
+def _tangent(
+    name: str, f: ca.Function, results: list[str], skip: Sequence[str] = (), lead: Sequence[str] = ()
+) -> ca.Function:
+    """``(args, seeds of the args not in skip) -> tangents``; ``lead`` names empty results that go first."""
+    arguments = _arguments(f)
+    seeds = [type(a).zeros(a.shape) if n in skip else type(a).sym(f"d{n}", a.shape) for a, n in _zip_names(f, arguments)]
+    tangents = f.forward(1).call([*arguments, *f.call(arguments), *seeds])
+    wanted = [ca.densify(tangents[f.name_out().index(r)]) for r in results]
+    empty = [type(arguments[0])(0, 1) for _ in lead]
+    known = [(s, f"d{n}") for s, (_, n) in zip(seeds, _zip_names(f, arguments), strict=True) if n not in skip]
+    return ca.Function(
+        name, [*arguments, *(s for s, _ in known)], [*empty, *wanted],
+        [*f.name_in(), *(n for _, n in known)], [*(f"d{r}" for r in lead), *(f"d{r}" for r in results)],
+    )  # fmt: skip
+
+
+def _zip_names(f: ca.Function, arguments: list) -> list[tuple]:
+    return list(zip(arguments, f.name_in(), strict=True))
+
+
+def _symbols_for(f: ca.Function):
+    return ca.SX if f.is_a("SXFunction") else ca.MX
+
+
+def _arguments(f: ca.Function) -> list:
+    sym = _symbols_for(f)
+    return [sym.sym(n, *f.size_in(k)) for k, n in enumerate(f.name_in())]

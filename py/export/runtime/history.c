@@ -1,0 +1,98 @@
+#include "history.h"
+
+#define COUNT 0
+#define NEWEST 1
+#define PIECES 2
+
+size_t ht_history_doubles(size_t pieces) { return PIECES + HT_PIECE * pieces; }
+
+void ht_history_clear(double *history) {
+    history[COUNT] = 0.0;
+    history[NEWEST] = 0.0;
+}
+
+/* the piece `age` pieces before the newest */
+static const double *piece(const double *history, size_t capacity, size_t age) {
+    size_t newest = (size_t)history[NEWEST];
+    return history + PIECES + HT_PIECE * ((newest + capacity - age) % capacity);
+}
+
+static void write_piece(double *history, size_t place, double time, double value, double slope) {
+    double *p = history + PIECES + HT_PIECE * place;
+    p[0] = time;
+    p[1] = value;
+    p[2] = slope;
+}
+
+static double integral(const double *p, double from, double to) {
+    return (to - from) * (p[1] + p[2] * (0.5 * (from + to) - p[0]));
+}
+
+/* Halve the resolution of a full history: two neighbouring pieces become one with the same integral.
+   The newest piece has no end yet and stays as it is. */
+static void thin(double *history, size_t capacity) {
+    size_t count = (size_t)history[COUNT], first = ((size_t)history[NEWEST] + capacity - (count - 1)) % capacity;
+    size_t index, kept = 0;
+    for (index = 0; index + 2 < count; index += 2) {
+        const double *a = piece(history, capacity, count - 1 - index), *b = piece(history, capacity, count - 2 - index);
+        double from = a[0], middle = b[0], to = piece(history, capacity, count - 3 - index)[0];
+        double mean = (integral(a, from, middle) + integral(b, middle, to)) / (to - from);
+        write_piece(history, (first + kept++) % capacity, from, mean, 0.0);
+    }
+    for (; index < count; index++) {
+        const double *p = piece(history, capacity, count - 1 - index);
+        write_piece(history, (first + kept++) % capacity, p[0], p[1], p[2]);
+    }
+    history[NEWEST] = (double)((first + kept - 1) % capacity);
+    history[COUNT] = (double)kept;
+}
+
+void ht_history_push(double *history, size_t capacity, double time, double value, double slope, double horizon) {
+    size_t count = (size_t)history[COUNT];
+    if (count > 0) {
+        const double *newest = piece(history, capacity, 0);
+        if (newest[0] >= time) {
+            write_piece(history, (size_t)history[NEWEST], newest[0], value, slope);
+            return;
+        }
+        if (slope == 0.0 && newest[2] == 0.0 && newest[1] == value) return;
+    }
+    if (count == capacity && piece(history, capacity, count - 2)[0] > horizon) {
+        thin(history, capacity);
+        count = (size_t)history[COUNT];
+    }
+    if (count > 0) history[NEWEST] = (double)(((size_t)history[NEWEST] + 1) % capacity);
+    if (count < capacity) history[COUNT] = (double)(count + 1);
+    write_piece(history, (size_t)history[NEWEST], time, value, slope);
+}
+
+void ht_history_at(const double *history, size_t capacity, double time, double *value, double *slope) {
+    size_t count = (size_t)history[COUNT], age;
+    const double *p = history;
+    for (age = 0; age < count; age++) {
+        p = piece(history, capacity, age);
+        if (p[0] <= time) {
+            *value = p[1] + p[2] * (time - p[0]);
+            *slope = p[2];
+            return;
+        }
+    }
+    *value = p[1];
+    *slope = 0.0;
+}
+
+double ht_history_mean(const double *history, size_t capacity, double from, double to) {
+    size_t count = (size_t)history[COUNT], age;
+    double end = to, sum = 0.0;
+    const double *p = history;
+    for (age = 0; age < count && end > from; age++) {
+        p = piece(history, capacity, age);
+        if (end > p[0]) {
+            double begin = p[0] > from ? p[0] : from;
+            sum += integral(p, begin, end);
+            end = begin;
+        }
+    }
+    if (end > from) sum += p[1] * (end - from);
+    return sum / (to - from);
+}

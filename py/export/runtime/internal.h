@@ -1,0 +1,37 @@
+/* Shared by the files of the core; no face includes it. */
+#ifndef HT_INTERNAL_H
+#define HT_INTERNAL_H
+
+#include "core.h"
+
+#define HT_NEAR 1e-9 /* relative: two times this close are one */
+#define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
+
+/* bookkeeping inside the flat state */
+enum { PHASE, STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, BOOKKEEPING };
+
+/* core.c */
+size_t ht_place_of(const ht_model *model, ht_kind kind);
+size_t ht_scratch_doubles(const ht_model *model);
+double *ht_values(const ht_instance *self, ht_kind kind);
+double *ht_slopes(const ht_instance *self);
+double *ht_book(const ht_instance *self);
+double *ht_history_of(const ht_instance *self, size_t input); /* NULL when the input is not delayed */
+ht_status ht_fail(ht_instance *self, ht_status status, const char *format, ...);
+int ht_finite(const double *values, size_t n);
+
+/* inputs.c: inputs as the equations see them */
+double ht_dead_time(const ht_instance *self, size_t input);
+void ht_inputs_at(const ht_instance *self, double time, double *u, double *slope); /* slope may be NULL */
+void ht_inputs_mean(const ht_instance *self, double from, double to, double *u);
+int ht_inputs_steady(const ht_instance *self); /* constant until the next communication point */
+void ht_remember_inputs(ht_instance *self);
+
+/* solve.c */
+int ht_call(ht_instance *self, ht_function f, size_t args, const double *const *arg, size_t ress, double *const *res);
+ht_status ht_integrate(ht_instance *self, double time, double size);
+ht_status ht_sample_through(ht_instance *self, double time, double size);
+double ht_sample_time(const ht_instance *self); /* of the sample that is due next */
+ht_status ht_refresh(ht_instance *self);        /* outputs and derivatives of the present state */
+
+#endif

@@ -1,0 +1,143 @@
+#include <math.h>
+#include <string.h>
+
+#include "internal.h"
+
+#define MOST_SUBSTEPS 1e8
+
+/* ---- the generated functions ---- */
+
+int ht_call(ht_instance *s, ht_function f, size_t args, const double *const *arg, size_t ress, double *const *res) {
+    size_t k;
+    for (k = 0; k < args; k++) s->arg[k] = arg[k];
+    for (k = 0; k < ress; k++) s->res[k] = res[k];
+    return f(s->arg, s->res, s->iw, s->w, 0);
+}
+
+static int derivative(ht_instance *s, double t, const double *x, const double *u, double *xdot) {
+    const double *arg[4];
+    arg[0] = &t, arg[1] = x, arg[2] = u, arg[3] = ht_values(s, HT_PARAMETER);
+    return ht_call(s, s->model->derivative, 4, arg, 1, &xdot);
+}
+
+/* Classical Runge-Kutta of order 4 over h with constant inputs; x in place. scratch: 5 states. */
+static int explicit_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
+    size_t n = s->model->states, i;
+    double *k1 = scratch, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *z = k4 + n;
+    if (derivative(s, t, x, u, k1)) return 1;
+    for (i = 0; i < n; i++) z[i] = x[i] + 0.5 * h * k1[i];
+    if (derivative(s, t + 0.5 * h, z, u, k2)) return 1;
+    for (i = 0; i < n; i++) z[i] = x[i] + 0.5 * h * k2[i];
+    if (derivative(s, t + 0.5 * h, z, u, k3)) return 1;
+    for (i = 0; i < n; i++) z[i] = x[i] + h * k3[i];
+    if (derivative(s, t + h, z, u, k4)) return 1;
+    for (i = 0; i < n; i++) x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+    return 0;
+}
+
+static int adaptive_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
+    const double *arg[5];
+    double *res[1];
+    arg[0] = &t, arg[1] = &h, arg[2] = x, arg[3] = u, arg[4] = ht_values(s, HT_PARAMETER);
+    res[0] = scratch;
+    if (ht_call(s, s->model->advance, 5, arg, 1, res)) return 1;
+    memcpy(x, scratch, s->model->states * sizeof(double));
+    return 0;
+}
+
+ht_status ht_integrate(ht_instance *s, double t, double size) {
+    const ht_model *m = s->model;
+    double *x = ht_values(s, HT_STATE), *u = s->scratch, *work = u + m->inputs;
+    double count = ceil(size / m->step - 1e-6), h, k;
+    if (m->method == HT_ADAPTIVE && ht_inputs_steady(s)) count = 1.0;
+    if (count < 1.0) count = 1.0;
+    if (count > MOST_SUBSTEPS)
+        return ht_fail(s, HT_DISCARD, "a step of %g s needs %g internal steps of %g s", size, count, m->step);
+    h = size / count;
+    for (k = 0.0; k < count; k += 1.0) {
+        double from = t + k * h;
+        ht_inputs_mean(s, from, from + h, u);
+        if ((m->method == HT_ADAPTIVE ? adaptive_step : explicit_step)(s, from, h, x, u, work))
+            return ht_fail(s, HT_DISCARD, "the solver did not converge between t = %.9g s and %.9g s", from, from + h);
+        if (!ht_finite(x, m->states)) {
+            size_t i = 0;
+            while (i + 1 < m->states && ht_finite(x + i, 1)) i++;
+            return ht_fail(s, HT_DISCARD, "state '%s' is not finite at t = %.9g s", m->labels[ht_place_of(m, HT_STATE) + i], from + h);
+        }
+    }
+    return HT_OK;
+}
+
+/* ---- sampled blocks ---- */
+
+double ht_sample_time(const ht_instance *s) { return ht_book(s)[START_TIME] + ht_book(s)[SAMPLE] * s->model->step; }
+
+/* Outputs of the sample due at time t; with `commit` the block moves on to its next sample. */
+static ht_status take_sample(ht_instance *s, double t, int commit) {
+    const ht_model *m = s->model;
+    double *u = s->scratch, *next = u + m->inputs;
+    const double *arg[3];
+    double *res[2];
+    ht_inputs_at(s, t, u, NULL);
+    arg[0] = ht_values(s, HT_STATE), arg[1] = u, arg[2] = ht_values(s, HT_PARAMETER);
+    res[0] = commit ? next : NULL, res[1] = ht_values(s, HT_OUTPUT);
+    if (ht_call(s, m->advance, 3, arg, 2, res) || !ht_finite(res[1], m->outputs) || (commit && !ht_finite(next, m->states)))
+        return ht_fail(s, HT_DISCARD, "the sample at t = %.9g s is not finite", t);
+    if (commit) {
+        memcpy(ht_values(s, HT_STATE), next, m->states * sizeof(double));
+        ht_book(s)[SAMPLE] += 1.0;
+    }
+    return HT_OK;
+}
+
+ht_status ht_sample_through(ht_instance *s, double t, double size) {
+    double slack = HT_SLACK * s->model->step;
+    if (size / s->model->step > MOST_SUBSTEPS) return ht_fail(s, HT_DISCARD, "a step of %g s is too long", size);
+    while (ht_sample_time(s) < t + size - slack) {
+        double due = ht_sample_time(s);
+        ht_status status = take_sample(s, due > t ? due : t, 1);
+        if (status != HT_OK) return status;
+    }
+    return HT_OK;
+}
+
+/* ---- what follows from the present state ---- */
+
+ht_status ht_start_states(ht_instance *s) {
+    const ht_model *m = s->model;
+    const double *arg[3];
+    double *res[1];
+    size_t i;
+    arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_values(s, HT_START);
+    res[0] = ht_values(s, HT_STATE);
+    if (ht_call(s, m->start, 3, arg, 1, res)) return ht_fail(s, HT_ERROR, "the initial states cannot be computed");
+    for (i = 0; i < m->states; i++)
+        if (!ht_finite(res[0] + i, 1))
+            return ht_fail(s, HT_ERROR, "the initial value of '%s' is not finite", m->labels[ht_place_of(m, HT_STATE) + i]);
+    return HT_OK;
+}
+
+static ht_status present_outputs(ht_instance *s) {
+    const ht_model *m = s->model;
+    double t = ht_time(s), *u = s->scratch;
+    const double *arg[4];
+    double *res[2];
+    if (m->method == HT_SAMPLED)
+        return ht_sample_time(s) < t + HT_SLACK * m->step ? take_sample(s, t, 0) : HT_OK;
+    ht_inputs_at(s, t, u, NULL);
+    arg[0] = &t, arg[1] = ht_values(s, HT_STATE), arg[2] = u, arg[3] = ht_values(s, HT_PARAMETER);
+    res[0] = ht_values(s, HT_DERIVATIVE), res[1] = ht_values(s, HT_OUTPUT);
+    if (ht_call(s, m->output, 4, arg, 2, res) || !ht_finite(res[1], m->outputs))
+        return ht_fail(s, HT_DISCARD, "an output is not finite at t = %.9g s", t);
+    return HT_OK;
+}
+
+ht_status ht_refresh(ht_instance *s) {
+    ht_status status = HT_OK;
+    if (ht_book(s)[STALE] == 0.0) return HT_OK;
+    if (ht_phase_of(s) == HT_INITIALISING) status = ht_start_states(s);
+    if (status == HT_OK) status = present_outputs(s);
+    if (status == HT_OK) ht_book(s)[STALE] = 0.0;
+    return status;
+}
+

@@ -1,0 +1,106 @@
+"""The C sources of an FMU: CasADi's functions, the model table, the runtime, the FMI headers."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from .lower import Lowered
+from .variables import Variable
+
+RUNTIME = Path(__file__).parent / "runtime"
+FMI2_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+_METHODS = {"explicit": "HT_EXPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED"}
+_WORK = ("sz_arg", "sz_res", "sz_iw", "sz_w")
+
+
+def source_files(lowered: Lowered, variables: Sequence[Variable], guid: str, history: int) -> dict[str, str]:
+    """All sources by file name; those that end in ``.c`` are to be compiled together.
+
+    history : pieces remembered of each delayed input; when they do not reach back over the dead time, neighbouring
+        pieces are merged into their mean.
+    """
+    functions = _functions_c(lowered)
+    files = {"functions.c": functions, "model.c": _model_c(lowered, variables, guid, history, _work_sizes(functions))}
+    for path in sorted(RUNTIME.glob("*.[ch]")):
+        files[path.name] = path.read_text(encoding="utf-8")
+    return files | {name: _fmi_header(name) for name in FMI2_HEADERS}
+
+
+def _functions_c(lowered: Lowered) -> str:
+    """CasADi's C, its symbols hidden: only the FMI functions may leave the library."""
+    generator = ca.CodeGenerator("functions", {"with_header": False, "main": False})
+    for _, function in sorted(lowered.functions.items()):
+        generator.add(function)
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(folder + "/")
+        text = (Path(folder) / "functions.c").read_text(encoding="utf-8")
+    return "#define CASADI_SYMBOL_EXPORT\n" + text
+
+
+def _work_sizes(functions: str) -> dict[str, int]:
+    """Largest work sizes over all generated functions."""
+    found = {name: [int(n) for n in re.findall(rf"if \({name}\) \*{name} = (\d+)", functions)] for name in _WORK}
+    sizes = {name: max(values, default=0) for name, values in found.items()}
+    if not sizes["sz_arg"]:
+        raise AssertionError("the generated C has no work sizes: CasADi's generator has changed")
+    return sizes
+
+
+def _model_c(
+    lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, work: dict[str, int]
+) -> str:
+    """Tables of names, defaults and sizes, and the one constant `ht_the_model`."""
+    functions = {role: f"ht_{role}" if role in lowered.functions else "NULL" for role in _ROLES}
+    declared = "\n".join(
+        f"int {f}(const double **arg, double **res, long long *iw, double *w, int mem);"
+        for f in functions.values()
+        if f != "NULL"
+    )
+    counts = ", ".join(
+        str(sum(v.kind == kind for v in variables))
+        for kind in ("input", "parameter", "start", "output", "state", "derivative")
+    )
+    pieces = history if any(k >= 0 for k in lowered.dead_times) else 0
+    return f"""#include "core.h"
+
+{declared}
+
+static const double defaults[] = {{{_numbers(lowered.defaults)}}};
+static const char *const labels[] = {{{", ".join(_text(v.name) for v in variables)}}};
+static const int dead_time[] = {{{", ".join(map(str, (*lowered.dead_times, -1)))}}};
+
+const ht_model ht_the_model = {{
+    {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]},
+    {counts}, /* inputs, parameters, starts, outputs, states, derivatives */
+    defaults, labels, dead_time,
+    {pieces}, {lowered.step!r}, /* history, step */
+    {", ".join(functions[role] for role in _ROLES)},
+    {", ".join(str(work[name] + 1) for name in _WORK)},
+}};
+"""
+
+
+_ROLES = ("start", "start_forward", "output", "forward", "derivative", "advance")
+
+
+def _numbers(values: np.ndarray) -> str:
+    return ", ".join(repr(float(v)) for v in (*values, 0.0))
+
+
+def _text(text: str) -> str:
+    """A C string literal in ASCII; the bytes of other characters as octal."""
+    plain = (chr(b) if 32 <= b < 127 and chr(b) not in '"\\?' else f"\\{b:03o}" for b in text.encode())
+    return '"' + "".join(plain) + '"'
+
+
+def _fmi_header(name: str) -> str:
+    """The FMI headers come with FMPy (BSD-2-Clause, Modelica Association)."""
+    where = importlib.util.find_spec("fmpy").submodule_search_locations[0]
+    return (Path(where) / "c-code" / name).read_text(encoding="utf-8")

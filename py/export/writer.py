@@ -1,0 +1,172 @@
+"""export_fmu: a model or a block as an FMU that runs anywhere without Python."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import os
+import re
+import tempfile
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.records import Record, write_record
+from hydrotwin.simulation.block import Block
+
+from .archive import write_archive
+from .build import compile_for, native_platform
+from .description import Header, model_description
+from .documentation import documentation
+from .lower import Lowered, lower_block, lower_model
+from .method import choose_method
+from .sources import source_files
+from .variables import Variable, variables_of
+
+REFERENCE_FILE = "documentation/reference.csv"
+_PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
+_SOLVERS = {
+    "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s, each with the mean of the inputs over it.",
+    "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
+    "sampled": "A sampled block: it moves every {step:g} s and is held in between, whatever the master's step.",
+}
+
+
+def export_fmu(
+    model,
+    path: str | os.PathLike,
+    *,
+    fmi: int = 2,
+    kind: str = "cs",
+    given: Sequence[str] | None = None,
+    method: str = "auto",
+    step: float | None = None,
+    tolerance: float = 1e-9,
+    stop_time: float = 10.0,
+    step_size: float | None = None,
+    platforms: Sequence[str] | None = None,
+    history: int = 1024,
+    reference: Record | None = None,
+    provenance: Mapping | None = None,
+    author: str = "",
+    licence: str = "",
+) -> Path:
+    """Write a Model, FlatModel or sampled Block as a Co-Simulation FMU of FMI 2.0.
+
+    Every parameter is tunable and takes effect at the next step. Initial states are computed inside the FMU at the end
+    of initialization, from the inputs, the parameters and the start parameters ``<state>.start`` (fixed) of the states
+    named in ``given``. By default those are the states that have an output measuring a position or an angle: where a
+    recording begins differs from run to run, pressures and the like then follow from equilibrium. Of a Block, the start
+    parameters are ``<output>.start``, the first measured outputs that its ``start`` function reads.
+
+    method : "auto", "explicit" or "adaptive" (see `method.choose_method`); auto is explicit with the step of
+        `simulate`, adaptive for stiff models. step : longest internal step [s], the model's own by default.
+    tolerance : of the adaptive method, in nominal units.
+    stop_time, step_size : of the default experiment [s].
+    platforms : folders of FMI 2, "linux64", "win64", "darwin64"; this machine's by default.
+    history : pieces remembered of each input with a dead time.
+    reference : a record whose inputs, replayed, gave its outputs; `check_fmu` replays it.
+    provenance : shown in the documentation, on top of what the model brings along.
+
+    The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
+    SolveError when no compiler works.
+    """
+    _refuse_unknown(fmi, kind)
+    lowered, solver = _lowered(model, given, method, step, tolerance)
+    variables = variables_of(lowered)
+    size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
+    sources = source_files(lowered, variables, _PENDING_GUID, history)
+    header = Header(
+        lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
+        lowered.sampled, float(stop_time), float(size), float(tolerance),
+        tuple(sorted(n for n in sources if n.endswith(".c"))), author, licence,
+    )  # fmt: skip
+    xml = model_description(header, variables)
+    guid = _guid_of(xml, sources)
+    xml = xml.replace(_PENDING_GUID, guid)
+    sources["model.c"] = sources["model.c"].replace(_PENDING_GUID, guid)
+    page = documentation(
+        lowered, variables, solver, _facts(header, guid), {**lowered.provenance, **(provenance or {})}
+    )
+    files: dict[str, str | bytes] = {"modelDescription.xml": xml, "documentation/index.html": page}
+    files |= {f"sources/{name}": text for name, text in sources.items()}
+    for folder in platforms or (native_platform(),):
+        library, content = compile_for(folder, header.identifier, sources)
+        files[f"binaries/{folder}/{library}"] = content
+    if reference is not None:
+        files[REFERENCE_FILE] = _reference_text(reference, variables, lowered)
+    return write_archive(path, files)
+
+
+def _refuse_unknown(fmi: int, kind: str):
+    if (fmi, kind) != (2, "cs"):
+        raise DeclarationError(
+            f"export: FMI {fmi} {kind} is not written yet (got fmi={fmi!r}, kind={kind!r}). "
+            "Co-Simulation of FMI 2.0 is. Use fmi=2, kind='cs'."
+        )
+
+
+def _lowered(model, given, method: str, step: float | None, tolerance: float) -> tuple[Lowered, str]:
+    """The system to write and the sentence that says how it computes."""
+    if isinstance(model, Block):
+        lowered = lower_block(model, model.name)
+        return lowered, _SOLVERS["sampled"].format(step=lowered.step)
+    flat = getattr(model, "flat", model)
+    if not hasattr(flat, "ode"):
+        raise DeclarationError(
+            f"export: a {type(model).__name__} cannot become an FMU. It must be a Model, a FlatModel or a Block. "
+            "A Fit has its model as fit.flat."
+        )
+    method, step, reason = choose_method(flat, method, float(step or flat.step))
+    lowered = lower_model(flat, given, method, step, tolerance, flat.name)
+    return lowered, f"{_SOLVERS[method].format(step=step, tolerance=tolerance)} Chosen because: {reason}."
+
+
+def _identifier(name: str) -> str:
+    """A C identifier from the model's name."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII)
+    return plain if re.match(r"[A-Za-z_]", plain) else f"m_{plain}"
+
+
+def _first_sentence(text: str) -> str:
+    return " ".join(text.split("\n\n")[0].split())
+
+
+def _tool() -> str:
+    try:
+        return f"hydrotwin {importlib.metadata.version('hydrotwin')}"
+    except importlib.metadata.PackageNotFoundError:
+        return "hydrotwin"
+
+
+def _guid_of(xml: str, sources: Mapping[str, str]) -> str:
+    """A GUID that is the hash of everything the FMU computes with."""
+    digest = hashlib.sha256(xml.encode())
+    for name in sorted(sources):
+        digest.update(f"\0{name}\0{sources[name]}".encode())
+    return f"{{{uuid.UUID(bytes=digest.digest()[:16])}}}"
+
+
+def _facts(header: Header, guid: str) -> dict[str, str]:
+    return {
+        "interface": "FMI 2.0 Co-Simulation", "made by": header.tool, "GUID": guid,
+        "default experiment": f"0 to {header.stop_time:g} s, communication step {header.step_size:g} s",
+        "author": header.author or "not given", "licence": header.licence or "not given",
+    }  # fmt: skip
+
+
+def _reference_text(reference: Record, variables: Sequence[Variable], lowered: Lowered) -> str:
+    """The record's inputs and outputs of the model as CSV in SI."""
+    names = [v.name for v in variables if v.kind in ("input", "output") and v.name in reference.signals]
+    missing = [s.name for s in lowered.inputs if s.name not in names]
+    if missing or len(names) == len(lowered.inputs):
+        raise DeclarationError(
+            f"{lowered.name}: the reference record lacks {', '.join(missing) or 'outputs'}. "
+            "It needs every input and at least one output."
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "reference.csv"
+        chosen = Record(reference.time, {n: reference[n] for n in names}, {n: reference.units[n] for n in names})
+        write_record(chosen, path)
+        return path.read_text(encoding="utf-8")

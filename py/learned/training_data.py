@@ -1,0 +1,194 @@
+"""Recordings made ready for training: checked, on one period, with the box of what they cover."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record, noise_floor, require
+from hydrotwin.simulation.block import Block, TrainingDomain
+
+MARGIN = 1e-9  # of the box width: samples on the edge are inside
+RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
+
+
+@dataclass(frozen=True)
+class DomainShare:
+    """How a recording lies to a block's training box: share of samples inside, largest distance in box widths.
+
+    ``beyond`` names the signals that leave the box.
+    """
+
+    inside: float
+    farthest: float
+    beyond: tuple[str, ...]
+
+
+def domain_share(block: Block, record: Record) -> DomainShare:
+    """How much of ``record`` (its columns, measured or simulated) lies where ``block`` was trained.
+
+    Boxed signals that the record lacks are left out. Raises `DataError` when the block has no box or none is recorded.
+    """
+    if block.domain is None:
+        raise DataError(f"{block.name}: has no training domain. Only learned blocks carry one.")
+    known = [k for k, name in enumerate(block.domain.names) if name in record]
+    if not known:
+        raise DataError(
+            f"{record.source or record.name}: holds none of the signals of the training domain of {block.name}. "
+            f"It needs one of {', '.join(block.domain.names)}."
+        )
+    box = TrainingDomain(*(tuple(part[k] for k in known) for part in _parts(block.domain)))
+    values = record.array(box.names)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        raise DataError(f"{record.source or record.name}: no sample is finite in {', '.join(box.names)}.")
+    apart = {name: _one(box, k).distance(values[:, [k]]) for k, name in enumerate(box.names)}
+    distance = box.distance(values)
+    beyond = tuple(name for name, d in apart.items() if d.max() > MARGIN)
+    return DomainShare(float(np.mean(distance <= MARGIN)), float(distance.max()), beyond)
+
+
+def _parts(box: TrainingDomain):
+    return box.names, box.lower, box.upper
+
+
+def _one(box: TrainingDomain, k: int) -> TrainingDomain:
+    return TrainingDomain(*((part[k],) for part in _parts(box)))
+
+
+def training_box(records: Sequence[Record], signals: Sequence[Signal]) -> TrainingDomain:
+    """The range of each signal over the recordings."""
+    names = tuple(s.name for s in signals)
+    seen = np.concatenate([r.array(names) for r in records])
+    return TrainingDomain(names, tuple(seen.min(axis=0).tolist()), tuple(seen.max(axis=0).tolist()))
+
+
+def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tuple[Signal, ...]:
+    """Signals by name or as they are; a bare name takes the unit it has in the recording."""
+    if isinstance(wanted, (str, Signal)) or not wanted:
+        raise DataError(
+            f"train_network: {role} must be a list of signals (got {wanted!r}). Give at least one in a list."
+        )
+    named = []
+    for item in wanted:
+        if isinstance(item, str):
+            record[item]
+            item = Signal(item, record.units[item])
+        named.append(item)
+    return tuple(named)
+
+
+def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]:
+    """The recordings with just these columns; raises `DataError` for what no network can learn from."""
+    if not records:
+        raise DataError("train_network: no recordings (got an empty list). Give at least one Record.")
+    checked = []
+    for record in records:
+        where = record.source or record.name
+        wanted = require(record, signals, "the network")
+        for name in wanted.names:
+            bad = np.flatnonzero(~np.isfinite(wanted[name]))
+            if len(bad):
+                raise DataError(
+                    f"{where}: column '{name}' has {len(bad)} values that are not numbers, the first at "
+                    f"{wanted.time[bad[0]]:g} s. Training needs every sample. Cut the record with window()."
+                )
+        if wanted.gaps:
+            raise DataError(
+                f"{where}: {wanted.gaps[0]}. Training needs an unbroken recording. Cut it in two with window()."
+            )
+        checked.append(wanted)
+    return checked
+
+
+def check_excitation(records: Sequence[Record], signals: Sequence[Signal]) -> None:
+    """Raise `DataError` for a signal that never moves in any of the recordings."""
+    box = training_box(records, signals)
+    for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
+        if high - low <= 1e-12 * max(abs(low), abs(high), 1e-300):
+            raise DataError(
+                f"train_network: '{name}' never changes in the training recordings (got {low:g} throughout). "
+                "A network learns only from signals that move. Leave it out or add a recording that moves it."
+            )
+
+
+def choose_period(records: Sequence[Record]) -> float:
+    """The longest period [s], a whole number of sampling periods, that loses nothing worth having.
+
+    Linear interpolation between the samples kept must stay within twice the noise floor, or within 0.2 % of the
+    range of each signal (RMS), whichever is more.
+    """
+    recorded = max(r.period for r in records)
+    chosen = recorded
+    for factor in (2, 3, 4, 5, 8, 10, 16, 20, 32, 50):
+        if not all(_resolved(r, factor * recorded) for r in records):
+            break
+        chosen = factor * recorded
+    return float(chosen)
+
+
+def _resolved(record: Record, period: float) -> bool:
+    if record.duration < 50 * period:
+        return False
+    floors = noise_floor(record)
+    coarse = record.resample(period)
+    inside = record.time <= coarse.time[-1]
+    for name in record.names:
+        x = record[name][inside]
+        lost = np.sqrt(np.mean((np.interp(record.time[inside], coarse.time, coarse[name]) - x) ** 2))
+        if lost > max(2.0 * floors[name].sigma, RESOLUTION * np.ptp(x)):
+            return False
+    return True
+
+
+def on_period(record: Record, period: float, inputs: Sequence[Signal]) -> Record:
+    """The recording at the block's period, as a run of the block sees it (held inputs held)."""
+    if record.uniform and abs(record.period - period) <= 1e-6 * period:
+        return record
+    return record.resample(period, hold=[s.name for s in inputs if s.interpolation == "hold"])
+
+
+def split_tail(record: Record, share: float) -> tuple[Record, Record]:
+    """The recording's first part for fitting and its last ``share`` for selection."""
+    at = record.time[round(len(record.time) * (1.0 - share))]
+    return record.window(None, at), record.window(at, None)
+
+
+def smoothed(values: np.ndarray) -> np.ndarray:
+    """(n, k) measured outputs with their noise lowered by a local parabola over 7 samples; for start values only.
+
+    Source: Savitzky, Golay, Analytical Chemistry 36 (1964) 1627-1639.
+    """
+    from scipy.signal import savgol_filter
+
+    return savgol_filter(values, 7, 2, axis=0) if len(values) >= 7 else values
+
+
+def choose_input_lags(
+    inputs: Sequence[np.ndarray], outputs: Sequence[np.ndarray], output_lags: int, choices=(2, 3, 4, 6, 9, 13, 19)
+) -> int:
+    """The fewest input samples with which a linear model of the increments is within 2 % of the best (RMS).
+
+    inputs, outputs : per recording (n, nu) and (n, ny), at the network's period. A dead time needs more of them.
+    """
+    choices = [m for m in choices if min(len(u) for u in inputs) > 8 * m] or [2]
+    first = max(choices[-1], output_lags + 1)
+    errors = [_linear_error(inputs, outputs, output_lags, m, first) for m in choices]
+    return next(m for m, e in zip(choices, errors, strict=True) if e <= 1.02 * min(errors))
+
+
+def _linear_error(inputs, outputs, output_lags: int, input_lags: int, first: int) -> float:
+    """RMS of one-step linear least squares on the increments, each output over its spread."""
+    rows, targets = [], []
+    for u, y in zip(inputs, outputs, strict=True):
+        d = np.diff(y, axis=0)
+        k = np.arange(first, len(d))
+        past = [d[k - i] for i in range(1, output_lags + 1)] + [u[k - i] for i in range(input_lags)]
+        rows.append(np.hstack([np.ones((len(k), 1)), y[k], *past]))
+        targets.append(d[k])
+    A, D = np.vstack(rows), np.vstack(targets)
+    miss = D - A @ np.linalg.lstsq(A, D, rcond=None)[0]
+    return float(np.sqrt(np.mean((miss / np.maximum(D.std(axis=0), 1e-300)) ** 2)))

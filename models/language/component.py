@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
+from numbers import Real
 
 from .declarations import Input, Output, Parameter, Port, Slot, State, Variable
 from .elaboration import Elaboration
 from .errors import DeclarationError, nearest
+
+RESERVED = ("path", "parent", "changes")  # attributes of every component
 
 
 class Component:
@@ -27,13 +30,19 @@ class Component:
     {'stiffness': 200000.0}
     """
 
+    def __init_subclass__(cls, **options):
+        super().__init_subclass__(**options)
+        for name in RESERVED:
+            if name in vars(cls):
+                raise DeclarationError(f"{cls.__name__}: '{name}' is a word of the language. Choose another name.")
+
     def __init__(self, **changes):
         declared = declarations(type(self))
         for name, change in changes.items():
             if name not in declared:
                 raise DeclarationError(f"{type(self).__name__}: no '{name}'. {nearest(name, declared)}")
             _check_change(type(self).__name__, name, declared[name], change)
-        self.changes = {k: float(v) if isinstance(v, (int, float)) else v for k, v in changes.items()}
+        self.changes = {k: float(v) if isinstance(v, Real) else v for k, v in changes.items()}
 
     def equations(self) -> Iterator:
         """Yield ``left == right`` and ``connect(a, b)``."""
@@ -66,6 +75,7 @@ class Component:
         bound = copy.copy(self)
         bound.path = path
         bound.parent = parent
+        around = bound if parent is None else parent  # the scope of changes
         followers = []
         for name in declarations(type(self)):
             declaration, full = self.declared(name), f"{path}.{name}" if path else name
@@ -74,10 +84,10 @@ class Component:
             elif isinstance(declaration, Parameter):
                 value = elaboration.parameter(full, declaration, bound)
                 if callable(declaration.value):
-                    scope = parent if name in self.changes else bound
+                    scope = around if name in self.changes else bound
                     followers.append((full, declaration.value, scope))
             elif isinstance(declaration, State):
-                value = elaboration.state(full, declaration, parent if name in self.changes else bound)
+                value = elaboration.state(full, declaration, around if name in self.changes else bound)
             elif isinstance(declaration, Port):
                 value = elaboration.port(full, declaration)
             else:
@@ -114,7 +124,7 @@ def declarations(kind: type) -> dict[str, object]:
 
 
 def _check_change(owner: str, name: str, declaration, change) -> None:
-    number = isinstance(change, (int, float)) and not isinstance(change, bool)
+    number = isinstance(change, Real) and not isinstance(change, bool)
     if isinstance(declaration, Slot):
         good, wanted = isinstance(change, declaration.kind), f"a {declaration.kind.__name__}"
     elif isinstance(declaration, Component):

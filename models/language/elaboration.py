@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from .declarations import Input, Output, Parameter, Port, State, Variable
-from .errors import DeclarationError, TopologyError
+from .errors import DeclarationError, TopologyError, UnitError
+from .units import compatible
 
 _current: contextvars.ContextVar[Elaboration | None] = contextvars.ContextVar("elaboration", default=None)
 
@@ -202,8 +203,17 @@ def time() -> ca.SX:
 def delay(argument: ca.SX, dead_time: ca.SX) -> ca.SX:
     """``argument(t - dead_time)``; the argument must be an input of the model, directly or through connections."""
     elaboration = current()
-    unit = elaboration.units[argument.element_hash()]
-    symbol = elaboration.symbol(f"delay({argument})", unit)
+    for part, role in ((argument, "argument"), (dead_time, "dead time")):
+        if not (isinstance(part, ca.SX) and part.is_symbolic()):
+            raise TopologyError(
+                f"{elaboration.name}: the {role} of delay is an expression (got {part}). "
+                "Only an input of the model can be delayed, by one parameter. "
+                "Give the expression a variable or parameter of its own."
+            )
+    unit = elaboration.units[dead_time.element_hash()]
+    if not compatible(unit, "s"):
+        raise UnitError(f"{elaboration.name}.{dead_time}: a dead time must be in s (got {unit}). Correct its unit.")
+    symbol = elaboration.symbol(f"delay({argument})", elaboration.units[argument.element_hash()])
     elaboration.delays.append(Delay(symbol, argument, dead_time))
     return symbol
 

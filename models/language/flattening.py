@@ -111,7 +111,9 @@ def open_ports(elaboration: Elaboration) -> list[str]:
 def solve(elaboration: Elaboration) -> Solved:
     """Check units and balance, then solve for every unknown."""
     name = elaboration.name
-    check_units(name, [*elaboration.equations, *elaboration.initial_equations], elaboration.units)
+    symbol_of = {p.path: p.symbol for p in elaboration.parameters}
+    bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in elaboration.bindings.items()]
+    check_units(name, [*bound, *elaboration.equations, *elaboration.initial_equations], elaboration.units)
     bindings = _resolved_bindings(elaboration)
     equations = list(elaboration.equations)
     unknowns = [

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import casadi as ca
+import numpy as np
 
-from .errors import TopologyError
+from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
 from .solving import Unknown, solve_block
 from .structure import match
+
+LARGEST_LAST_STEP = 1e-6  # of nominal
 
 
 def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Callable[[tuple[str, ...]], ca.Function]:
     """A function that gives, for any set of given states, the start ``(u, p, z) -> x``.
 
-    A given state that the initial equations would have determined drops the equation that determined it.
+    A given state that the initial equations would have determined drops the equation that determined it. Where Newton's
+    iteration finds no equilibrium the states it sought are NaN.
     """
     name = solved.elaboration.name
     states = solved.elaboration.states
@@ -28,38 +32,49 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     residuals = [ca.substitute([r], [solved.elaboration.time], [ca.SX(0)])[0] for r in residuals]
     loose = [i for i, s in enumerate(states) if not s.declaration.fixed]
     determines = _assignment(name, states, loose, residuals, solved.elaboration.initial_equations)
-    fixed = {}
-    for i, s in enumerate(states):
-        if s.declaration.fixed:
-            start = s.declaration.start
-            fixed[i] = solved.of(ca.SX(start(s.owner) if callable(start) else start))
+    starts = {s.element_hash(): _declared_start(solved, state) for s, state in zip(symbols, states, strict=True)}
+    position = {s.path: i for i, s in enumerate(states)}
 
     def start_given(given: tuple[str, ...]) -> ca.Function:
         z = ca.SX.sym("z", len(given))
-        values: dict[int, ca.SX] = dict(fixed)
-        for k, path in enumerate(given):
-            values[[s.path for s in states].index(path)] = z[k]
-        free = [i for i in loose if i not in values]
-        kept = [residuals[determines[i]] for i in free]
-        known = {symbols[i].element_hash(): ca.SX(v) for i, v in values.items()}
+        taken = {position[path]: z[k] for k, path in enumerate(given)}
+        free = [i for i in loose if i not in taken]
+        known = {symbols[i].element_hash(): taken.get(i, starts[symbols[i].element_hash()]) for i in range(len(states))}
+        guesses = {i: _followed(name, known[symbols[i].element_hash()], known, "the guess of its start") for i in free}
+        for i in free:
+            del known[symbols[i].element_hash()]
+        known = {key: replace(value, known) for key, value in known.items()}
         if free:
             members = [
-                Unknown(f"start of {states[i].path}", symbols[i], states[i].declaration.nominal, _guess(states[i]))
+                Unknown(f"start of {states[i].path}", symbols[i], states[i].declaration.nominal, guesses[i])
                 for i in free
             ]
-            solution, _ = solve_block(
-                name, members, [replace(r, known) for r in kept], lambda: "the initial equations"
-            )
-            values.update(zip(free, solution, strict=True))
-        x = ca.vertcat(*(values[i] for i in range(len(states)))) if states else ca.SX.zeros(0)
+            kept = [replace(residuals[determines[i]], known) for i in free]
+            solution, newton = solve_block(name, members, kept, lambda: "the initial equations")
+            if newton:
+                converged = newton.error < LARGEST_LAST_STEP
+                solution = [ca.if_else(converged, value, np.nan) for value in solution]
+            known |= {symbols[i].element_hash(): value for i, value in zip(free, solution, strict=True)}
+        x = ca.vertcat(*(_followed(name, s, known, "its start") for s in symbols)) if states else ca.SX.zeros(0)
         return ca.Function("start", [u, p, z], [x], ["u", "p", "z"], ["x"])
 
     return start_given
 
 
-def _guess(state) -> float:
+def _declared_start(solved: Solved, state) -> ca.SX:
     start = state.declaration.start
-    return 0.0 if callable(start) else float(start)
+    return solved.of(ca.SX(start(state.owner) if callable(start) else start))
+
+
+def _followed(name: str, expression: ca.SX, known: Mapping[int, ca.SX], role: str) -> ca.SX:
+    """``expression`` once every state in it is replaced by its own start value."""
+    found = expression
+    for _ in range(len(known) + 1):
+        found = replace(found, known)
+    circle = [str(s) for s in ca.symvar(found) if s.element_hash() in known]
+    if circle:
+        raise DeclarationError(f"{name}.{circle[0]}: {role} follows itself. Give it a number.")
+    return found
 
 
 def _assignment(name, states, loose, residuals, equations) -> dict[int, int]:

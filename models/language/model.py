@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from .component import Component
-from .errors import DeclarationError, TopologyError, UnitError, nearest
+from .errors import DeclarationError, SolveError, TopologyError, UnitError, nearest
 from .flat import FlatModel, ParameterValue, Signal, StateVariable
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
@@ -221,7 +221,14 @@ class Model:
         u = np.array([(inputs or {}).get(i.name, i.default) for i in self.flat.inputs])
         given = states or {}
         start = self.flat.start_given(tuple(given))
-        return np.array(start(u, self.flat.parameter_vector(), list(given.values()))).ravel()
+        x = np.array(start(u, self.flat.parameter_vector(), list(given.values()))).ravel()
+        lost = [s.name for s, value in zip(self.flat.states, x, strict=True) if not np.isfinite(value)]
+        if lost:
+            raise SolveError(
+                f"{self.name}: no static equilibrium found for {', '.join(lost)} (got inputs {u.tolist()}). "
+                "Give these states, other inputs, or a start value nearer to the equilibrium."
+            )
+        return x
 
     def __repr__(self):
         flat = self.flat

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-
 from hydrotwin.models.language import (
     Component,
     Flange,
@@ -15,6 +14,7 @@ from hydrotwin.models.language import (
     TopologyError,
     connect,
 )
+
 from tests.language.parts import (
     Damper,
     FlowSource,

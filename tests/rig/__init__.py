@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from . import commands
 from .effects import EFFECTS
-from .files import read_csv, write_csv
+from .excitation import clean_recordings, drive
+from .files import file_units, read_csv, write_csv
 from .friction import friction_test
 from .machines import MACHINES, sensor_noise
-from .recording import clean_recordings, drive, record
+from .recording import record
 
 __all__ = [
     "EFFECTS",
@@ -15,6 +16,7 @@ __all__ = [
     "clean_recordings",
     "commands",
     "drive",
+    "file_units",
     "friction_test",
     "read_csv",
     "record",

@@ -38,8 +38,8 @@ def pauses(time, seed: int = 0, *, every: float = 9.0, rest: float = 1.2, taper:
     return gate
 
 
-def path(time, span, fastest: float, band, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A smooth position inside ``span`` no faster than ``fastest``, its gate, and a quick part of rms 1.
+def path(time, first, span, fastest: float, band, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A smooth position from ``first`` on, in ``span``, about as fast as ``fastest``; its gate; a quick part of rms 1.
 
     The path stands still where the gate is closed. ``band``: (low, high) of its frequencies [Hz].
     """
@@ -49,7 +49,8 @@ def path(time, span, fastest: float, band, seed: int = 0) -> tuple[np.ndarray, n
     half = 0.5 * (span[1] - span[0]) / np.max(np.abs(slow))
     half = min(half, fastest / np.max(np.abs(np.gradient(slow, time))))
     quick = multisine(time, 0.5, 12.0, seed + 2, tones=24, tilt=0.5)
-    return 0.5 * (span[0] + span[1]) + half * slow, gate, quick
+    position = 0.5 * (span[0] + span[1]) + half * slow
+    return position + (first - position[0]) * np.exp(-warped / 5.0), gate, quick
 
 
 def smoothed(values, samples: float) -> np.ndarray:
@@ -57,30 +58,37 @@ def smoothed(values, samples: float) -> np.ndarray:
     return gaussian_filter1d(values, samples, mode="nearest")
 
 
-def steps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed: float = 0.0, room=None) -> np.ndarray:
-    """Hard steps to random levels; with ``speed`` [m/s per unit] and ``room`` (low, high) [m] the path stays in it."""
+def steps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed=(0.0, 0.0), room=None) -> np.ndarray:
+    """Hard steps to random levels, each held for ``hold`` (least, most) seconds.
+
+    With ``speed`` (out, in) [m/s per unit] and ``room`` (low, high) [m from the start] the path stays in the room.
+    """
     return _levels(time, amplitude, seed, hold, speed, room)[0]
 
 
-def ramps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed: float = 0.0, room=None) -> np.ndarray:
-    """The levels of ``steps``, joined by straight lines."""
+def ramps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed=(0.0, 0.0), room=None) -> np.ndarray:
+    """The levels of ``steps``, each reached by a ramp over the first half of its hold."""
     levels, corners = _levels(time, amplitude, seed, hold, speed, room)
-    at = np.searchsorted(time, corners).clip(max=len(time) - 1)
-    return np.interp(time, corners, levels[at])
+    reached = np.concatenate([[0.0], levels[np.searchsorted(time, corners[1:]).clip(max=len(time) - 1)]])
+    index = np.searchsorted(corners, time, side="right") - 1
+    ends = np.append(corners[1:], 2 * time[-1])
+    share = np.clip((time - corners[index]) / (0.5 * (ends[index] - corners[index])), 0, 1)
+    before = reached[np.maximum(index - 1, 0)]
+    return before + share * (reached[index] - before)
 
 
 def _levels(time, amplitude, seed, hold, speed, room):
-    random = np.random.default_rng(seed)
-    time = np.asarray(time, dtype=float)
+    random, time = np.random.default_rng(seed), np.asarray(time, dtype=float)
     levels, x, t, corners = np.zeros_like(time), 0.0, time[0] + 0.5, [time[0]]
     while t < time[-1]:
         length, level = random.uniform(*hold), amplitude * random.uniform(-1, 1)
         if room is not None:
-            if not room[0] < x + speed * level * length < room[1]:
+            gain = speed[0] if level > 0 else speed[1]
+            if not room[0] < x + gain * level * length < room[1]:
                 level = -level
-            level = np.clip(x + speed * level * length, *room) - x
-            level = float(np.clip(level / (speed * length), -amplitude, amplitude))
-            x += speed * level * length
+            move = np.clip(x + gain * level * length, *room) - x
+            level = float(np.clip(move / (gain * length), -amplitude, amplitude))
+            x += gain * level * length
         levels[time >= t] = level
         corners.append(t)
         t += length

@@ -61,8 +61,8 @@ FIELDS = {
     "speed_dependent_efficiency": _field(("cehA",), share=("lost_share", 0.1), speed=("lost_speed", 50.0)),
     "entrained_air": _field(fraction=("air", 0.02), exponent=("air_exponent", 1.3)),
     "line_compliance": _field(cap=("hose_a", 3e-14), rod=("hose_b", 0.0)),
-    "relief_saturation": _field(pressure=("relief_pressure", 4e6), conductance=("relief_conductance", 1e-11)),
-    "check_valve_cracking": _field(pressure=("refill_pressure", 1e5), conductance=("refill_conductance", 1e-11)),
+    "relief_saturation": _field(pressure=("relief_pressure", 3.6e6), conductance=("relief_conductance", 1e-11)),
+    "check_valve_cracking": _field(pressure=("refill_pressure", 1.9e6), conductance=("refill_conductance", 1e-13)),
     "end_stop": _field(
         low=("stop_low", -0.03),
         high=("stop_high", 0.06),
@@ -87,7 +87,7 @@ FIELDS = {
     "drift": _field(rate=("drift", 2e-3)),
     "viscosity_warming": _field(share=("warming", 0.5), time_constant=("warming_time", 60.0)),
     "pump_ripple": _field(("cehA",), share=("ripple_flow", 0.05), pistons=("pistons", 7.0)),
-    "cogging": _field(("cehA",), torque=("cogging", 0.02), poles=("poles", 8.0)),
+    "cogging": _field(("cehA",), speed=("cogging", 10.0), poles=("poles", 8.0)),
     "valve_overlap": RigEffect("field", {"share": 0.03}, None, ("spool_valve",)),
     "asymmetric_overlap": _field(
         ("spool_valve",),
@@ -100,18 +100,45 @@ FIELDS = {
     "supply_droop": _field(("spool_valve",), resistance=("supply_resistance", 1e10), volume=("supply_volume", 1e-3)),
     "load_dependent_flow": _field(("spool_valve",), share=("load_sensitivity", 0.2)),
     "load_spring": _field(("spool_valve",), stiffness=("spring", 3e3)),
-    "displacement_error": _factor(1.05, cehA="pump.displacement", spool_valve="valve.flow_gain"),
-    "area_error": _factor(1.05, cehA="cylinder.cap_area", spool_valve="cylinder.area_a"),
+    "displacement_error": _factor(1.05, cehA="pump.displacement", spool_valve="valve.orifice.flow_coefficient"),
+    "area_error": _factor(1.05, cehA="cylinder.cap_area", spool_valve="cylinder.cap_area"),
     "linkage_error": _factor(1.02, cehA="arm.pin_length"),
     "payload_error": _factor(1.2, cehA="arm.extra_mass", spool_valve="load.mass"),
     "viscous_friction": _factor(3.0, cehA="cylinder.friction.viscous", spool_valve="cylinder.friction.viscous"),
-    "spool_lag": _factor(0.5, spool_valve="valve.frequency"),
+    "spool_lag": _factor(0.5, spool_valve="slide.natural_frequency"),
+}
+SPOOL_DEFAULTS = {  # where the bigger machine needs another size to show the effect
+    "coulomb_friction": {"force": 500.0},
+    "asymmetric_friction": {"force": 500.0},
+    "position_dependent_friction": {"force": 500.0},
+    "stribeck_friction": {"kinetic": 300.0, "extra": 300.0},
+    "presliding_friction": {"kinetic": 400.0, "static": 550.0},
+    "internal_leakage": {"conductance": 1e-12},
+    "turbulent_leakage": {"coefficient": 1e-9},
+    "external_leakage": {"cap": 1e-12},
+    "line_compliance": {"cap": 5e-13},
+    "relief_saturation": {"pressure": 10e6},
+    "check_valve_cracking": {"pressure": 6.2e6, "conductance": 1e-11},
+    "end_stop": {"low": 0.42, "high": 0.48},
+    "structural_compliance": {"stiffness": 2e6},
+    "backlash": {"gap": 2e-3},
+    "constant_load": {"force": 500.0},
+    "external_push": {"force": 1000.0},
+    "payload_change": {"mass": 150.0},
+    "viscosity_warming": {"share": 0.8},
+    "command_saturation": {"limit": 0.5},
 }
 EFFECTS: dict[str, RigEffect] = {
     **FIELDS,
     **{stage.__name__: RigEffect("command", defaults) for stage, defaults in command_path.STAGES},
     **{name: RigEffect("sensor", defaults) for name, defaults in sensors.DEFAULTS.items()},
 }
+
+
+def default_options(machine: str, name: str) -> dict:
+    """The options of an effect where none are given."""
+    own = SPOOL_DEFAULTS.get(name, {}) if machine == "spool_valve" else {}
+    return {**EFFECTS[name].defaults, **own}
 
 
 def named_effects(machine: str, effects) -> list[tuple[str, dict]]:
@@ -125,7 +152,7 @@ def named_effects(machine: str, effects) -> list[tuple[str, dict]]:
         wrong = set(options or {}) - set(EFFECTS[name].defaults)
         if wrong:
             raise KeyError(f"rig: {name} has no option {sorted(wrong)} (it has {', '.join(EFFECTS[name].defaults)}).")
-        full = {**EFFECTS[name].defaults, **(options or {})}
+        full = {**default_options(machine, name), **(options or {})}
         if EFFECTS[name].kind == "sensor" and full["output"] not in machine_of(machine).outputs:
             raise KeyError(f"rig: {name} needs output=one of {', '.join(machine_of(machine).outputs)}.")
         answer.append((name, full))

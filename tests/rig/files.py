@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .machines import machine_of
+
 FACTORS = {"deg": 180 / np.pi, "mm": 1e3, "bar": 1e-5}
 DIGITS = {"deg": 5, "mm": 4, "bar": 4, "rad/s": 3, "N": 2, "m/s": 6, "1": 6, "V": 6, "s": 9, "m": 7, "Pa": 1, "rad": 7}
 
@@ -18,7 +20,15 @@ def _text(values: np.ndarray, digits: int | None) -> list[str]:
     return [f"{v:.{digits}f}" for v in values]
 
 
-def write_csv(columns: Mapping[str, np.ndarray], path, *, units: Mapping[str, str], exact=("time",)) -> Path:
+def file_units(machine: str) -> dict[str, str]:
+    """The units the columns of this machine have in a file: degrees, bar and millimetres, as an engineer plots them."""
+    m = machine_of(machine)
+    return {"time": "s", m.input: m.input_unit, **dict(zip(m.outputs, m.file_units, strict=True))}
+
+
+def write_csv(
+    columns: Mapping[str, np.ndarray], path, *, units: Mapping[str, str], exact=("time", "command", "current")
+) -> Path:
     """Write SI columns in the given file units; columns named in ``exact`` keep every digit."""
     path = Path(path)
     texts = []

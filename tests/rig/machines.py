@@ -59,10 +59,10 @@ def _cehA_start(p, fields, theta, command):
 
 def _spool_start(p, fields, x, command):
     """At rest, spool where the command holds it; chamber A carries the load."""
-    b = p["precharge"]
-    a = (p["load.force"] + b * p["cylinder.area_b"]) / p["cylinder.area_a"]
-    s = p["valve.gain"] * command + p["valve.offset"]
-    rod = x + _preload(fields, p["load.force"])
+    b = p["start_pressure_b"]
+    a = (p["load.load_force"] + b * p["cylinder.rod_area"]) / p["cylinder.cap_area"]
+    s = p["solenoid.gain"] * command + p["solenoid.offset"]
+    rod = x + _preload(fields, p["load.load_force"])
     return [s, 0.0, a, b, x, 0.0, rod, 0.0, 0.0, command, p["supply.pressure"]]
 
 
@@ -102,23 +102,23 @@ _CEHA, _CEHA_FIELDS = _table("""
 _CEHA["arm.base_length"] = float(np.sqrt(_CEHA["arm.retracted_length"] ** 2 - _CEHA["arm.pin_length"] ** 2))
 
 _SPOOL, _SPOOL_FIELDS = _table("""
-    valve.frequency            120      frequency
-    valve.damping              0.8      damping
-    valve.gain                 1        command_gain
-    valve.offset               0        offset
-    valve.flow_gain            6e-8     flow_gain
-    supply.pressure            180e5    supply
-    tank.pressure              5e5      tank
-    cylinder.area_a            1.96e-3  area_a
-    cylinder.area_b            1.37e-3  area_b
-    cylinder.dead_volume_a     4e-4     dead_a
-    cylinder.dead_volume_b     4e-4     dead_b
-    cylinder.stroke            0.9      stroke
-    cylinder.oil.bulk_modulus  1e9      beta
-    cylinder.friction.viscous  4000     viscous
-    load.mass                  350      mass
-    load.force                 4000     load
-    precharge                  60e5     -
+    slide.natural_frequency         120      frequency
+    slide.damping                   0.8      damping
+    solenoid.gain                   1        command_gain
+    solenoid.offset                 0        offset
+    valve.orifice.flow_coefficient  6e-8     flow_gain
+    supply.pressure                 180e5    supply
+    tank.pressure                   5e5      tank
+    cylinder.cap_area               1.96e-3  area_a
+    cylinder.rod_area               1.37e-3  area_b
+    cylinder.cap_dead_volume        4e-4     dead_a
+    cylinder.rod_dead_volume        4e-4     dead_b
+    cylinder.rod_reference          0.9      stroke
+    cylinder.oil.bulk_modulus       1e9      beta
+    cylinder.friction.viscous       4000     viscous
+    load.mass                       350      mass
+    load.load_force                 4000     load
+    start_pressure_b                60e5     -
 """)
 
 MACHINES = {

@@ -1,4 +1,4 @@
-"""Record a machine: command in, measured columns out; and whole sets of recordings."""
+"""Record a machine: command in, measured columns out."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from . import commands, native, sensors
+from . import native, sensors
 from .command_path import Signal
 from .effects import changed_command, named_effects, true_values
-from .machines import NEUTRAL, machine_of, sensor_noise
+from .machines import NEUTRAL, machine_of
 
 STEP = 5e-5
 
@@ -84,89 +84,3 @@ def _with_noise(columns, m, noise, quantisation, seed):
             columns[name] = columns[name] + noise[name] * own.standard_normal(len(columns[name]))
         columns[name] = sensors.quantised(columns[name], quantisation.get(name, 0.0))
     return columns
-
-
-def drive(
-    machine: str,
-    duration: float = 40.0,
-    rate: float = 100.0,
-    *,
-    seed: int = 0,
-    parameters: Mapping[str, float] | None = None,
-    effects=None,
-    start: float | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Time and smooth drive command that keeps this very machine within its span, found by simulating it.
-
-    A path with pauses is fed forward as speed; a slow correction from the simulated error is added until the path is
-    kept, then the command is rounded and is open loop like any other recording.
-    """
-    m = machine_of(machine)
-    time = np.arange(round(duration * rate) + 1) / rate
-    path, gate, quick = commands.path(time, m.span, 0.8 * m.fastest, m.path_band, seed)
-    path += (_first_position(m, parameters, start) - path[0]) * np.exp(-time / 5.0)
-    command = _for_speed(m, np.gradient(path, time)) + 0.08 * m.command_limit * gate * quick
-    truth = dict(parameters=parameters, effects=_without_sensors(machine, effects), start=start, step=2e-4)
-    allowed = 0.1 * (m.span[1] - m.span[0])
-    for _ in range(12):
-        command = np.round(np.clip(command, -m.command_limit, m.command_limit), 4)
-        error = path - record(machine, command, time, **truth)[m.position]
-        if np.max(np.abs(error)) < allowed:
-            return time, command
-        slow = commands.smoothed(error, rate * 0.5)
-        command = command + gate * _for_speed(m, 0.8 * np.gradient(slow, time) + 0.2 * slow)
-    raise RuntimeError(f"rig: no command found that keeps {machine} inside {m.span} with these effects.")
-
-
-def _for_speed(m, speed):
-    """Command for a speed, from the gains out and in of the machine with its default values."""
-    return speed / np.where(speed > 0, *m.speed_per_command)
-
-
-def _without_sensors(machine, effects):
-    return [(n, o) for n, o in named_effects(machine, effects) if not n.startswith(("sensor", "quantisation"))]
-
-
-def _first_position(m, parameters, start):
-    still = record(m.name, np.zeros(2), np.array([0.0, 1e-3]), parameters=parameters, start=start)
-    return still[m.position][0]
-
-
-def clean_recordings(
-    machine: str,
-    kind: str = "train",
-    count: int | None = None,
-    *,
-    seed: int = 0,
-    duration: float = 40.0,
-    rate: float = 100.0,
-    noise: Mapping[str, float] | None = None,
-    quantisation: Mapping[str, float] | None = None,
-    parameters: Mapping[str, float] | None = None,
-    effects=None,
-) -> list[dict[str, np.ndarray]]:
-    """Independent recordings under smooth drive commands; without ``effects`` nothing is hidden.
-
-    ``kind`` is "train" (3 by default) or "validate" (2); the two never share a command. ``noise=None`` is the usual
-    sensor noise, ``noise={}`` none.
-    """
-    first, usual = {"train": (0, 3), "validate": (500, 2)}[kind]
-    answer = []
-    for i in range(usual if count is None else count):
-        own = 1000 * seed + first + i
-        begin = machine_of(machine).start_value
-        time, command = drive(machine, duration, rate, seed=own, parameters=parameters, effects=effects, start=begin)
-        answer.append(
-            record(
-                machine,
-                command,
-                time,
-                parameters=parameters,
-                effects=effects,
-                noise=sensor_noise(machine) if noise is None else noise,
-                quantisation=quantisation,
-                seed=own,
-                start=begin,
-            )
-        )
-    return answer

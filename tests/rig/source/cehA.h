@@ -92,8 +92,10 @@ static void cehA_derivative(double t, const double *x, double u, const void *pv,
     double pa = x[C_PA], pb = x[C_PB], ratio = p->area_b / p->area_a;
     double command = c->command_lag > 0 ? x[C_U] : u;
     dx[C_U] = c->command_lag > 0 ? (u - x[C_U]) / c->command_lag : 0;
-    double torque = p->displacement * (pa - ratio * pb) + (p->cogging > 0 ? p->cogging * sin(p->poles * x[C_PHI]) : 0);
-    dx[C_W] = (p->gain * (1 + c->drift * t) * command - (p->droop) * torque - x[C_W]) / p->time_constant;
+    double torque = p->displacement * (pa - ratio * pb);
+    double target = p->gain * (1 + c->drift * t) * command - p->droop * torque;
+    if (p->cogging > 0) target -= p->cogging * sin(p->poles * x[C_PHI]);
+    dx[C_W] = (target - x[C_W]) / p->time_constant;
     dx[C_PHI] = x[C_W];
     double q = cehA_flow(p, x);
     double slip = p->slip > 0 ? p->slip * (pa - pb) / (1 + fabs(x[C_W]) / p->slip_speed) : 0;

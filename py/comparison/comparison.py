@@ -92,7 +92,7 @@ class DomainShare:
     inside_percent  share of samples inside the training box
     farthest        largest distance outside, in box widths
     beyond          quantities that leave the box
-    source          "model" (the box it was trained in) or "recordings" (box of the training recordings)
+    source          "model" (its own box) or "recordings" (the box of the training recordings; ``model`` is empty)
     """
 
     model: str
@@ -142,6 +142,11 @@ class Comparison:
     def models(self) -> tuple[str, ...]:
         """Names of all models, in the order given."""
         return tuple(e.name for e in self.entrants)
+
+    @property
+    def yardsticks(self) -> frozenset[str]:
+        """Names of the models that are there only to compare with."""
+        return frozenset(e.name for e in self.entrants if e.kind == "yardstick")
 
     @property
     def seconds_per_simulated_second(self) -> dict[str, float]:

@@ -59,7 +59,7 @@ class PhysicalContender:
 
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
-        return predict_one_step(self.flat, record)
+        return predict_one_step(self.flat, record, start=self.start)
 
 
 class BlockContender:

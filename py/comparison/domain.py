@@ -16,36 +16,35 @@ MARGIN = 1e-9  # of the box width: samples on the edge are inside
 def domain_shares(
     contenders, records: Sequence[Record], train_records: Sequence[Record], trajectories: Sequence[Trajectory]
 ) -> tuple[DomainShare, ...]:
-    """Share of every recording inside the training box of every contender.
+    """Share of every recording inside the training box of every contender that has one (its ``domain``).
 
-    The box is the model's own ``domain``, else the range of its inputs and outputs over ``train_records``; a model
-    with neither gets no row. Values come from the recording, or from the free run for what was not recorded.
+    The box of ``train_records`` (every input and output of the contenders) gets a row per recording as well, with
+    ``model`` empty. Values come from the recording, or from the free run for what was not recorded.
     """
     free_runs = {(t.model, t.record): t.prediction for t in trajectories if t.mode == FREE_RUN}
+    boxes = [(c.name, c.domain, "model") for c in contenders if getattr(c, "domain", None)]
+    seen = training_box(contenders, records, train_records)
+    boxes += [("", seen, "recordings")] if seen else []
     rows = []
-    for contender in contenders:
-        own = getattr(contender, "domain", None)
-        box = own or training_box(contender, train_records)
-        if box is None or not contender.inputs:
-            continue
+    for model, box, source in boxes:
         for record in records:
-            values = _values(box, record, free_runs.get((contender.name, record.name)))
-            if values is not None:
-                rows.append(_share(contender.name, record.name, box, values, "model" if own else "recordings"))
+            values = _values(box, record, free_runs.get((model, record.name)))
+            if values is not None and len(values):
+                rows.append(_share(model, record.name, box, values, source))
     return tuple(rows)
 
 
-def training_box(contender, train_records: Sequence[Record]) -> TrainingDomain | None:
-    """Range of the contender's inputs and outputs over the training recordings that hold them."""
-    names, lower, upper = [], [], []
-    for signal in dict.fromkeys((*contender.inputs, *contender.outputs)):
-        seen = [r[signal.name] for r in train_records if signal.name in r.signals]
-        seen = [s[np.isfinite(s)] for s in seen if np.isfinite(s).any()]
-        if seen and signal.name not in names:
-            names.append(signal.name)
-            lower.append(min(float(s.min()) for s in seen))
-            upper.append(max(float(s.max()) for s in seen))
-    return TrainingDomain(tuple(names), tuple(lower), tuple(upper)) if names else None
+def training_box(contenders, records: Sequence[Record], train_records: Sequence[Record]) -> TrainingDomain | None:
+    """Range over the training recordings of the inputs and outputs that every recording holds."""
+    signals = dict.fromkeys(s.name for c in contenders for s in (*c.inputs, *c.outputs))
+    names = [n for n in signals if all(n in r.signals for r in (*records, *train_records))]
+    seen = [np.concatenate([r[n] for r in train_records]) for n in names if train_records]
+    box = [(n, v[np.isfinite(v)]) for n, v in zip(names, seen, strict=bool(train_records)) if np.isfinite(v).any()]
+    if not box:
+        return None
+    return TrainingDomain(
+        tuple(n for n, _ in box), tuple(float(v.min()) for _, v in box), tuple(float(v.max()) for _, v in box)
+    )
 
 
 def _values(box: TrainingDomain, record: Record, prediction: Record | None) -> np.ndarray | None:
@@ -60,7 +59,7 @@ def _values(box: TrainingDomain, record: Record, prediction: Record | None) -> n
     return values[np.isfinite(values).all(axis=1)]
 
 
-def _share(model: str, record: str, box: TrainingDomain, values: np.ndarray, source: str) -> DomainShare | None:
+def _share(model: str, record: str, box: TrainingDomain, values: np.ndarray, source: str) -> DomainShare:
     distance = box.distance(values)
     beyond = tuple(
         name

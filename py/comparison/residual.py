@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from hydrotwin.records import Record
 from scipy.signal import fftconvolve
 
 MAX_SAMPLES = 20_000
@@ -16,16 +16,22 @@ LAGS = 25
 class Residual:
     """The error e = predicted - measured of one free run, looked at.
 
+    noise        noise of the measured signal by itself, in ``unit`` (see `noise_floor`)
+    times_noise  rmse over that noise: 1 when only noise is left; nan without noise
     explained_percent  share of the measured variance that the model explains, 100 (1 - var(e)/var(y))
     correlation_time   s until the autocorrelation of e first falls below 1/e
     white_percent      share of the first lags whose autocorrelation stays inside the 95 % band of white noise;
                        about 95 for white noise
-    follows, strength, lag  signal that e correlates with most, the correlation, and how many s e comes after it
+    follows, strength, lag  signal that e correlates with most, the correlation, and how many s e comes after it;
+                            empty when even that is within 4/sqrt(n), what chance gives over many lags
     """
 
     model: str
     record: str
     output: str
+    unit: str
+    noise: float
+    times_noise: float
     explained_percent: float
     correlation_time: float
     white_percent: float
@@ -33,15 +39,19 @@ class Residual:
     strength: float
     lag: float
 
+    @property
+    def only_noise(self) -> bool:
+        """Nothing is left but noise: the size is that of the noise, and neighbouring errors are not alike."""
+        return self.times_noise < 1.2 and self.white_percent >= 80.0
 
-def explain(
-    time: np.ndarray, measured: np.ndarray, predicted: np.ndarray, causes: Mapping[str, np.ndarray], labels: tuple
-) -> Residual:
-    """Residual analysis of one output, ``labels`` = (model, record, output).
 
-    All signals (n,) on ``time`` [s], which need not be uniform; long recordings are looked at on at most
-    MAX_SAMPLES uniform samples. Ljung, System Identification (1999), section 16.6.
+def explain(record: Record, output: str, predicted: np.ndarray, *, model: str, noise: float = float("nan")) -> Residual:
+    """Residual analysis of one output; ``predicted`` is (n,) at the times of ``record``, uniform or not, SI.
+
+    Every signal of the recording may be what the error follows. Long recordings are looked at on at most MAX_SAMPLES
+    uniform samples, so that lags and whiteness are those of that grid. Ljung, System Identification (1999), 16.6.
     """
+    time, measured = record.time, record[output]
     known = np.isfinite(measured) & np.isfinite(predicted)
     grid, period = _uniform(time[known])
     e = np.interp(grid, time[known], (predicted - measured)[known])
@@ -51,9 +61,14 @@ def explain(
     r = _correlation(e, e)[len(e) - 1 :]
     band = 1.96 / np.sqrt(len(e))
     below = np.flatnonzero(r < np.exp(-1.0))
-    follows, strength, lag = _strongest(grid, e, {n: np.interp(grid, time, v) for n, v in causes.items()}, period)
+    follows, strength, lag = _strongest(grid, e, record, period)
     return Residual(
-        *labels,
+        model,
+        record.name,
+        output,
+        record.units[output],
+        noise=noise,
+        times_noise=float(np.sqrt(np.mean((predicted - measured)[known] ** 2))) / noise if noise > 0 else np.nan,
         explained_percent=explained,
         correlation_time=float(below[0] * period) if len(below) else float(grid[-1] - grid[0]),
         white_percent=100.0 * float(np.mean(np.abs(r[1 : lags + 1]) <= band)),
@@ -78,15 +93,15 @@ def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return fftconvolve(a, b[::-1]) / scale
 
 
-def _strongest(grid, e, causes, period) -> tuple[str, float, float]:
+def _strongest(grid: np.ndarray, e: np.ndarray, record: Record, period: float) -> tuple[str, float, float]:
     """Signal, correlation and lag [s] (0 to a quarter of the recording, at most 2 s) of the strongest link with e."""
     best = ("", 0.0, 0.0)
     reach = min(len(grid) // 4, int(2.0 / period)) + 1
-    for name, signal in causes.items():
-        if not np.isfinite(signal).all():
+    for name, values in record.signals.items():
+        if not np.isfinite(values).all():
             continue
-        r = _correlation(e, signal)[len(e) - 1 : len(e) - 1 + reach]
+        r = _correlation(e, np.interp(grid, record.time, values))[len(e) - 1 : len(e) - 1 + reach]
         k = int(np.argmax(np.abs(r)))
         if abs(r[k]) > abs(best[1]):
             best = (name, float(r[k]), k * period)
-    return best
+    return best if abs(best[1]) > 4.0 / np.sqrt(len(e)) else ("", 0.0, 0.0)

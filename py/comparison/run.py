@@ -10,7 +10,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import Record
+from hydrotwin.records import Record, noise_floor
 
 from .comparison import (
     FREE_RUN,
@@ -58,12 +58,13 @@ def compare(
     contenders, records = list(contenders), _distinct(records)
     _check(contenders, records, modes)
     wanted = _wanted(contenders, records, outputs)
+    noise = {r.name: {n: f.sigma for n, f in noise_floor(r).items()} for r in records}
     runs = [(c, r, m) for m in modes for c in contenders for r in records]
     found = _Findings([], [], {}, [], [], [])
     for done, (contender, record, mode) in enumerate(runs):
         if progress:
             progress(done, len(runs), f"{contender.name}, {record.name}, {mode}")
-        _one(contender, record, mode, wanted, repeats, found)
+        _one(contender, record, mode, wanted, repeats, found, noise[record.name])
     if progress:
         progress(len(runs), len(runs), "done")
     scores = relative_scores(found.scores)
@@ -95,7 +96,7 @@ class _Findings:
     residuals: list[Residual]
 
 
-def _one(contender, record: Record, mode: str, wanted: Sequence[Signal], repeats: int, found: _Findings) -> None:
+def _one(contender, record: Record, mode: str, wanted: Sequence[Signal], repeats: int, found: _Findings, noise) -> None:
     """One contender on one recording in one mode: predict, time, score; failures become rows."""
     labels = (contender.name, record.name, mode)
     try:
@@ -122,13 +123,10 @@ def _one(contender, record: Record, mode: str, wanted: Sequence[Signal], repeats
             Score(contender.name, record.name, signal.name, mode, unit=signal.unit, **dataclasses.asdict(errors))
         )
         if mode == FREE_RUN:
-            found.residuals.append(_residual(contender, record, signal.name, prediction))
-
-
-def _residual(contender, record: Record, output: str, prediction: Record) -> Residual:
-    return explain(
-        record.time, record[output], prediction[output], record.signals, (contender.name, record.name, output)
-    )
+            predicted = prediction[signal.name]
+            found.residuals.append(
+                explain(record, signal.name, predicted, model=contender.name, noise=noise[signal.name])
+            )
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:

@@ -1,1 +1,42 @@
+"""Report: what was found, as one page that needs nothing else, as Markdown and as JSON."""
 
+from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
+from .fit import ParameterRow, fit_section, parameter_rows
+from .format import number_text, pretty_unit, shown_unit
+from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
+from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
+from .write import comparison_page, write_report
+
+__all__ = [
+    "Cell",
+    "Column",
+    "Figure",
+    "FigureGroup",
+    "Note",
+    "Page",
+    "ParameterRow",
+    "Section",
+    "Style",
+    "Table",
+    "as_html",
+    "as_json",
+    "as_markdown",
+    "comparison_page",
+    "counts",
+    "decimate",
+    "error_bars",
+    "fit_section",
+    "layout",
+    "line",
+    "number_text",
+    "numbers",
+    "parameter_rows",
+    "pretty_unit",
+    "shown_unit",
+    "styles",
+    "table",
+    "texts",
+    "warned",
+    "write_page",
+    "write_report",
+]

@@ -1,0 +1,108 @@
+"""The figures of a comparison: overlays, errors and error bars."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from hydrotwin.comparison import FREE_RUN, Comparison
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from .figure import MEASURED, Figure, FigureGroup, Style, error_bars, layout, line
+from .format import difference_to_shown, pretty_unit, to_shown
+
+BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
+BUDGET = 2.4e6  # bytes of curves in one page
+MOST, FEWEST = 2400, 200  # points of one curve
+
+
+def overlay_groups(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> list[FigureGroup]:
+    """For each output a group: one figure per recording and mode, measurement and models above, errors below."""
+    points, plotted = plan(comparison)
+    groups = []
+    for signal in comparison.outputs:
+        figures = [
+            _overlay(comparison, signal, record, mode, shown[signal.name], look, points)
+            for mode in comparison.modes
+            for record in plotted
+            if signal.name in record.signals and _predictions(comparison, signal, record, mode)
+        ]
+        if figures:
+            groups.append(FigureGroup(f"plot-{signal.name}", signal.name, tuple(figures), signal.description))
+    return groups
+
+
+def plan(comparison: Comparison) -> tuple[int, tuple[Record, ...]]:
+    """Points per curve, and the recordings plotted, such that all curves fit into BUDGET."""
+    per_record = len(comparison.outputs) * (2 * len(comparison.models) * len(comparison.modes) + len(comparison.modes))
+    most_curves = int(BUDGET / BYTES_PER_POINT / FEWEST)
+    count = max(1, min(len(comparison.records), most_curves // max(1, per_record)))
+    points = int(BUDGET / BYTES_PER_POINT / max(1, per_record * count))
+    return max(FEWEST, min(MOST, points)), comparison.records[:count]
+
+
+def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> list[FigureGroup]:
+    """For each mode a group: one figure of error bars per output. Yardsticks would dwarf the rest of a free run."""
+    groups = []
+    for mode in comparison.modes:
+        figures = []
+        for signal in comparison.outputs:
+            bars = _bars(comparison, signal, mode, shown[signal.name])
+            if bars:
+                names = [r.name for r in comparison.records]
+                spec = error_bars(names, bars, look, pretty_unit(shown[signal.name]))
+                figures.append(Figure(f"bars-{mode.replace(' ', '-')}-{signal.name}", signal.name, spec))
+        if figures:
+            groups.append(FigureGroup(f"bars-{mode.replace(' ', '-')}", mode, tuple(figures)))
+    return groups
+
+
+def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int) -> Figure:
+    predictions = _predictions(comparison, signal, record, mode)
+    measured = record[signal.name]
+    curve = {"points": points}
+    data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=2.4, points=points)]
+    errors = []
+    for name, values in predictions.items():
+        style, error = look[name], difference_to_shown(values - measured, signal.unit, unit)
+        drawn = {"dash": style.dash, "points": points, "hidden": mode == FREE_RUN and name in comparison.yardsticks}
+        data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
+        errors.append(line(record.time, error, name, style.colour, width=1.2, row=2, legend=False, **drawn))
+    data += errors
+    label = pretty_unit(unit)
+    titles = [f"{signal.name} [{label}]", f"error [{label}]"] if label else [signal.name, "error"]
+    spec = {"data": data, "layout": layout("time [s]", titles, shares=(0.62, 0.38), height=520)}
+    row = mode if len(comparison.modes) > 1 else ""
+    return Figure(f"{signal.name}-{mode.replace(' ', '-')}-{record.name}", record.name, spec, row=row)
+
+
+def _predictions(comparison: Comparison, signal: Signal, record: Record, mode: str) -> dict[str, np.ndarray]:
+    """Curves of the models scored on this output, by model."""
+    scored = {s.model for s in comparison.scores if (s.record, s.output, s.mode) == (record.name, signal.name, mode)}
+    return {m: comparison.trajectory(m, record.name, mode)[signal.name] for m in comparison.models if m in scored}
+
+
+def _bars(comparison: Comparison, signal: Signal, mode: str, unit: str) -> dict[str, list]:
+    found: dict[str, list] = {}
+    known = {(s.model, s.record): s for s in comparison.scores if (s.output, s.mode) == (signal.name, mode)}
+    for model in comparison.models:
+        if mode == FREE_RUN and model in comparison.yardsticks:
+            continue
+        scores = [known.get((model, r.name)) for r in comparison.records]
+        if any(scores):
+            found[model] = [
+                None
+                if s is None
+                else tuple(
+                    float(difference_to_shown(v, s.unit, unit)) for v in (s.bias, s.deviation, s.lowest, s.highest)
+                )
+                for s in scores
+            ]
+    return found
+
+
+def peak(comparison: Comparison, signal: Signal) -> float:
+    """Largest measured magnitude of an output, SI, over all recordings that hold it."""
+    sizes = [np.nanmax(np.abs(r[signal.name])) for r in comparison.records if signal.name in r.signals]
+    return float(max(sizes, default=signal.nominal))

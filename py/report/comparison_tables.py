@@ -1,0 +1,223 @@
+"""The tables of a comparison."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from hydrotwin.comparison import FREE_RUN, Comparison, Score
+
+from .figure import Style
+from .format import common_decimals, difference_to_shown
+from .tables import Column, Table, counts, numbers, table, texts, warned
+
+HEADLINE_OUTPUTS = 5
+
+
+def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> Table:
+    """One row per model: RMSE of the first outputs in the first mode, fit, run time; best first."""
+    mode = comparison.modes[0]
+    first = [s for s in comparison.outputs if comparison.ranking(s.name, mode)][:HEADLINE_OUTPUTS]
+    models = _by_rank(comparison, first[0].name if first else "", mode)
+    columns = [_models(models, look), texts("kind", "Kind", [_kind(comparison, m) for m in models])]
+    for signal in first:
+        of = {s.model: s for s in comparison.ranking(signal.name, mode)}
+        complete = _complete(of.values())
+        values = [of[m].rmse if m in of else None for m in models]
+        among = [m in complete for m in models]
+        unit = shown[signal.name]
+        columns.append(numbers(signal.name, signal.name, values, signal.unit, unit, best="min", among=among))
+    if first:
+        of = {s.model: s for s in comparison.ranking(first[0].name, mode)}
+        fits = [of[m].fit_percent if m in of else None for m in models]
+        among = [m in _complete(of.values()) for m in models]
+        columns.append(numbers("fit_percent", f"Fit of {first[0].name}", fits, "%", best="max", among=among))
+        if any(s.recordings < len(comparison.records) for s in of.values()):
+            columns.append(texts("recordings", "Recordings", [_coverage(of.get(m), comparison) for m in models]))
+    seconds = comparison.seconds_per_simulated_second
+    speed = [1.0 / seconds[m] if m in seconds else None for m in models]
+    columns.append(
+        numbers(
+            "real_time_factor",
+            "× real time",
+            speed,
+            best="max",
+            among=[m not in comparison.yardsticks for m in models],
+            common=False,
+            digits=2,
+        )
+    )
+    left = len([s for s in comparison.outputs if comparison.ranking(s.name, mode)]) - len(first)
+    more = f" {left} more outputs are below." if left > 0 else ""
+    count = len(comparison.records)
+    over = f"mean over the {count} validation recordings" if count > 1 else "on the validation recording"
+    note = f"RMSE in {mode}, {over}; the best is bold.{more}"
+    return table("headline", "", columns, note)
+
+
+def score_tables(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style], mode: str) -> list[Table]:
+    """For each output the means over the recordings, best first, and folded below it every recording."""
+    found = []
+    for signal in comparison.outputs:
+        ranking = comparison.ranking(signal.name, mode)
+        if not ranking:
+            continue
+        name = f"{mode.replace(' ', '_')}_{signal.name}"
+        title = f"{signal.name}, {mode}"
+        found.append(_mean_table(f"scores_{name}", title, ranking, shown[signal.name], look, comparison))
+        rows = [s for s in comparison.scores if s.output == signal.name and s.mode == mode]
+        order = {r.name: k for k, r in enumerate(comparison.records)}
+        rows.sort(key=lambda s: (order[s.record], s.rmse))
+        if len(comparison.records) > 1:
+            found.append(_record_table(f"recordings_{name}", f"{title}: by recording", rows, shown[signal.name], look))
+    return found
+
+
+def run_times(comparison: Comparison, look: Mapping[str, Style]) -> Table:
+    """Wall time per simulated second, fastest first."""
+    rows = sorted(comparison.timings, key=lambda t: (comparison.modes.index(t.mode), t.seconds_per_simulated_second))
+    values = [t.seconds_per_simulated_second for t in rows]
+    first = [t.mode == comparison.modes[0] and t.model not in comparison.yardsticks for t in rows]
+    columns = [
+        _models([t.model for t in rows], look),
+        texts("mode", "Mode", [t.mode for t in rows]),
+        numbers("seconds", "Median", values, "s", "ms", best="min", among=first, common=False),
+        numbers("fastest", "Fastest", [t.fastest for t in rows], "s", "ms", common=False),
+        numbers("slowest", "Slowest", [t.slowest for t in rows], "s", "ms", common=False),
+        numbers("real_time_factor", "× real time", [1.0 / v for v in values], common=False),
+        counts("runs", "Timed runs", [t.runs for t in rows]),
+    ]
+    note = "Wall time per simulated second on this machine. First runs, which may compile, are left out."
+    return table("run_times", "", columns, note)
+
+
+def domain_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """Share of each recording inside each model's training domain, or None when no domain is known."""
+    rows = comparison.domains
+    if not rows:
+        return None
+    inside = [d.inside_percent for d in rows]
+    columns = [
+        _models([d.model or "training recordings" for d in rows], look, "Seen by"),
+        texts("record", "Recording", [d.record for d in rows]),
+        warned(numbers("inside", "Inside", inside, "%"), [v < 95.0 for v in inside]),
+        numbers("farthest", "Farthest outside, in widths", [d.farthest for d in rows]),
+        texts("beyond", "Leaves the domain", [", ".join(d.beyond) or "nothing" for d in rows]),
+    ]
+    return table("domain", "", columns)
+
+
+def residual_tables(comparison: Comparison, look: Mapping[str, Style]) -> list[Table]:
+    """For each output what each model leaves unexplained in free run."""
+    found = []
+    for signal in comparison.outputs:
+        of = [r for r in comparison.residuals if r.output == signal.name and r.model not in comparison.yardsticks]
+        rank = _by_rank(comparison, signal.name, FREE_RUN)
+        rows = sorted(of, key=lambda r: rank.index(r.model))
+        if not rows:
+            continue
+        white = [r.white_percent for r in rows]
+        columns = [
+            _models([r.model for r in rows], look),
+            texts("record", "Recording", [r.record for r in rows]),
+            numbers("explained", "Explained", [r.explained_percent for r in rows], "%", decimals=2),
+            numbers("times_noise", "RMSE / noise", [r.times_noise for r in rows], common=False),
+            numbers("white", "Lags like white noise", white, "%", common=False),
+            numbers(
+                "correlation_time", "Correlation time", [r.correlation_time for r in rows], "s", common=False, digits=2
+            ),
+            texts("follows", "Error follows", [r.follows or "nothing recorded" for r in rows]),
+            numbers("strength", "Correlation", [r.strength for r in rows], digits=2),
+            numbers("lag", "After", [r.lag for r in rows], "s", common=False, digits=2),
+        ]
+        found.append(table(f"residuals_{signal.name}", signal.name, columns, folded=bool(found)))
+    return found
+
+
+def failure_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """What failed, and why, or None."""
+    rows = comparison.failures
+    if not rows:
+        return None
+    columns = [
+        _models([f.model for f in rows], look),
+        texts("record", "Recording", [f.record for f in rows]),
+        texts("mode", "Mode", [f.mode for f in rows]),
+        texts("sentence", "What happened", [f.sentence.removeprefix(f"{f.model}: ") for f in rows]),
+    ]
+    return table("failures", "Failed", columns)
+
+
+def unscored_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """Outputs that could not be compared, and why, or None."""
+    rows = comparison.unscored
+    if not rows:
+        return None
+    columns = [
+        _models([u.model for u in rows], look),
+        texts("record", "Recording", [u.record for u in rows]),
+        texts("output", "Output", [u.output for u in rows]),
+        texts("reason", "Not scored, because", [u.reason for u in rows]),
+    ]
+    return table("unscored", "Not scored", columns, folded=True)
+
+
+def _mean_table(id, title, ranking: Sequence[Score], unit: str, look, comparison: Comparison) -> Table:
+    most = len(comparison.records)
+    columns = [_models([s.model for s in ranking], look), *_metrics(ranking, unit)]
+    if any(s.recordings < most for s in ranking):
+        columns.append(texts("recordings", "Recordings", [_coverage(s, comparison) for s in ranking]))
+    return table(id, title, columns)
+
+
+def _record_table(id, title, rows: Sequence[Score], unit: str, look) -> Table:
+    columns = [texts("record", "Recording", [s.record for s in rows]), _models([s.model for s in rows], look)]
+    return table(id, title, [*columns, *_metrics(rows, unit, best=False)], folded=True)
+
+
+def _metrics(rows: Sequence[Score], unit: str, best: bool = True) -> list[Column]:
+    among = [s.model in _complete(rows) for s in rows] if best else [s.relative == 1.0 for s in rows]
+    low, high = ("min", "max") if best else ("", "")
+    decimals = common_decimals([float(difference_to_shown(s.rmse, s.unit, unit)) for s in rows])
+
+    def errors(key: str, title: str, mark: str) -> Column:
+        return numbers(
+            key, title, [getattr(s, key) for s in rows], rows[0].unit, unit, best=mark, among=among, decimals=decimals
+        )
+
+    columns = [
+        errors("rmse", "RMSE", low),
+        errors("mae", "MAE", low),
+        errors("maximum", "Maximum", low),
+        numbers("fit_percent", "Fit", [s.fit_percent for s in rows], "%", best=high, among=among),
+        errors("bias", "Mean error", ""),
+        numbers("relative", "× best RMSE", [s.relative for s in rows], common=False),
+    ]
+    return columns if best else [_marked(c, among) if c.key == "rmse" else c for c in columns]
+
+
+def _marked(column: Column, where: Sequence[bool]) -> Column:
+    return replace(column, cells=tuple(replace(c, best=w) for c, w in zip(column.cells, where, strict=True)))
+
+
+def _coverage(score: Score | None, comparison: Comparison) -> str:
+    return f"{score.recordings if score else 0} of {len(comparison.records)}"
+
+
+def _models(names: Sequence[str], look: Mapping[str, Style], title: str = "Model") -> Column:
+    return texts("model", title, list(names), [look[n].colour if n in look else "" for n in names])
+
+
+def _kind(comparison: Comparison, model: str) -> str:
+    return next(e.kind for e in comparison.entrants if e.name == model)
+
+
+def _complete(rows) -> set[str]:
+    rows = list(rows)
+    most = max((s.recordings for s in rows), default=0)
+    return {s.model for s in rows if s.recordings == most}
+
+
+def _by_rank(comparison: Comparison, output: str, mode: str) -> list[str]:
+    ranked = [s.model for s in comparison.ranking(output, mode)]
+    return ranked + [m for m in comparison.models if m not in ranked]

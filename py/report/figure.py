@@ -1,0 +1,203 @@
+"""Figures: Plotly specifications as plain data, small enough to put into the page."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+# Okabe and Ito, Color Universal Design (2008): told apart with any colour vision. Without yellow: too pale on white.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F5539")
+MEASURED = "#1b1b1b"
+_DASHES = ("solid", "dash", "dot", "dashdot")
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One plot: ``spec`` is {"data", "layout"} for Plotly; ``label`` is its tab when several share a place, ``row`` names its row of tabs."""
+
+    id: str
+    label: str
+    spec: dict
+    caption: str = ""
+    row: str = ""
+
+
+@dataclass(frozen=True)
+class FigureGroup:
+    """Figures that share one place on the page, one tab each."""
+
+    id: str
+    title: str
+    figures: tuple[Figure, ...]
+    caption: str = ""
+
+    @property
+    def rows(self) -> dict[str, list[Figure]]:
+        """The figures by row of tabs."""
+        found: dict[str, list[Figure]] = {}
+        for figure in self.figures:
+            found.setdefault(figure.row, []).append(figure)
+        return found
+
+
+@dataclass(frozen=True)
+class Style:
+    """How one model is drawn, everywhere the same."""
+
+    colour: str
+    dash: str = "solid"
+
+
+def styles(names: Sequence[str]) -> dict[str, Style]:
+    """A style for each model in order; past the palette the colours return dashed."""
+    return {
+        name: Style(PALETTE[k % len(PALETTE)], _DASHES[(k // len(PALETTE)) % len(_DASHES)])
+        for k, name in enumerate(names)
+    }
+
+
+def decimate(time: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """At most ``points`` samples that keep the outline: minimum and maximum of each of points/2 buckets, in order.
+
+    Ends are kept; gaps (NaN) stay gaps at bucket resolution.
+    """
+    n = len(time)
+    if n <= points:
+        return time, values
+    edges = np.linspace(1, n - 1, max(1, (points - 2) // 2) + 1).astype(int)
+    starts, ends = edges[:-1], edges[1:]
+    starts, ends = starts[ends > starts], ends[ends > starts]
+    keep = [0, n - 1]
+    low, high = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
+    for a, b in zip(starts, ends, strict=True):
+        keep += [a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))]
+    keep = np.unique(keep)
+    return time[keep], values[keep]
+
+
+def line(
+    time: np.ndarray,
+    values: np.ndarray,
+    name: str,
+    colour: str,
+    *,
+    points: int = 2000,
+    dash: str = "solid",
+    width: float = 1.6,
+    row: int = 1,
+    legend: bool = True,
+    hidden: bool = False,
+) -> dict:
+    """A decimated line on axis row 1, 2, ... of a figure made by `layout`."""
+    t, v = decimate(np.asarray(time, float), np.asarray(values, float), points)
+    return {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "legendgroup": name,
+        "showlegend": legend,
+        "visible": "legendonly" if hidden else True,
+        "x": packed(t),
+        "y": packed(v),
+        "line": {"color": colour, "width": width, "dash": dash},
+        "xaxis": "x",
+        "yaxis": "y" if row == 1 else f"y{row}",
+        "hovertemplate": "%{y:.5g}<extra>" + _plain(name) + "</extra>",
+    }
+
+
+def packed(values: np.ndarray) -> dict:
+    """An array as Plotly's base64 of 32-bit floats: four times smaller than text."""
+    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode("ascii")}
+
+
+def layout(x_title: str, y_titles: Sequence[str], shares: Sequence[float] | None = None, height: int = 420) -> dict:
+    """Layout of one column of plots over a shared x axis, top first; ``shares`` are their heights."""
+    shares = list(shares or [1.0] * len(y_titles))
+    gap = 0.07 if len(shares) > 1 else 0.0
+    room = 1.0 - gap * (len(shares) - 1)
+    answer = {
+        "height": height,
+        "margin": {"l": 64, "r": 12, "t": 68, "b": 46},
+        "hovermode": "x unified",
+        "dragmode": "zoom",
+        "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom", "font": {"size": 13}},
+        "font": {"family": "system-ui, -apple-system, 'Segoe UI', sans-serif", "size": 13, "color": "#33393f"},
+        "paper_bgcolor": "#ffffff",
+        "plot_bgcolor": "#ffffff",
+        "xaxis": _axis(x_title) | {"anchor": "y" if len(shares) == 1 else f"y{len(shares)}"},
+    }
+    top = 1.0
+    for k, (title, share) in enumerate(zip(y_titles, shares, strict=True), 1):
+        size = room * share / sum(shares)
+        domain = [max(0.0, top - size), top]
+        answer["yaxis" if k == 1 else f"yaxis{k}"] = _axis(title) | {"domain": domain, "anchor": "x"}
+        top -= size + gap
+    return answer
+
+
+def error_bars(
+    groups: Sequence[str],
+    models: Mapping[str, Sequence[tuple[float, float, float, float] | None]],
+    look: dict,
+    unit: str,
+) -> dict:
+    """Error bars of each model side by side for each group (recording).
+
+    ``models[name][k]`` is (bias, deviation, lowest, highest) of group k in the shown unit, or None: dot and thick bar
+    are mean and standard deviation, the thin line is the range.
+    """
+    data, count = [], len(models)
+    for j, (name, bars) in enumerate(models.items()):
+        offset = 0.8 * ((j + 0.5) / count - 0.5)
+        known = [(k + offset, bar) for k, bar in enumerate(bars) if bar is not None]
+        x, y = [k for k, _ in known], [bar[0] for _, bar in known]
+        shared = {"type": "scatter", "mode": "markers", "x": x, "y": y, "legendgroup": name, "name": name}
+        colour = look[name].colour
+        spread = {"type": "data", "array": [b[1] for _, b in known], "color": colour, "thickness": 6, "width": 0}
+        reach = {
+            "type": "data",
+            "symmetric": False,
+            "array": [b[3] - b[0] for _, b in known],
+            "arrayminus": [b[0] - b[2] for _, b in known],
+            "color": colour,
+            "thickness": 1.2,
+            "width": 5,
+        }
+        words = [f"{b[0]:.3g} ± {b[1]:.3g}, {b[2]:.3g} … {b[3]:.3g} {unit}" for _, b in known]
+        quiet = {"showlegend": False, "hoverinfo": "skip", "marker": {"size": 1, "color": colour}}
+        data.append(shared | quiet | {"error_y": reach})
+        data.append(shared | quiet | {"error_y": spread | {"color": _faded(colour)}})
+        marker = {"size": 8, "color": colour, "line": {"color": "#ffffff", "width": 1}}
+        told = {"text": words, "hovertemplate": "%{text}<extra>" + _plain(name) + "</extra>"}
+        data.append(shared | told | {"marker": marker})
+    plan = layout("", [f"error [{unit}]" if unit else "error"], height=340)
+    plan["hovermode"] = "closest"
+    ticks = {"tickvals": list(range(len(groups))), "ticktext": list(groups), "range": [-0.6, len(groups) - 0.4]}
+    plan["xaxis"] |= ticks | {"showgrid": False, "zeroline": False}
+    return {"data": data, "layout": plan}
+
+
+def _axis(title: str) -> dict:
+    return {
+        "title": {"text": title, "standoff": 8},
+        "gridcolor": "#e9ecef",
+        "zerolinecolor": "#c3c9cf",
+        "linecolor": "#c3c9cf",
+        "ticks": "outside",
+        "ticklen": 4,
+        "tickcolor": "#c3c9cf",
+        "automargin": True,
+    }
+
+
+def _faded(colour: str) -> str:
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return f"rgba({red},{green},{blue},0.38)"
+
+
+def _plain(text: str) -> str:
+    return text.replace("<", "‹").replace(">", "›").replace("%{", "% {")

@@ -1,0 +1,171 @@
+"""A page from composable pieces: sections of tables, figures and notes, written as HTML, Markdown and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from .figure import Figure, FigureGroup
+from .tables import Table
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+@dataclass(frozen=True)
+class Note:
+    """Paragraphs between tables and figures; ``tone`` is "" or "warning"."""
+
+    paragraphs: tuple[str, ...]
+    tone: str = ""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A titled part of the page; ``lead`` says in a sentence or two how to read it."""
+
+    id: str
+    title: str
+    parts: tuple[Table | Figure | FigureGroup | Note, ...]
+    lead: str = ""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report: what the first screen says, the sections below, and ``data`` for the JSON beside the tables.
+
+    eyebrow : small line above the title.  answer : the result in one sentence.  facts : the sentences below it.
+    headline : the table of the first screen.  notices : what went wrong and must not be missed.
+    """
+
+    title: str
+    eyebrow: str
+    answer: str
+    headline: Table
+    sections: tuple[Section, ...]
+    facts: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    data: dict | None = None
+
+    @property
+    def tables(self) -> Iterator[Table]:
+        """All tables, the headline first."""
+        yield self.headline
+        for section in self.sections:
+            yield from (part for part in section.parts if isinstance(part, Table))
+
+
+def write_page(
+    page: Page, folder: str | Path, *, stem: str = "report", data_name: str = "report.json"
+) -> dict[str, Path]:
+    """Write ``stem``.html, ``stem``.md and ``data_name`` into ``folder``; the paths by "html", "markdown", "json"."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = {"html": folder / f"{stem}.html", "markdown": folder / f"{stem}.md", "json": folder / data_name}
+    _write(paths["html"], as_html(page))
+    _write(paths["markdown"], as_markdown(page))
+    _write(paths["json"], as_json(page))
+    return paths
+
+
+def as_html(page: Page) -> str:
+    """The page as one HTML file that needs nothing else: style, script and Plotly are inside."""
+    return _environment().get_template("page.html.j2").render(page=page, plotly=_plotly())
+
+
+def as_markdown(page: Page) -> str:
+    """The page as Markdown: the same sentences and tables, without the figures."""
+    lines = [f"# {page.title}", "", page.eyebrow, "", f"**{page.answer}**", ""]
+    lines += [line for fact in page.facts for line in (fact, "")]
+    lines += [line for notice in page.notices for line in (f"> {notice}", "")]
+    lines += _table_lines(page.headline)
+    for section in page.sections:
+        lines += [f"## {section.title}", ""]
+        lines += [section.lead, ""] if section.lead else []
+        for part in section.parts:
+            if isinstance(part, Table):
+                lines += _table_lines(part)
+            elif isinstance(part, Note):
+                lines += [line for text in part.paragraphs for line in (text, "")]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def as_json(page: Page) -> str:
+    """The page's data and every table, SI values beside the texts shown; numbers that do not exist are null."""
+    content = {"title": page.title, "answer": page.answer, "facts": page.facts, "notices": page.notices}
+    content |= page.data or {}
+    content["tables"] = {t.id: t.as_json() for t in page.tables}
+    return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _table_lines(table: Table) -> list[str]:
+    title = [f"### {table.title}", ""] if table.title else []
+    note = [table.note, ""] if table.note else []
+    return [*title, table.as_markdown(), "", *note]
+
+
+def _plain(value):
+    """Only what JSON knows: dataclasses as tables, tuples as lists, arrays as numbers, NaN and infinity as null."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return _plain(asdict(value))
+    if isinstance(value, dict) or hasattr(value, "items"):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int | bool) else str(value)
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters["data"] = _script_data
+    environment.tests["table"] = lambda part: isinstance(part, Table)
+    environment.tests["figure"] = lambda part: isinstance(part, Figure)
+    environment.tests["group"] = lambda part: isinstance(part, FigureGroup)
+    environment.globals["text_of"] = lambda name: Markup((TEMPLATES / name).read_text(encoding="utf-8"))
+    return environment
+
+
+def _script_data(value) -> Markup:
+    """A specification inside <script type="application/json">: nothing in it can end the script."""
+    text = json.dumps(_plain(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
+
+
+@cache
+def _plotly() -> Markup:
+    from plotly.offline import get_plotlyjs
+
+    return Markup(get_plotlyjs())
+
+
+def _write(path: Path, text: str) -> None:
+    """Write beside, then rename: a failed write leaves the old file whole."""
+    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        os.chmod(beside, 0o644)
+        os.replace(beside, path)
+    except BaseException:
+        Path(beside).unlink(missing_ok=True)
+        raise

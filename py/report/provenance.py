@@ -1,0 +1,71 @@
+"""Where the numbers come from: files, hashes, versions, command, date."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from hydrotwin.records import Record
+
+from .page import Section
+from .tables import Table, counts, numbers, table, texts
+
+PACKAGES = ("hydrotwin", "casadi", "numpy", "scipy", "plotly", "torch", "gpytorch", "pyoperon", "fmpy")
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, the platform and the packages whose numbers are in a report."""
+    found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
+    for package in PACKAGES:
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def command_line() -> str:
+    """The command that is running, the program without its folder."""
+    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) if sys.argv and sys.argv[0] else ""
+
+
+def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Table:
+    """Every recording with its role, length and content hash."""
+    rows = [(r, "validation") for r in validate] + [(r, "training") for r in train]
+    columns = [
+        texts("record", "Recording", [r.name for r, _ in rows]),
+        texts("role", "Used for", [role for _, role in rows]),
+        texts("file", "File", [Path(str(r.source)).name if r.source else "in memory" for r, _ in rows]),
+        numbers("duration", "Duration", [r.duration for r, _ in rows], "s", common=False, digits=4),
+        counts("samples", "Samples", [len(r.time) for r, _ in rows]),
+        numbers("period", "Period", [r.period for r, _ in rows], "s", "ms", common=False),
+        texts("sha256", "SHA-256", [r.digest or "" for r, _ in rows]),
+    ]
+    return table("recordings", "Recordings", columns)
+
+
+def model_table(entrants: Sequence) -> Table | None:
+    """What each model says about its own origin, or None when none says anything."""
+    rows = [(e.name, str(k), str(v)) for e in entrants for k, v in e.provenance.items()]
+    if not rows:
+        return None
+    model, key, value = zip(*rows, strict=True)
+    columns = [texts("model", "Model", model), texts("key", "Item", key), texts("value", "Value", value)]
+    return table("model_provenance", "Models", columns, folded=True)
+
+
+def provenance_section(comparison, command: str, date: datetime) -> Section:
+    """The last section of a comparison."""
+    items = {"date": date.isoformat(timespec="seconds"), "command": command} | versions()
+    items = {k: v for k, v in items.items() if v}
+    made = table(
+        "made", "Made with", [texts("item", "Item", list(items)), texts("value", "Value", list(items.values()))]
+    )
+    models = model_table(comparison.entrants)
+    parts = [recording_table(comparison.records, comparison.train_records), *([models] if models else []), made]
+    return Section("provenance", "Provenance", tuple(parts))

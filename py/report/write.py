@@ -1,0 +1,218 @@
+"""The report of a comparison: report.html, report.md and compare.json from one set of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+
+from hydrotwin.comparison import FREE_RUN, Comparison
+
+from .answer import answer, facts, verdicts, winners
+from .comparison_figures import error_bar_groups, overlay_groups, peak, plan
+from .comparison_tables import (
+    domain_table,
+    failure_table,
+    headline,
+    residual_tables,
+    run_times,
+    score_tables,
+    unscored_table,
+)
+from .figure import styles
+from .fit import fit_section, parameter_rows
+from .format import number_text, shown_unit
+from .page import Page, Section, write_page
+from .provenance import command_line, provenance_section, versions
+
+
+def write_report(
+    comparison: Comparison,
+    out_dir: str | Path,
+    *,
+    fits: Iterable = (),
+    sections: Iterable[Section] = (),
+    command: str | None = None,
+    date: datetime | None = None,
+) -> dict[str, Path]:
+    """Write report.html, report.md and compare.json into ``out_dir``; the paths by "html", "markdown", "json".
+
+    fits : Fit objects whose parameters and residuals get a section each.
+    sections : further sections, put before the provenance.
+    command : as printed under provenance; by default the running command.
+    """
+    page = comparison_page(comparison, fits=fits, sections=sections, command=command, date=date)
+    return write_page(page, out_dir, data_name="compare.json")
+
+
+def comparison_page(
+    comparison: Comparison,
+    *,
+    fits: Iterable = (),
+    sections: Iterable[Section] = (),
+    command: str | None = None,
+    date: datetime | None = None,
+) -> Page:
+    """The page of a comparison, not yet written."""
+    fits = list(fits)
+    date = date or datetime.now().astimezone()
+    command = command_line() if command is None else command
+    shown, look = display_units(comparison), styles(comparison.models)
+    made = (
+        _plots(comparison, shown, look),
+        _error_bars(comparison, shown, look),
+        *(_scores(comparison, shown, look, mode) for mode in comparison.modes),
+        _left(comparison, look),
+        *(fit_section(f, id="fit" if k == 0 else f"fit-{k + 1}") for k, f in enumerate(fits)),
+        Section("run-time", "Run time", (run_times(comparison, look),)),
+        _domain(comparison, look),
+        _missing(comparison, look),
+        *sections,
+        provenance_section(comparison, command, date),
+    )
+    return Page(
+        title=comparison.title,
+        eyebrow=_eyebrow(comparison, date),
+        answer=answer(comparison, shown),
+        facts=facts(comparison, shown),
+        notices=_notices(comparison),
+        headline=headline(comparison, shown, look),
+        sections=tuple(s for s in made if s.parts),
+        data=comparison_data(comparison, fits, command, date),
+    )
+
+
+def display_units(comparison: Comparison) -> dict[str, str]:
+    """The unit each output is shown in: that of the recordings' files, else what engineers read."""
+    found = {}
+    for signal in comparison.outputs:
+        files = (r.display_units.get(signal.name) for r in comparison.records)
+        preferred = next((u for u in files if u and u != signal.unit), None)
+        found[signal.name] = shown_unit(signal.unit, preferred=preferred, peak=peak(comparison, signal))
+    return found
+
+
+def comparison_data(comparison: Comparison, fits: Iterable, command: str, date: datetime) -> dict:
+    """What compare.json holds besides the tables: every number in SI at full precision."""
+    return {
+        "created": date.isoformat(timespec="seconds"),
+        "command": command,
+        "versions": versions(),
+        "modes": comparison.modes,
+        "best": [asdict(w) for w in winners(comparison)],
+        "models": [_entrant(e) for e in comparison.entrants],
+        "recordings": [_recording(r, "validate") for r in comparison.records]
+        + [_recording(r, "train") for r in comparison.train_records],
+        "scores": [asdict(s) for s in comparison.scores],
+        "means": [asdict(s) for s in comparison.means],
+        "run_time": [asdict(t) for t in comparison.timings],
+        "failures": [asdict(f) for f in comparison.failures],
+        "unscored": [asdict(u) for u in comparison.unscored],
+        "domain": [asdict(d) for d in comparison.domains],
+        "residuals": [asdict(r) for r in comparison.residuals],
+        "fits": [_fit(f) for f in fits],
+    }
+
+
+def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
+    plotted = plan(comparison)[1]
+    lead = (
+        "Measured and predicted, with the error (model minus measurement) below. Drag to zoom, double-click to reset, "
+    )
+    lead += "click a name to hide it. Curves keep every peak; all numbers come from the full recordings."
+    if len(plotted) < len(comparison.records):
+        lead += f" The first {len(plotted)} of {len(comparison.records)} recordings are drawn."
+    return Section("plots", "Measured and predicted", tuple(overlay_groups(comparison, shown, look)), lead)
+
+
+def _error_bars(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
+    lead = "Dot: mean error. Thick bar: plus and minus one standard deviation. Thin line: smallest and largest error."
+    return Section("error-bars", "Error bars", tuple(error_bar_groups(comparison, shown, look)), lead)
+
+
+def _scores(comparison: Comparison, shown: Mapping[str, str], look, mode: str) -> Section:
+    how = "inputs and the start only" if mode == FREE_RUN else "each sample predicted from the measurement one before"
+    lead = f"{mode.capitalize()}: {how}."
+    if len(comparison.records) > 1:
+        lead += f" Means over the {len(comparison.records)} recordings (the maximum is the largest of all), best first."
+    lead += " MAE is what Eq. 18 of the C-EHA paper calls RMSE. Fit is 100 (1 − ‖e‖ / ‖y − mean y‖) %."
+    tables = tuple(score_tables(comparison, shown, look, mode))
+    return Section(f"scores-{mode.replace(' ', '-')}", f"Scores, {mode}", tables, lead)
+
+
+def _left(comparison: Comparison, look) -> Section:
+    lead = (
+        "Free run. Explained is the share of the measured variance. An error like white noise has about 95 % of its "
+        "first lags inside the noise band: nothing is left to model. Else the last columns name what it follows."
+    )
+    sentences = verdicts(comparison)
+    note = (Note(sentences),) if sentences else ()
+    return Section("residuals", "What is left unexplained", (*note, *residual_tables(comparison, look)), lead)
+
+
+def _domain(comparison: Comparison, look) -> Section:
+    found = domain_table(comparison, look)
+    lead = (
+        "Share of the samples that lie in the box of values seen in training. Outside it a learned model extrapolates."
+    )
+    return Section("domain", "Training domain", (found,) if found else (), lead)
+
+
+def _missing(comparison: Comparison, look) -> Section:
+    parts = tuple(t for t in (failure_table(comparison, look), unscored_table(comparison, look)) if t)
+    return Section("missing", "Not in the scores", parts)
+
+
+def _notices(comparison: Comparison) -> tuple[str, ...]:
+    """What failed, each cause once, and holes in the recordings."""
+    modes: dict[tuple[str, str, str], list[str]] = {}
+    for f in comparison.failures:
+        modes.setdefault((f.model, f.record, f.sentence.removeprefix(f"{f.model}: ")), []).append(f.mode)
+    found = [f"{m} failed on {r} ({' and '.join(of)}): {text}" for (m, r, text), of in modes.items()]
+    if len(found) > 3:
+        found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
+    return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])
+
+
+def _eyebrow(comparison: Comparison, date: datetime) -> str:
+    seconds = sum(r.duration for r in comparison.records)
+    models, records = len(comparison.models), len(comparison.records)
+    return (
+        f"{models} model{'s' * (models != 1)} · {records} recording{'s' * (records != 1)} · "
+        f"{number_text(seconds, 3)} s · {date:%-d %B %Y}"
+    )
+
+
+def _entrant(entrant) -> dict:
+    return {
+        "name": entrant.name,
+        "kind": entrant.kind,
+        "inputs": {s.name: s.unit for s in entrant.inputs},
+        "outputs": {s.name: s.unit for s in entrant.outputs},
+        "parameters": {p.name: {"value": p.value, "unit": p.unit, "sigma": p.sigma} for p in entrant.parameters},
+        "provenance": dict(entrant.provenance),
+    }
+
+
+def _recording(record, role: str) -> dict:
+    return {
+        "name": record.name,
+        "role": role,
+        "file": Path(str(record.source)).name if record.source else None,
+        "sha256": record.digest,
+        "seconds": record.duration,
+        "samples": len(record.time),
+    }
+
+
+def _fit(fit) -> dict:
+    return {
+        "name": fit.name,
+        "parameters": [asdict(r) for r in parameter_rows(fit)],
+        "noise": dict(fit.noise),
+        "cost": fit.cost,
+        "chi2": fit.chi2,
+        "findings": [str(f) for f in fit.findings],
+        "seconds": fit.seconds,
+    }

@@ -116,7 +116,7 @@ def _margin(lead: Winner, models: int) -> str:
 
 
 def verdicts(comparison: Comparison) -> tuple[str, ...]:
-    """For each model what it explains down to the noise, and what not: how large, and which signal the error follows."""
+    """For each model what it explains down to the noise, and what not: how large, and what the error follows."""
     sentences = []
     for model in comparison.models:
         rows = [r for r in comparison.residuals if r.model == model]

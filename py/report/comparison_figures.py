@@ -61,7 +61,6 @@ def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Map
 def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int) -> Figure:
     predictions = _predictions(comparison, signal, record, mode)
     measured = record[signal.name]
-    curve = {"points": points}
     data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=2.4, points=points)]
     errors = []
     for name, values in predictions.items():

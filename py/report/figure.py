@@ -16,7 +16,10 @@ _DASHES = ("solid", "dash", "dot", "dashdot")
 
 @dataclass(frozen=True)
 class Figure:
-    """One plot: ``spec`` is {"data", "layout"} for Plotly; ``label`` is its tab when several share a place, ``row`` names its row of tabs."""
+    """One plot: ``spec`` is {"data", "layout"} for Plotly.
+
+    ``label`` is its tab when several share a place, ``row`` names its row of tabs.
+    """
 
     id: str
     label: str

@@ -23,7 +23,7 @@ from .comparison_tables import (
 from .figure import styles
 from .fit import fit_section, parameter_rows
 from .format import number_text, shown_unit
-from .page import Page, Section, write_page
+from .page import Note, Page, Section, write_page
 from .provenance import command_line, provenance_section, versions
 
 

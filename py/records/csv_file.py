@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +15,7 @@ from hydrotwin.models.language.errors import DataError
 from .record import Record
 from .table import Column, Table, split_header
 
+_LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
 _MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 
 
@@ -40,7 +41,7 @@ def write_csv(headers: list[str], columns: list[np.ndarray], record: Record, pat
 
 
 def _decode(content: bytes, path: Path) -> str:
-    if not content.strip():
+    if not content or content.isspace():
         raise DataError(f"{path}: row 1: the file is empty. It needs a header 'time [s],name [unit],...' and rows.")
     if content[:2] in (b"\xff\xfe", b"\xfe\xff") or b"\x00" in content[:4096]:
         raise DataError(f"{path}: row 1: not a text file in UTF-8 (it has zero bytes). Export it again as CSV UTF-8.")
@@ -51,15 +52,25 @@ def _decode(content: bytes, path: Path) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
+def _lines(text: str) -> Iterator[str]:
+    """Lines one by one, without a copy of the whole text."""
+    start = 0
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        yield text[start:end]
+        start = end + 1
+
+
 def _header(text: str, path: Path) -> tuple[int, list[str], str]:
     """Lines before the header (blank or starting with #), the header's cells, the delimiter."""
-    lines = enumerate(io.StringIO(text))
+    lines = enumerate(_lines(text))
     skip, line = next(((k, line) for k, line in lines if line.strip() and not line.startswith("#")), (0, ""))
     if not line:
         raise DataError(f"{path}: row 1: there are only comments. Write a header 'time [s],name [unit],...'.")
     outside_units = "".join(part.rpartition("]")[2] if "]" in part else part for part in line.split("["))
     delimiter = max(",;\t", key=outside_units.count)
-    cells = next(csv.reader([line.rstrip("\n")], delimiter=delimiter, skipinitialspace=True))
+    cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
     if all(_number(cell, False) is not None for cell in cells):
         raise DataError(
             f"{path}: row {skip + 1}, column 1: numbers where the header belongs (got '{line.strip()[:40]}'). "
@@ -71,16 +82,34 @@ def _header(text: str, path: Path) -> tuple[int, list[str], str]:
 def _numbers(
     body: str, header: list[str], delimiter: str, decimal_comma: bool, first_row: int, path: Path
 ) -> tuple[np.ndarray, Callable[[int], int]]:
-    if not body.strip():
+    if not body or body.isspace():
         return np.empty((0, len(header))), lambda k: first_row + k
     plain = body.replace(",", ".") if decimal_comma else body
     try:
-        values = np.loadtxt(io.StringIO(plain), delimiter=delimiter, comments=None, ndmin=2)
+        values = _quick_numbers(plain, delimiter)
         if values.shape[1] == len(header):
             return values, _row_finder(body, first_row)
     except (ValueError, UnicodeError):
         pass  # the careful reader below finds the cell, or takes empty ones as missing
     return _read_carefully(body, header, delimiter, decimal_comma, first_row, path)
+
+
+def _quick_numbers(body: str, delimiter: str) -> np.ndarray:
+    """A block of numbers without a flaw, (rows, columns); ValueError for any other. Large ones go through pyarrow."""
+    if len(body) < _LARGE:
+        return np.loadtxt(io.StringIO(body), delimiter=delimiter, comments=None, ndmin=2)
+    import pyarrow
+    from pyarrow import csv as arrow_csv
+
+    body = body.lstrip("\n")
+    names = [str(k) for k in range(body[: body.find("\n")].count(delimiter) + 1)]
+    table = arrow_csv.read_csv(
+        pyarrow.BufferReader(body.encode()),
+        arrow_csv.ReadOptions(column_names=names),
+        arrow_csv.ParseOptions(delimiter=delimiter),
+        arrow_csv.ConvertOptions(column_types=dict.fromkeys(names, pyarrow.float64())),
+    )
+    return np.column_stack([column.to_numpy() for column in table.columns])
 
 
 def _row_finder(body: str, first_row: int) -> Callable[[int], int]:

@@ -36,7 +36,8 @@ def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
     A 4th divided difference over five neighbours, scaled to unit weights, removes any local cubic and leaves white
     noise with its own variance, so the mean of its square in a block of a quiet stretch is the noise variance. The
     lower quartile over the blocks, corrected for the quartile of a pure noise record, ignores up to three quarters of
-    blocks with fast motion; the mean of the blocks that it makes plausible is the answer. Rounding to a step q adds q^2/12, which the differences do not see where the signal rests.
+    blocks with fast motion; the mean of the blocks that it makes plausible is the answer.
+    Rounding to a step q adds q^2/12, which the differences do not see where the signal rests.
 
     Valid for noise that is white at the sampling rate; noise that a filter has smoothed is underestimated.
     Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625-633 (difference-based variance); Widrow, Kollar,
@@ -90,12 +91,12 @@ def _fourth_differences(t: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def _quiet_variance(squares: np.ndarray) -> float:
     """Mean over the blocks that are no louder than white noise of the variance that the lower quartile tells."""
-    from scipy.stats import chi2
+    from scipy.special import gammaincinv
 
     size = min(_BLOCK, len(squares))
     blocks = squares[: len(squares) // size * size].reshape(-1, size).mean(axis=1)
-    freedom = size / _CORRELATION
-    expected = chi2.ppf(0.25, freedom) / freedom if len(blocks) > 1 else 1.0
+    half_freedom = size / _CORRELATION / 2
+    expected = gammaincinv(half_freedom, 0.25) / half_freedom if len(blocks) > 1 else 1.0  # of chi-square / freedom
     first = np.quantile(blocks, 0.25) / expected
-    loudest = chi2.ppf(0.999, freedom) / freedom
+    loudest = gammaincinv(half_freedom, 0.999) / half_freedom
     return float(blocks[blocks <= max(first * loudest, blocks.min())].mean())

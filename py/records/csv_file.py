@@ -28,7 +28,7 @@ def read_csv(path: Path) -> Table:
     decimal_comma = delimiter != "," and "," in body[: body.find("\n") if "\n" in body else None]
     values, row = _numbers(body, header, delimiter, decimal_comma, skip + 2, path)
     columns = tuple(Column(*split_header(h), values[:, k]) for k, h in enumerate(header))
-    return Table(str(path), columns, row, hashlib.sha256(content).hexdigest())
+    return Table(str(path), columns, row, hashlib.sha256(content).hexdigest(), f"row {skip + 1}")
 
 
 def write_csv(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:

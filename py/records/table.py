@@ -28,12 +28,16 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of one file. ``row`` maps a sample index to the row number a person sees in the file."""
+    """Columns of one file.
+
+    ``row`` maps a sample index to the row number a person sees in the file; ``header`` says where the names stand.
+    """
 
     path: str
     columns: tuple[Column, ...]
     row: Callable[[int], int]
     digest: str
+    header: str = "header"
 
 
 def split_header(text: str) -> tuple[str, str | None]:
@@ -62,10 +66,12 @@ def _named_columns(table: Table) -> Table:
     seen: dict[str, int] = {}
     for number, column in enumerate(table.columns, start=1):
         if not column.name:
-            raise DataError(f"{table.path}: row 1, column {number} has no name. Write 'name [unit]' in the header.")
+            raise DataError(
+                f"{table.path}: {table.header}, column {number} has no name. Write 'name [unit]' in the header."
+            )
         if column.name in seen:
             raise DataError(
-                f"{table.path}: row 1, columns {seen[column.name]} and {number} are both named '{column.name}'. "
+                f"{table.path}: {table.header}, columns {seen[column.name]} and {number} are both named '{column.name}'. "
                 "Names must differ; rename one."
             )
         seen[column.name] = number
@@ -73,40 +79,42 @@ def _named_columns(table: Table) -> Table:
 
 
 def _with_units(table: Table, scale: Mapping[str, Scale], units: Mapping[str, str]) -> Table:
-    names = [c.name for c in table.columns]
+    names, where = [c.name for c in table.columns], f"{table.path}: {table.header}"
     for wanted, option in [*((n, "scale") for n in scale), *((n, "units") for n in units)]:
         if wanted not in names:
             raise DataError(f"{table.path}: no column '{wanted}', named in {option}. {nearest(wanted, names)}")
-    return replace(table, columns=tuple(_with_unit(table.path, c, c.name in scale, units) for c in table.columns))
+    return replace(table, columns=tuple(_with_unit(where, c, c.name in scale, units) for c in table.columns))
 
 
-def _with_unit(path: str, column: Column, scaled: bool, units: Mapping[str, str]) -> Column:
+def _with_unit(where: str, column: Column, scaled: bool, units: Mapping[str, str]) -> Column:
     unit = units.get(column.name, column.unit)
     if unit is None and scaled:
         unit = "1"
     if unit is None:
         raise DataError(
-            f"{path}: row 1, column '{column.name}' has no unit. "
+            f"{where}, column '{column.name}' has no unit. "
             f"Write '{column.name} [unit]' in the header ([1] for a pure number), or read it with units=."
         )
     try:
         parse_unit(unit)
     except UnitError as error:
-        raise UnitError(f"{path}: row 1, column '{column.name}': {error}") from None
+        raise UnitError(f"{where}, column '{column.name}': {error}") from None
     return replace(column, unit=unit)
 
 
 def _time_first(table: Table) -> Table:
     if not table.columns:
-        raise DataError(f"{table.path}: row 1 names no column. The first one must be 'time [s]'.")
+        raise DataError(f"{table.path}: {table.header} names no column. The first one must be 'time [s]'.")
     names = [c.name for c in table.columns]
     if "time" not in names:
         found = ", ".join(names[:8])
-        raise DataError(f"{table.path}: row 1 has no column 'time' (got {found}). Name the time axis 'time [s]'.")
+        raise DataError(
+            f"{table.path}: {table.header} has no column 'time' (got {found}). Name the time axis 'time [s]'."
+        )
     at = names.index("time")
     time = table.columns[at]
     if not compatible(time.unit, "s"):
-        raise UnitError(f"{table.path}: row 1, column 'time' is in {time.unit}. Time is in s, ms, min or h.")
+        raise UnitError(f"{table.path}: {table.header}, column 'time' is in {time.unit}. Time is in s, ms, min or h.")
     return replace(table, columns=(time, *table.columns[:at], *table.columns[at + 1 :]))
 
 

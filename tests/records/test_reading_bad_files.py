@@ -80,6 +80,16 @@ def test_rows_are_counted_with_comments_and_blank_lines(tmp_path):
         read_record(path)
 
 
+def test_a_header_below_comments_is_named_by_its_true_row(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("# rig 3\n# day 2\n" + changed("[bar]", "[barr]"))
+    with pytest.raises(UnitError, match=r"a.csv: row 3, column 'pressure_cap': unit 'barr'"):
+        read_record(path)
+    path.write_text("# rig 3\n# day 2\n" + changed("pressure_cap", "arm_angle"))
+    with pytest.raises(DataError, match=r"a.csv: row 3, columns 2 and 3"):
+        read_record(path)
+
+
 def test_windows_line_ends_and_a_byte_order_mark_do_not_shift_the_row(tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(b"\xef\xbb\xbf" + GOOD.replace("22.0", "x").replace("\n", "\r\n").encode())

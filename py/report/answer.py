@@ -102,17 +102,18 @@ def _clause(model: str, of: list[Winner], everywhere: bool, comparison: Comparis
     else:
         others = ", ".join(w.output for w in of[1:])
         start = f"{model} is best on {size} and on {others}"
-    return start + _margin(lead, len(comparison.models))
+    return start + _margin(lead, len(comparison.models), unit)
 
 
-def _margin(lead: Winner, models: int) -> str:
+def _margin(lead: Winner, models: int, unit: str) -> str:
     if lead.next is None:
         return "" if models == 1 else ", where no other model could be scored on as many recordings"
     if lead.times < LEVEL:
         return f", level with {lead.next}"
     if lead.times == float("inf"):
         return f", exactly; the next is {lead.next}"
-    return f", {times_text(lead.times)} times less than {lead.next}"
+    rival = number_text(float(difference_to_shown(lead.rmse * lead.times, lead.unit, unit)))
+    return f", {times_text(lead.times)} times smaller than that of {lead.next} ({with_unit(rival, unit)})"
 
 
 def verdicts(comparison: Comparison) -> tuple[str, ...]:
@@ -126,7 +127,7 @@ def verdicts(comparison: Comparison) -> tuple[str, ...]:
         left = sorted((r for r in worst if not r.only_noise), key=_size, reverse=True)
         done = [r.output for r in worst if r.only_noise]
         parts = [f"explains {', '.join(done)} down to the noise"] if done else []
-        parts += [f"leaves {'; '.join(map(_left, left))}"] if left else []
+        parts += [f"leaves {', '.join(map(_left, left))}"] if left else []
         sentences.append(f"{model} {', and '.join(parts)}.")
     return tuple(sentences)
 
@@ -136,8 +137,7 @@ def _size(residual: Residual) -> float:
 
 
 def _left(residual: Residual) -> str:
-    size = f"an error {number_text(residual.times_noise, 2)} times the noise" if _size(residual) else "an error"
+    size = f"error {number_text(residual.times_noise, 2)} times the noise" if _size(residual) else "an error"
     if not residual.follows:
-        return f"{residual.output} with {size}"
-    sense = "with" if residual.strength > 0 else "against"
-    return f"{residual.output} with {size}, going {sense} {residual.follows} ({abs(residual.strength):.2f})"
+        return f"{residual.output} ({size})"
+    return f"{residual.output} ({size}, follows {residual.follows} with correlation {residual.strength:.2f})"

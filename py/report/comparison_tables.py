@@ -126,9 +126,13 @@ def residual_tables(comparison: Comparison, look: Mapping[str, Style]) -> list[T
             numbers(
                 "correlation_time", "Correlation time", [r.correlation_time for r in rows], "s", common=False, digits=2
             ),
-            texts("follows", "Error follows", [r.follows or "nothing recorded" for r in rows]),
-            numbers("strength", "Correlation", [r.strength for r in rows], digits=2),
-            numbers("lag", "After", [r.lag for r in rows], "s", common=False, digits=2),
+            texts(
+                "follows",
+                "Error follows",
+                [r.follows or ("nothing" if r.only_noise else "nothing recorded") for r in rows],
+            ),
+            numbers("strength", "Correlation", [r.strength if r.follows else None for r in rows], digits=2),
+            numbers("lag", "After", [r.lag if r.follows else None for r in rows], "s", common=False, digits=2),
         ]
         found.append(table(f"residuals_{signal.name}", signal.name, columns, folded=bool(found)))
     return found

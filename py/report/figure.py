@@ -124,7 +124,8 @@ def layout(x_title: str, y_titles: Sequence[str], shares: Sequence[float] | None
     room = 1.0 - gap * (len(shares) - 1)
     answer = {
         "height": height,
-        "margin": {"l": 64, "r": 12, "t": 68, "b": 46},
+        "margin": {"l": 64, "r": 44, "t": 44, "b": 46},
+        "modebar": {"orientation": "v", "bgcolor": "rgba(0,0,0,0)", "color": "#b5bcc3", "activecolor": "#57606a"},
         "hovermode": "x unified",
         "dragmode": "zoom",
         "legend": {"orientation": "h", "x": 0, "y": 1.02, "yanchor": "bottom", "font": {"size": 13}},

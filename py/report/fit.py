@@ -111,9 +111,9 @@ def interval_figure(rows: Sequence[ParameterRow], id: str = "intervals") -> Figu
             "showlegend": False,
         }
     ]
-    plan = layout("change against the start [%], with 95 % interval", [""], height=130 + 34 * len(rows))
+    plan = layout("change against the start [%], with 95 % interval", [""], height=140 + 34 * len(rows))
     plan["hovermode"] = "closest"
-    plan["margin"] = {"l": 20, "r": 16, "t": 36, "b": 46}
+    plan["margin"] = {"l": 20, "r": 44, "t": 16, "b": 46}
     return Figure(id, "", {"data": data, "layout": plan})
 
 

@@ -132,7 +132,9 @@ def with_unit(text: str, unit: str) -> str:
 
 
 def _spaced(text: str) -> str:
-    """Groups of three digits before the point, from five digits on."""
+    """Groups of three digits before the point, from five digits on; no minus before zero."""
+    if text.startswith("-") and not text.strip("-0."):
+        text = text[1:]
     whole, point, fraction = text.partition(".")
     grouped = f"{int(whole):,}".replace(",", "\u202f") if len(whole.lstrip("-")) > 4 else whole
     return f"{grouped}{point}{fraction}"

@@ -136,15 +136,15 @@ def _scores(comparison: Comparison, shown: Mapping[str, str], look, mode: str) -
     lead = f"{mode.capitalize()}: {how}."
     if len(comparison.records) > 1:
         lead += f" Means over the {len(comparison.records)} recordings (the maximum is the largest of all), best first."
-    lead += " MAE is what Eq. 18 of the C-EHA paper calls RMSE. Fit is 100 (1 − ‖e‖ / ‖y − mean y‖) %."
+    lead += " MAE is what Eq. 18 of the C-EHA paper calls RMSE. Fit is 100 (1 − ‖e‖ / ‖y − mean y‖)\u00a0%."
     tables = tuple(score_tables(comparison, shown, look, mode))
     return Section(f"scores-{mode.replace(' ', '-')}", f"Scores, {mode}", tables, lead)
 
 
 def _left(comparison: Comparison, look) -> Section:
     lead = (
-        "Free run. Explained is the share of the measured variance. An error like white noise has about 95 % of its "
-        "first lags inside the noise band: nothing is left to model. Else the last columns name what it follows."
+        "Free run. Explained is the share of the measured variance. White noise has about 95\u00a0% of its first "
+        "lags inside the noise band: nothing is left to model. Else the last columns name what it follows."
     )
     sentences = verdicts(comparison)
     note = (Note(sentences),) if sentences else ()

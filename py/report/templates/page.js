@@ -2,10 +2,14 @@
   "use strict";
   const config = { responsive: true, displaylogo: false, showSendToCloud: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"] };
 
+  const narrow = window.innerWidth < 640;
+  if (narrow) config.displayModeBar = false;
+
   function draw(plot) {
     if (plot.dataset.drawn) return;
     plot.dataset.drawn = "begun";
     const spec = JSON.parse(plot.parentElement.querySelector("script").textContent);
+    if (narrow) Object.assign(spec.layout.margin, { l: 48, r: 8 });
     Plotly.newPlot(plot, spec.data, spec.layout, config).then(function () { plot.dataset.drawn = "yes"; });
   }
 

@@ -47,7 +47,6 @@ def elaborate(root: Component, name: str, overrides: Sequence[str] = ()) -> tupl
         _current.reset(token)
     for path in overrides:
         elaboration.bindings.pop(path, None)
-    elaboration.equations.extend(connection_equations(elaboration))
     return elaboration, bound
 
 
@@ -113,9 +112,9 @@ def solve(elaboration: Elaboration) -> Solved:
     name = elaboration.name
     symbol_of = {p.path: p.symbol for p in elaboration.parameters}
     bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in elaboration.bindings.items()]
-    check_units(name, [*bound, *elaboration.equations, *elaboration.initial_equations], elaboration.units)
+    equations = [*elaboration.equations, *connection_equations(elaboration)]
+    check_units(name, [*bound, *equations, *elaboration.initial_equations], elaboration.units)
     bindings = _resolved_bindings(elaboration)
-    equations = list(elaboration.equations)
     unknowns = [
         Unknown(v.path, v.symbol, v.declaration.nominal, getattr(v.declaration, "start", 0.0))
         for v in elaboration.variables
@@ -129,7 +128,7 @@ def solve(elaboration: Elaboration) -> Solved:
     delayed, dead_times = {}, {}
     while True:
         expressions, nonlinear = _solve_once(elaboration, equations, unknowns)
-        delayed, dead_times = _resolve_delays(elaboration, expressions)
+        delayed, dead_times = _resolve_delays(elaboration, expressions, bindings)
         ready = _explicit_derivatives(elaboration, expressions, waiting, states)
         if not waiting:
             break
@@ -238,7 +237,7 @@ def _inputs_used(elaboration, expressions) -> frozenset[str]:
     return frozenset(i.path for i in elaboration.inputs if i.symbol.element_hash() in used)
 
 
-def _resolve_delays(elaboration, expressions):
+def _resolve_delays(elaboration, expressions, bindings):
     """Delayed inputs: each delay symbol becomes the input itself, marked with the parameter that delays it."""
     replaced, dead_times = {}, {}
     inputs = {i.symbol.element_hash(): i.path for i in elaboration.inputs}
@@ -246,7 +245,8 @@ def _resolve_delays(elaboration, expressions):
     for item in elaboration.delays:
         source = replace(item.argument, expressions)
         path = inputs.get(source.element_hash()) if source.is_symbolic() else None
-        parameter = parameters.get(item.time.element_hash()) if item.time.is_symbolic() else None
+        dead_time = replace(item.time, bindings)
+        parameter = parameters.get(dead_time.element_hash()) if dead_time.is_symbolic() else None
         if path is None or parameter is None or dead_times.get(path, parameter) != parameter:
             raise TopologyError(
                 f"{elaboration.name}: '{item.symbol}' delays {source} by {item.time}. Only an input of the model can "

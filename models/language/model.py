@@ -32,24 +32,26 @@ class Model:
     DeclarationError, TopologyError, UnitError : when `flat` is first asked for.
     """
 
-    def __init__(self, root: Component, name: str | None = None, *, settings: Mapping = (), step: float = 1e-3):
+    def __init__(self, root: Component, name: str | None = None, *, settings: Mapping = (), step: float = 1e-3,
+                 provenance: Mapping | None = None):
         if not isinstance(root, Component):
             raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
         self.root = root
         kind = type(root).__name__
         self.name = name or kind[0].lower() + kind[1:]
         self.step = step
+        self.provenance = dict(provenance or {})
         self.settings = {
             k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()
         }
 
     # -- other models ------------------------------------------------------------------------------------------
-    def with_settings(self, settings: Mapping) -> Model:
+    def with_settings(self, settings: Mapping, provenance: Mapping | None = None) -> Model:
         """The same structure with further values, bounds, sigmas or sources, by path."""
         merged = {k: dict(v) for k, v in self.settings.items()}
         for path, change in settings.items():
             merged.setdefault(path, {}).update(change if isinstance(change, Mapping) else {"value": float(change)})
-        other = Model(self.root, self.name, settings=merged, step=self.step)
+        other = Model(self.root, self.name, settings=merged, step=self.step, provenance=provenance)
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
             other.__dict__["_functions"] = self._functions
@@ -62,7 +64,7 @@ class Model:
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings")}
+        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
 

@@ -1,1 +1,55 @@
+"""hydrotwin: identify, learn, compare and export models of hydraulic actuators.
 
+The verbs and nouns of the package, gathered from its rooms; each is imported when first used.
+
+>>> import hydrotwin
+>>> model = hydrotwin.load("cehA")
+>>> [signal.name for signal in model.flat.inputs]
+['command']
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import PackageNotFoundError, version
+
+_WHERE = {
+    "Block": "simulation",
+    "Comparison": "comparison",
+    "Component": "models.language",
+    "Fit": "identification",
+    "HydrotwinError": "models.language",
+    "Law": "models.language",
+    "Model": "models.language",
+    "Record": "records",
+    "check_fmu": "export",
+    "compare": "comparison",
+    "export_fmu": "export",
+    "identify": "identification",
+    "load": "loading",
+    "modelica_text": "models.language.modelica",
+    "published_formula": "learned",
+    "read_fmu": "export",
+    "read_record": "records",
+    "simulate": "simulation",
+    "train_network": "learned",
+    "write_model_file": "models.language.model_file",
+    "write_record": "records",
+    "write_report": "report",
+}
+__all__ = sorted(_WHERE)
+
+try:
+    __version__ = version("hydrotwin")
+except PackageNotFoundError:  # run from a folder that was never installed
+    __version__ = "0+unknown"
+
+
+def __getattr__(name: str):
+    if name not in _WHERE:
+        raise AttributeError(f"module 'hydrotwin' has no attribute '{name}'")
+    return getattr(importlib.import_module(f"hydrotwin.{_WHERE[name]}"), name)
+
+
+def __dir__():
+    return sorted({*globals(), *__all__})

@@ -1,0 +1,106 @@
+"""model.toml: which model, its parameter values with uncertainty, and where they came from. Data only, never code."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import tomlkit
+
+from .errors import DataError, nearest
+from .flat import FlatModel
+from .parameter_file import parameter_settings, read_toml
+
+FORMAT = 1
+_KEYS = ("format", "kind", "model", "parameters", "effects", "provenance")
+
+
+@dataclass(frozen=True)
+class ModelFile:
+    """The content of a model file.
+
+    settings : by dotted path, in SI, ready for ``Model.with_settings``.
+    effects : named effects with site and parameters, in the order they were added.
+    """
+
+    path: Path
+    model: str
+    settings: Mapping[str, dict]
+    effects: tuple[dict, ...] = ()
+    provenance: Mapping = field(default_factory=dict)
+
+
+def read_model_file(path: Path | str) -> ModelFile:
+    """Read a model file.
+
+    Raises
+    ------
+    DataError : no TOML, no model file, a key that has no place in it, a number that is none.
+    """
+    path = Path(path)
+    content = read_toml(path)
+    for key in content:
+        if key not in _KEYS:
+            raise DataError(f"{path}: unknown key '{key}'. A model file holds data only. {nearest(key, _KEYS)}")
+    if content.get("kind", "model") != "model" or not isinstance(content.get("model"), str):
+        raise DataError(f"{path}: no model file (no line model = \"..\"). Write one with 'hydrotwin identify --out'.")
+    if content.get("format", FORMAT) > FORMAT:
+        raise DataError(f"{path}: written by a newer version (format {content['format']}). Update hydrotwin.")
+    settings = parameter_settings(content.get("parameters", {}), str(path))
+    return ModelFile(
+        path, content["model"], settings, tuple(content.get("effects", ())), content.get("provenance", {})
+    )
+
+
+def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: Mapping | None = None) -> Path:
+    """Write the values, sigmas, bounds and sources of ``flat`` (SI); an existing file is replaced only when whole."""
+    path = Path(path)
+    document = tomlkit.document()
+    document.add(tomlkit.comment("hydrotwin model file: data only; values in SI units"))
+    document["format"] = FORMAT
+    document["kind"] = "model"
+    document["model"] = model
+    parameters = tomlkit.table()
+    for p in flat.parameters:
+        entry = tomlkit.inline_table()
+        entry["value"] = float(p.value)
+        entry["unit"] = p.unit
+        if p.sigma is not None and np.isfinite(p.sigma):
+            entry["sigma"] = float(p.sigma)
+        entry["bounds"] = [float(b) for b in p.bounds]
+        if p.free:
+            entry["free"] = True
+        if p.source:
+            entry["source"] = p.source
+        parameters.append(tomlkit.key(p.name.split(".")), entry)
+    document["parameters"] = parameters
+    if provenance:
+        document["provenance"] = _plain(provenance)
+    write_whole(path, tomlkit.dumps(document))
+    return path
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write beside, then rename: a failed write leaves the old file as it was."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text, encoding="utf-8")
+        os.replace(beside, path)
+    except OSError as error:
+        beside.unlink(missing_ok=True) if beside.parent.is_dir() else None
+        raise DataError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to.") from None
+
+
+def _plain(value):
+    """Only what TOML knows."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items() if v is not None}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, (str, int, float, bool)) else str(value)

@@ -1,0 +1,345 @@
+"""A Model writes itself as Modelica source: one package that needs no library.
+
+One connector per kind of port, one class per component and choice of laws, ``Main`` with the model's parameter values.
+A law is a record of its parameters; its relation stands in the equations of the component that uses it. Dotted paths
+stay as they are, except that a word of Modelica gets an underscore (``end`` -> ``end_``).
+Source: Modelica Language Specification 3.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+from .component import Component, declarations
+from .declarations import Input, Output, Parameter, Port, State, Variable
+from .elaboration import BoundPort, Elaboration, Equation
+from .flattening import elaborate
+from .model import Model
+from .modelica_expression import modelica_equation, modelica_expression, modelica_number
+from .units import modelica_unit
+
+WORDS = frozenset(
+    "algorithm and annotation assert block break class connect connector constant constrainedby der discrete each else "
+    "elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if "
+    "import impure in initial inner input loop model not operator or outer output package parameter partial protected "
+    "public pure record redeclare replaceable return stream then time true type when while within Real Integer Boolean "
+    "String".split()
+)
+MAIN = "Main"
+
+
+def modelica_text(model: Model) -> str:
+    """Modelica source of a model: package ``<model name>`` whose class ``Main`` is the model with its values.
+
+    Raises
+    ------
+    DeclarationError : an expression uses an operation that Modelica has no form for.
+    """
+    elaboration, root = elaborate(model.root, model.name)
+    writer = _PackageWriter(elaboration)
+    top = writer.class_of(root)
+    changes = _nested(_changed_settings(model, elaboration))
+    connectors = [_connector(kind) for kind in writer.port_kinds]
+    if writer.has_signals:
+        connectors += ["connector RealInput = input Real;", "connector RealOutput = output Real;"]
+    main = f"model {MAIN} {_quoted(f'{model.name} with its parameter values')}\n  extends {top}{changes};\nend {MAIN};"
+    body = "\n\n".join([*connectors, *writer.classes.values(), main])
+    head = f"package {identifier(model.name)} {_quoted(_sentence(model.root))}\n"
+    return head + _indented(body) + f"\nend {identifier(model.name)};\n"
+
+
+def modelica_main(model: Model) -> str:
+    """Full name of the class to simulate: ``cehA.Main``."""
+    return f"{identifier(model.name)}.{MAIN}"
+
+
+def identifier(name: str) -> str:
+    """A name as Modelica takes it.
+
+    >>> identifier("end"), identifier("rod_area")
+    ('end_', 'rod_area')
+    """
+    return f"{name}_" if name in WORDS else name
+
+
+def modelica_path(path: str) -> str:
+    """A dotted path as a Modelica component reference."""
+    return ".".join(identifier(part) for part in path.split("."))
+
+
+def _connector(kind: Port) -> str:
+    (letter, unit), (flow, flow_unit) = kind.potential, kind.flow
+    nominal, flow_nominal = (f", nominal={modelica_number(n)}" if n != 1 else "" for n in kind.nominals)
+    return (
+        f"connector {type(kind).__name__} {_quoted(_sentence(kind))}\n"
+        f'  Real {identifier(letter)}(unit="{modelica_unit(unit)}"{nominal});\n'
+        f'  flow Real {identifier(flow)}(unit="{modelica_unit(flow_unit)}"{flow_nominal});\n'
+        f"end {type(kind).__name__};"
+    )
+
+
+@dataclass
+class _Body:
+    """The sections of one class while it is written."""
+
+    declarations: list[str] = field(default_factory=list)
+    shared: list[str] = field(default_factory=list)
+    initial: list[str] = field(default_factory=list)
+    equations: list[str] = field(default_factory=list)
+
+    def text(self, description: str) -> str:
+        sections = [description, *(f"  {line}" for line in self.declarations)]
+        for title, lines in (
+            ("protected", [f"Real {name};" for name in self.shared]),
+            ("initial equation", self.initial),
+            ("equation", self.equations),
+        ):
+            if lines:
+                sections += [title, *(f"  {line}" for line in lines)]
+        return "\n".join(sections)
+
+
+class _PackageWriter:
+    """Writes the classes of one bound component tree; equal texts share one class."""
+
+    def __init__(self, elaboration: Elaboration):
+        self.elaboration = elaboration
+        self.classes: dict[str, str] = {}  # name -> text
+        self.bodies: dict[tuple[str, str], str] = {}  # (class, body) -> name
+        self.port_kinds: list[Port] = []
+        self.has_signals = False
+        self.paths = {
+            entry.symbol.element_hash(): entry.path
+            for entry in (*elaboration.parameters, *elaboration.states, *elaboration.variables, *elaboration.inputs)
+        }
+        self.parameters = {p.symbol.element_hash() for p in elaboration.parameters}
+        self.rates = {rate.element_hash(): symbol for symbol, rate in elaboration.derivatives.values()}
+        self.delays = {d.symbol.element_hash(): d for d in elaboration.delays}
+        self.equations = self._by_owner(elaboration.equations)
+        self.initial_equations = self._by_owner([*elaboration.initial_equations, *self._followed_starts()])
+
+    # -- classes -----------------------------------------------------------------------------------------------
+    def class_of(self, component: Component) -> str:
+        """Name of the class of a bound component, written the first time it is met."""
+        body = self._body(component)
+        kind = type(component).__name__
+        passive = all(line.startswith("parameter ") for line in body.declarations) and not body.equations
+        text = body.text(_quoted(_sentence(component)))
+        if (kind, text) not in self.bodies:
+            name = next(n for n in _names(kind) if n not in self.classes and n != MAIN)
+            word = "record" if passive else "model"
+            self.classes[name] = f"{word} {name} {text}\nend {name};"
+            self.bodies[kind, text] = name
+        return self.bodies[kind, text]
+
+    def _body(self, component: Component) -> _Body:
+        body, path = _Body(), component.path
+        for name in declarations(type(component)):
+            body.declarations.append(self._declaration(component, name))
+        for owner, connection in self.elaboration.connections:
+            if owner == path:
+                ends = (self._end(end, path) for end in (connection.first, connection.second))
+                body.equations.append(f"connect({', '.join(ends)});")
+        for equations, lines in (
+            (self.initial_equations.get(path, ()), body.initial),
+            (self.equations.get(path, ()), body.equations),
+        ):
+            for equation in equations:
+                lines.append(self._equation(equation, path, body) + ";")
+        return body
+
+    def _equation(self, equation: Equation, path: str, body: _Body) -> str:
+        new = iter(f"shared_{k}" for k in range(len(body.shared) + 1, 10_000))
+        text, shared = modelica_equation(equation.left, equation.right, self._names_in(path), lambda: next(new))
+        for name, definition in shared:
+            body.shared.append(name)
+            body.equations.append(f"{name} = {definition};")
+        return text
+
+    # -- declarations ------------------------------------------------------------------------------------------
+    def _declaration(self, component: Component, name: str) -> str:
+        changed, own = component.changes.get(name), declarations(type(component))[name]
+        declared = changed if isinstance(changed, (Parameter, State)) else own
+        here = getattr(component, name)
+        word = identifier(name)
+        if isinstance(here, Component):
+            return f"{self.class_of(here)} {word}{self._changes(here)} {_quoted(_sentence(here))};"
+        if isinstance(here, BoundPort):
+            if type(declared) not in [type(kind) for kind in self.port_kinds]:
+                self.port_kinds.append(declared)
+            return f"{type(declared).__name__} {word} {_quoted(declared.description)};"
+        attributes = _attributes(declared)
+        if isinstance(declared, Parameter):
+            value = self._value(component, name, declared)
+            return f"parameter Real {word}{_modifier(attributes)}{value} {_quoted(declared.description)};"
+        if isinstance(declared, State):
+            attributes |= self._start_attributes(component, name, declared)
+        elif isinstance(declared, Variable) and declared.start:
+            attributes["start"] = modelica_number(declared.start)
+        elif isinstance(declared, Input) and not component.path and declared.default:
+            attributes["start"] = modelica_number(declared.default)
+        signal = isinstance(declared, (Input, Output))
+        self.has_signals |= signal
+        kind = f"Real{type(declared).__name__}" if signal else "Real"
+        return f"{kind} {word}{_modifier(attributes)} {_quoted(declared.description)};"
+
+    def _value(self, component: Component, name: str, declared: Parameter) -> str:
+        """`` = ...`` of a parameter in its class; values given from around the component are modifiers there."""
+        if not callable(declared.value):
+            return f" = {modelica_number(declared.value)}"
+        if name in component.changes and component.parent is not None and component.changes[name] is declared:
+            return ""
+        return f" = {modelica_expression(ca.SX(declared.value(component)), self._names_in(component.path))}"
+
+    def _start_attributes(self, component: Component, name: str, declared: State) -> dict[str, str]:
+        always = {"stateSelect": "StateSelect.always"}
+        if not callable(declared.start):
+            return {"start": modelica_number(declared.start), "fixed": str(declared.fixed).lower(), **always}
+        around = component.parent if name in component.changes and component.parent is not None else component
+        start = ca.SX(declared.start(around))
+        if around is component and self._constant(start):
+            text = modelica_expression(start, self._names_in(component.path))
+            return {"start": text, "fixed": str(declared.fixed).lower(), **always}
+        return {"fixed": "false", **always}  # an initial equation or a modifier says the rest
+
+    def _changes(self, component: Component) -> str:
+        """The modifiers with which its parent declares a component: numbers, bindings and start values."""
+        names_in_parent = self._names_in(component.parent.path)
+        modifiers = []
+        for name, change in component.changes.items():
+            symbol, word = getattr(component, name), identifier(name)
+            own = declarations(type(component))[name]
+            if isinstance(own, Parameter):
+                value = change.value if isinstance(change, Parameter) else change
+                if callable(value):
+                    value = modelica_expression(self.elaboration.bindings[f"{component.path}.{name}"], names_in_parent)
+                elif not isinstance(change, Parameter):
+                    value = modelica_number(value)
+                else:
+                    continue
+                modifiers.append(f"{word}={value}")
+            elif isinstance(own, State) and isinstance(symbol, ca.SX) and not isinstance(change, State):
+                start = ca.SX(change(component.parent) if callable(change) else change)
+                if self._constant(start):
+                    modifiers.append(f"{word}(start={modelica_expression(start, names_in_parent)})")
+                else:
+                    modifiers.append(f"{word}(fixed=false)")
+        return f"({', '.join(modifiers)})" if modifiers else ""
+
+    # -- names and places --------------------------------------------------------------------------------------
+    def _names_in(self, owner: str) -> Callable[[ca.SX], str]:
+        """How symbols are called inside the class of the component at ``owner``."""
+        skip = len(owner) + 1 if owner else 0
+
+        def name_of(symbol: ca.SX) -> str:
+            key = symbol.element_hash()
+            if key in self.rates:
+                return f"der({name_of(self.rates[key])})"
+            if key in self.delays:
+                item = self.delays[key]
+                return f"delay({name_of(item.argument)}, {name_of(item.time)})"
+            return modelica_path(self.paths[key][skip:]) if key in self.paths else "time"
+
+        return name_of
+
+    def _end(self, end, owner: str) -> str:
+        path = end.path if isinstance(end, BoundPort) else self.paths[end.element_hash()]
+        return modelica_path(path[len(owner) + 1 if owner else 0 :])
+
+    def _by_owner(self, equations) -> dict[str, list[Equation]]:
+        """Equations by the innermost component that sees all their symbols."""
+        found: dict[str, list[Equation]] = {}
+        for equation in equations:
+            owner = equation.owner
+            for path in self._paths_of(ca.vertcat(equation.left, equation.right)):
+                while owner and not path.startswith(f"{owner}."):
+                    owner = owner.rpartition(".")[0]
+            found.setdefault(owner, []).append(equation)
+        return found
+
+    def _paths_of(self, expression: ca.SX) -> Iterator[str]:
+        for symbol in ca.symvar(expression):
+            key = symbol.element_hash()
+            if key in self.rates:
+                yield from self._paths_of(self.rates[key])
+            elif key in self.delays:
+                yield from self._paths_of(ca.vertcat(self.delays[key].argument, self.delays[key].time))
+            elif key in self.paths:
+                yield self.paths[key]
+
+    def _constant(self, expression: ca.SX) -> bool:
+        return all(s.element_hash() in self.parameters for s in ca.symvar(expression))
+
+    def _followed_starts(self) -> Iterator[Equation]:
+        """Start values that follow other states, as initial equations."""
+        for state in self.elaboration.states:
+            if state.declaration.fixed and callable(state.declaration.start):
+                start = ca.SX(state.declaration.start(state.owner))
+                if not self._constant(start):
+                    yield Equation(state.symbol, start, state.owner.path)
+
+
+def _attributes(declared) -> dict[str, str]:
+    """``unit, min, max, nominal`` as far as they say something."""
+    found = {"unit": f'"{modelica_unit(declared.unit)}"'} if modelica_unit(declared.unit) else {}
+    low, high = getattr(declared, "bounds", (-np.inf, np.inf))
+    found |= {key: modelica_number(b) for key, b in (("min", low), ("max", high)) if np.isfinite(b)}
+    if declared.nominal not in (None, 1.0):
+        found["nominal"] = modelica_number(declared.nominal)
+    return found
+
+
+def _modifier(attributes: Mapping[str, str]) -> str:
+    return f"({', '.join(f'{key}={value}' for key, value in attributes.items())})" if attributes else ""
+
+
+def _changed_settings(model: Model, elaboration: Elaboration) -> dict[str, str]:
+    """Values (and bounds) of the model that differ from the declarations, by path."""
+    changed = {}
+    for entry in elaboration.parameters:
+        setting = model.settings.get(entry.path, {})
+        if "value" not in setting or setting["value"] == entry.declaration.value:
+            continue
+        bounds = setting.get("bounds", entry.declaration.bounds)
+        limits = {
+            key: modelica_number(new)
+            for key, new, old in zip(("min", "max"), bounds, entry.declaration.bounds, strict=True)
+            if new != old and np.isfinite(new)
+        }
+        changed[entry.path] = f"{_modifier(limits)}={modelica_number(setting['value'])}"
+    return changed
+
+
+def _nested(changes: Mapping[str, str]) -> str:
+    """Changes by path as one nested modifier: ``(cylinder(friction(viscous=700)))``."""
+    if not changes:
+        return ""
+    groups: dict[str, dict[str, str]] = {}
+    for path, change in changes.items():
+        first, _, rest = path.partition(".")
+        groups.setdefault(first, {})[rest] = change
+    parts = [f"{identifier(first)}{inside.get('') or _nested(inside)}" for first, inside in groups.items()]
+    return f"({', '.join(parts)})"
+
+
+def _names(kind: str) -> Iterator[str]:
+    yield kind
+    yield from (f"{kind}_{k}" for k in range(2, 1000))
+
+
+def _sentence(described) -> str:
+    """First line of what a class says about itself."""
+    return (type(described).__doc__ or "").strip().split("\n")[0]
+
+
+def _quoted(text: str) -> str:
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _indented(text: str) -> str:
+    return "\n".join(f"  {line}" if line else line for line in text.split("\n"))

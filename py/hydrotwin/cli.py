@@ -1,0 +1,53 @@
+"""The command line: one Typer app, one place where errors become sentences and exit codes.
+
+Exit codes: 0 done, 1 failed honestly, 2 wrong usage or unusable input.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import typer
+from rich.console import Console
+
+from hydrotwin.models.language.errors import HydrotwinError, SolveError
+
+from .commands import comparing, demonstrating, exporting, fitting, showing
+
+app = typer.Typer(
+    name="hydrotwin",
+    help="Identify, learn, compare and export models of hydraulic actuators.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for room in (showing, fitting, comparing, exporting, demonstrating):
+    room.register(app)
+
+
+def main() -> None:
+    """Run the command line."""
+    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    try:
+        app()
+    except SolveError as error:
+        console.print(f"[bold red]failed[/] {_escaped(error)}")
+        sys.exit(1)
+    except HydrotwinError as error:
+        console.print(f"[bold red]error[/] {_escaped(error)}")
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.print("stopped")
+        sys.exit(130)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+def _escaped(error: Exception) -> str:
+    from rich.markup import escape
+
+    return escape(str(error))

@@ -1,0 +1,108 @@
+"""compare: several models on the same recordings, with a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin.models.language.errors import DeclarationError, SolveError
+
+from ..loading import load
+from .shared import (
+    JsonOption,
+    ScaleOption,
+    ValidateOption,
+    check_writable,
+    examples,
+    out,
+    progress_bar,
+    read_all,
+    table,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command(
+        epilog=examples(
+            "hydrotwin compare scenario.toml --out report",
+            "hydrotwin compare --model model.toml --model network.toml --model eq17 --validate validate_1.csv --out report",
+        )
+    )(compare)
+
+
+def compare(
+    scenario: Annotated[Path | None, typer.Argument(metavar="[SCENARIO.toml]", help="models, recordings, modes")] = None,
+    output: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder of the report")] = Path("comparison"),
+    models: Annotated[list[str] | None, typer.Option("--model", metavar="MODEL", help="NAME=MODEL gives it a name")] = None,
+    validate: ValidateOption = None,
+    train: Annotated[list[Path] | None, typer.Option("--train", metavar="REC", help="what the models were made from")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to score")] = None,
+    modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
+    title: Annotated[str | None, typer.Option(help="title of the report")] = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
+    from hydrotwin.comparison import MODES, Scenario, read_scenario, run_scenario
+    from hydrotwin.report import write_report
+
+    check_writable(output)
+    if (scenario is None) == (not models):
+        raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
+    if scenario is None and not validate:
+        raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
+    if scenario is not None:
+        described = read_scenario(scenario)
+    else:
+        read_all(validate, scale)  # tells gaps before a long run
+        described = Scenario(
+            title=title or "Comparison of models",
+            models=tuple(entry(m) for m in models),
+            validate=tuple(validate),
+            train=tuple(train or ()),
+            modes=tuple(modes or MODES),
+            outputs=tuple(outputs) if outputs else None,
+            scale=dict(s.split("=", 1) for s in scale or []),
+        )
+    with progress_bar() as bar:
+        row = bar.add_task("compare", total=None)
+
+        def told(done: int, total: int, what: str) -> None:
+            bar.update(row, completed=done, total=total, description=f"compare: {what}")
+
+        comparison = run_scenario(described, load, progress=None if as_json else told)
+    paths = write_report(comparison, output)
+    if as_json:
+        typer.echo(paths["json"].read_text(encoding="utf-8"))
+    else:
+        print_comparison(comparison)
+        out.print(f"written: {', '.join(str(p) for p in paths.values())}")
+    if not comparison.scores:
+        raise SolveError(f"compare: no model could be scored. {comparison.failures[0].reason}")
+
+
+def entry(text: str):
+    """``NAME=MODEL`` or ``MODEL``."""
+    from hydrotwin.comparison import ModelEntry
+
+    name, equals, model = text.partition("=")
+    return ModelEntry(model, name) if equals else ModelEntry(text)
+
+
+def print_comparison(comparison) -> None:
+    """Mean scores over the recordings, best first, and what failed."""
+    for mode in comparison.modes:
+        for signal in comparison.outputs:
+            rows = [
+                [s.model, float(s.rmse), float(s.mae), float(s.maximum), float(s.fit_percent), s.unit]
+                for s in sorted(comparison.means, key=lambda s: s.rmse)
+                if s.mode == mode and s.output == signal.name
+            ]
+            if rows:
+                table(f"{signal.name}, {mode}", ["model", "RMSE", "MAE (Eq. 18)", "maximum", "fit %", "unit"], rows)
+                out.print()
+    for failure in comparison.failures:
+        out.print(f"[yellow]failed[/] {failure.model} on {failure.record}, {failure.mode}: {failure.reason}")

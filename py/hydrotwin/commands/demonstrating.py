@@ -1,0 +1,94 @@
+"""demo: the whole main job on the recordings that ship with the project."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import hydrotwin.models
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.model_file import write_model_file
+
+from ..loading import load
+from .comparing import print_comparison
+from .fitting import fit_provenance, print_fit
+from .shared import check_writable, examples, out, progress_bar, read_all
+
+EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
+LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn
+FORMULA = {"cehA": ["eq17"]}  # published formulas to put beside
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this file."""
+    app.command(epilog=examples("hydrotwin demo --out out/demo"))(demo)
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--out", metavar="DIR", help="where everything is written")] = Path("out/demo"),
+    machines: Annotated[list[str] | None, typer.Option("--machine", help="cehA or spool_valve; both by default")] = None,
+    budget: Annotated[float, typer.Option(help="seconds for each network")] = 40.0,
+) -> None:
+    """Identify, learn, export, check, compare and report, on the recordings that ship with the project."""
+    check_writable(output)
+    began = time.perf_counter()
+    for machine in machines or list(LEARNED):
+        if machine not in LEARNED:
+            raise DataError(f"demo: no recordings of '{machine}'. There are {' and '.join(LEARNED)}.")
+        run_machine(machine, output / machine, budget)
+    out.print(f"[bold]done[/] in {time.perf_counter() - began:.0f} s. Open {output}/*/report.html in a browser.")
+
+
+def run_machine(machine: str, folder: Path, budget: float) -> None:
+    """Recordings in; identified model, network, FMUs and report out."""
+    from hydrotwin.comparison import BlockContender, PhysicalContender, as_contender, compare
+    from hydrotwin.export import check_fmu, export_fmu, read_fmu
+    from hydrotwin.identification import identify
+    from hydrotwin.learned import train_network, write_block
+    from hydrotwin.report import write_report
+
+    recordings = EXAMPLES / machine / "recordings"
+    train = read_all(sorted(recordings.glob("train_*.csv")))
+    validate = read_all(sorted(recordings.glob("validate_*.csv")))
+    if not train or not validate:
+        raise DataError(f"{recordings}: the recordings are missing. Make them with examples/{machine}/make_recordings.py.")
+    folder.mkdir(parents=True, exist_ok=True)
+
+    out.rule(f"{machine}: identify")
+    model = load(machine)
+    fit = identify(model, train, validate=validate, progress=True)
+    model_file = write_model_file(folder / "model.toml", machine, fit.flat, fit_provenance(fit, train, validate))
+    print_fit(fit, model_file)
+
+    out.rule(f"{machine}: learn")
+    column_in, column_out = LEARNED[machine]
+    with progress_bar() as bar:
+        row = bar.add_task("learn nn", total=None)
+        network = train_network(
+            train, [column_in], [column_out], budget=budget,
+            progress=lambda p: bar.update(row, description=f"learn nn: best free-run error {p.best:.4g} of the spread"),
+        )  # fmt: skip
+    write_block(network, folder / "network.toml")
+    out.print(f"network: {network.description}")
+
+    out.rule(f"{machine}: export and check")
+    contenders = [PhysicalContender(model, f"{machine} as given"), PhysicalContender(load(str(model_file)), "identified")]
+    contenders.append(BlockContender(network, kind="network", name="network"))
+    contenders += [as_contender(load(spec)) for spec in FORMULA.get(machine, [])]
+    for name, thing in (("identified", load(str(model_file))), ("network", network)):
+        path = folder / f"{machine}_{name}.fmu"
+        export_fmu(thing, path)
+        answer = check_fmu(path)
+        failed = [r.name for r in answer.rows if r.passed is False]
+        verdict = "all checks passed" if answer.passed else f"FAILED: {', '.join(failed)}"
+        out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {verdict}")
+        contenders.append(as_contender(read_fmu(path), f"{name}, as FMU"))
+
+    out.rule(f"{machine}: compare")
+    comparison = compare(contenders, validate, train_records=train, title=f"{machine}: physical, learned and exported models")
+    paths = write_report(comparison, folder, fits=[fit])
+    print_comparison(comparison)
+    out.print(f"written: {', '.join(str(p) for p in paths.values())}")

@@ -1,0 +1,62 @@
+"""export and check: FMUs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin.models.language.errors import DeclarationError
+
+from ..loading import load
+from .shared import JsonOption, ModelArgument, check_writable, examples, out, print_json, read_all, table
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command(epilog=examples("hydrotwin export model.toml --out cehA.fmu"))(export)
+    app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(check)
+
+
+def export(
+    model: ModelArgument,
+    output: Annotated[Path, typer.Option("--out", metavar="X.fmu", help="the FMU to write")],
+    fmi: Annotated[int, typer.Option(help="version of the FMI standard: 2")] = 2,
+    kind: Annotated[str, typer.Option(help="cs (Co-Simulation)")] = "cs",
+    as_json: JsonOption = False,
+) -> None:
+    """Write a model or a learned block as an FMU that runs without Python."""
+    from hydrotwin.export import export_fmu
+
+    check_writable(output)
+    thing = load(model)
+    if not hasattr(thing, "flat") and not hasattr(thing, "step"):
+        raise DeclarationError(f"export: '{model}' is an FMU already. Give a physical model or a learned block.")
+    exported = export_fmu(thing, output, fmi=fmi, kind=kind)
+    size = output.stat().st_size
+    if as_json:
+        print_json({"fmu": str(output), "bytes": size, "method": getattr(exported, "method", None)})
+    else:
+        out.print(f"written: {output} ({size / 1000:.0f} kB)")
+
+
+def check(
+    fmu: Annotated[Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's")],
+    reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Validate an FMU, try its interface in a child process, and compare its outputs; exit 1 when anything fails."""
+    from hydrotwin.export import check_fmu
+
+    record = read_all([reference])[0] if reference else None
+    answer = check_fmu(fmu, reference=record)
+    if as_json:
+        rows = [{"name": r.name, "passed": r.passed, "detail": r.detail} for r in answer.rows]
+        print_json({"fmu": str(fmu), "passed": answer.passed, "rows": rows})
+    else:
+        marks = {True: "pass", False: "FAIL", None: "-"}
+        table(str(fmu), ["", "check", "detail"], [[marks[r.passed], r.name, r.detail] for r in answer.rows])
+    if not answer.passed:
+        sys.exit(1)

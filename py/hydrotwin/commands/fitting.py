@@ -1,0 +1,187 @@
+"""identify and learn: models from recordings."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin import __version__
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.records import Record
+
+from .shared import (
+    JsonOption,
+    ModelArgument,
+    RecordsArgument,
+    ScaleOption,
+    ValidateOption,
+    check_writable,
+    err,
+    examples,
+    out,
+    print_json,
+    progress_bar,
+    read_all,
+    table,
+    tell_ignored,
+)
+from .showing import physical
+
+KINDS = ("nn",)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command(
+        epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_1.csv --out model.toml")
+    )(identify)
+    app.command(epilog=examples("hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml"))(
+        learn
+    )
+
+
+def identify(
+    model: ModelArgument,
+    records: RecordsArgument,
+    output: Annotated[Path, typer.Option("--out", metavar="MODEL.toml", help="the model file to write")],
+    free: Annotated[list[str] | None, typer.Option("--free", metavar="GLOB", help="parameters to identify")] = None,
+    validate: ValidateOption = None,
+    fit_outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to fit")] = None,
+    loss: Annotated[str, typer.Option(help="linear, soft_l1 or huber")] = "linear",
+    initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
+    starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
+    report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Identify the parameters of a physical model by nonlinear least squares."""
+    from hydrotwin.identification import identify
+
+    check_writable(output)
+    thing = physical(model, "identify")
+    train, judged = read_all(records, scale), read_all(validate, scale)
+    flat = thing.flat
+    tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+    fit = identify(
+        thing, train, free=free, validate=judged, outputs=fit_outputs, loss=loss, initial_states=initial_states,
+        starts=starts, progress=not as_json,
+    )  # fmt: skip
+    write_model_file(output, model.partition("@")[0], fit.flat, fit_provenance(fit, train, judged))
+    if report:
+        from hydrotwin.comparison import PhysicalContender, compare
+        from hydrotwin.report import write_report
+
+        contenders = [PhysicalContender(thing, f"{thing.name} as given"), PhysicalContender(fit.flat, "identified")]
+        comparison = compare(contenders, judged or train, train_records=train, title=f"Identification of {thing.name}")
+        write_report(comparison, report, fits=[fit])
+    print_json(fit_answer(fit)) if as_json else print_fit(fit, output)
+
+
+def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
+    """What the model file says about its making."""
+    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
+    return {
+        "made_by": f"hydrotwin {__version__}",
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        "chi2_per_sample": float(fit.chi2_per_dof),
+        "noise": dict(fit.noise),
+        "rmse": fit.rmse,
+        "findings": [str(f) for f in fit.findings],
+    }
+
+
+def fit_answer(fit) -> dict:
+    """The fit as data."""
+    rows = ("name", "value", "start", "sigma", "unit", "bounds", "at_bound")
+    return {
+        "model": fit.name,
+        "converged": fit.converged,
+        "message": fit.message,
+        "chi2_per_sample": fit.chi2_per_dof,
+        "parameters": [{key: getattr(p, key) for key in rows} for p in fit.parameters],
+        "correlation": fit.correlation,
+        "noise": dict(fit.noise),
+        "rmse": fit.rmse,
+        "findings": [str(f) for f in fit.findings],
+        "seconds": fit.seconds,
+    }
+
+
+def print_fit(fit, path: Path) -> None:
+    """The fit for a reader."""
+    rows = [
+        [p.name, float(p.start), float(p.value), f"± {p.sigma:.2g}", p.unit, "at its bound" if p.at_bound else ""]
+        for p in fit.parameters
+    ]
+    table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
+    residuals = [
+        [r.record, r.role, r.output, float(r.rmse), float(r.noise), r.unit, "noise only" if r.explained else "more than noise"]
+        for r in fit.residuals
+    ]
+    out.print()
+    table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", ""], residuals)
+    for finding in fit.findings:
+        out.print(f"[yellow]note[/] {finding}")
+    out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
+
+
+def learn(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="nn")],
+    records: RecordsArgument,
+    output: Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")],
+    inputs: Annotated[list[str] | None, typer.Option("--input", metavar="NAME", help="input columns")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="output columns")] = None,
+    validate: ValidateOption = None,
+    hidden: Annotated[int, typer.Option(min=0, help="hidden units; 0: the best linear model")] = 10,
+    seed: Annotated[int, typer.Option(help="the same seed gives the same network")] = 0,
+    budget: Annotated[float, typer.Option(help="training time [s] after which the best so far is taken")] = 120.0,
+    name: Annotated[str, typer.Option(help="name of the block")] = "network",
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Learn a surrogate from recordings: KIND nn is a small network, selected on its free-run error."""
+    from hydrotwin.learned import train_network, write_block
+
+    if kind not in KINDS:
+        raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
+    check_writable(output)
+    train, judged = read_all(records, scale), read_all(validate, scale)
+    signals_in, signals_out = learned_signals(train, inputs, outputs)
+    with progress_bar() as bar:
+        row = bar.add_task("learn nn", total=None)
+
+        def told(p):
+            bar.update(row, description=f"learn nn: seed {p.seed}, best free-run error {p.best:.4g} of the spread")
+
+        block = train_network(
+            train, signals_in, signals_out, validate=judged, hidden=hidden, seed=seed, budget=budget, name=name,
+            progress=None if as_json else told,
+        )  # fmt: skip
+    files = write_block(block, output)
+    answer = {"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance}
+    if as_json:
+        print_json(answer)
+        return
+    out.print(f"{block.name}: {block.description} period {block.period:g} s. Written: {', '.join(map(str, files))}")
+
+
+def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:
+    """The columns to learn from; a recording with two columns needs no naming."""
+    columns = list(records[0].signals)
+    if not inputs and not outputs and len(columns) == 2:
+        inputs, outputs = columns[:1], columns[1:]
+        err.print(f"[dim]learning {outputs[0]} from {inputs[0]}[/]")
+    if not inputs or not outputs:
+        raise DeclarationError(
+            f"learn: which columns are inputs, which outputs? Give --input and --output. Known: {', '.join(columns)}."
+        )
+    for column in (*inputs, *outputs):
+        if column not in columns:
+            raise DeclarationError(f"learn: no column '{column}' in {records[0].name}. {nearest(column, columns)}")
+    return list(inputs), list(outputs)

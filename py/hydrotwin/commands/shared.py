@@ -1,0 +1,115 @@
+"""Arguments that several commands take, reading recordings, and printing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.records import Record, read_record
+
+ModelArgument = Annotated[
+    str, typer.Argument(metavar="MODEL", help="cehA, spool_valve, a model file, a learned block, an .fmu, file.py:factory")
+]
+RecordsArgument = Annotated[list[Path], typer.Argument(metavar="REC...", help="recordings (CSV, Parquet, MAT, MDF)")]
+ValidateOption = Annotated[
+    list[Path] | None, typer.Option("--validate", metavar="REC", help="recordings to judge by, not to fit to")
+]
+ScaleOption = Annotated[
+    list[str] | None, typer.Option("--scale", metavar="COLUMN='V U/W'", help="scale a column: command='0.05 V/%'")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
+
+out = Console(soft_wrap=True, highlight=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+
+def examples(*lines: str) -> str:
+    """The closing lines of a help text."""
+    return "[bold]Example[/]\n\n" + "\n\n".join(f"  {line}" for line in lines)
+
+
+def read_all(paths: list[Path] | None, scale: list[str] | None = None) -> list[Record]:
+    """Read recordings; gaps in time are told, not filled."""
+    records = []
+    for path in paths or []:
+        record = read_record(path, scale=scale)
+        for gap in record.gaps:
+            err.print(f"[yellow]note[/] {path}: {gap}")
+        records.append(record)
+    return records
+
+
+def tell_ignored(records: list[Record], used: set[str], model: str) -> None:
+    """Columns that the model does not know are named once."""
+    ignored = sorted({name for r in records for name in r.signals} - used)
+    if ignored:
+        err.print(f"[dim]ignored columns (neither input nor output of {model}): {', '.join(ignored)}[/]")
+
+
+def check_writable(path: Path) -> Path:
+    """Refuse before a long run what could not be written after it."""
+    folder = path if path.is_dir() else next((p for p in path.absolute().parents if p.exists()), path)
+    probe = folder / ".hydrotwin-probe"
+    try:
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to.") from None
+    return path
+
+
+def settings_from(changes: list[str] | None) -> dict[str, float]:
+    """``motor.gain=130`` pairs as a dictionary."""
+    values = {}
+    for change in changes or []:
+        path, equals, number = change.partition("=")
+        try:
+            values[path] = float(number)
+        except ValueError:
+            equals = ""
+        if not equals:
+            raise DeclarationError(f"--set {change}: no 'path=number' (SI). Write for example motor.gain=130.")
+    return values
+
+
+def table(title: str, columns: list[str], rows: list[list]) -> None:
+    """Print a table; numbers to the right."""
+    shown = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
+    for index, column in enumerate(columns):
+        numeric = bool(rows) and all(isinstance(row[index], (int, float)) for row in rows)
+        shown.add_column(column, justify="right" if numeric else "left", overflow="fold")
+    for row in rows:
+        shown.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell) for cell in row))
+    out.print(shown)
+
+
+def print_json(answer) -> None:
+    """Print data as JSON; NaN and infinities become null."""
+    typer.echo(json.dumps(_plain(answer), indent=2, ensure_ascii=False))
+
+
+def _plain(value):
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+
+
+def progress_bar() -> Progress:
+    """A bar on standard error for anything over a second."""
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=err, transient=True
+    )

@@ -71,8 +71,8 @@ def _named_columns(table: Table) -> Table:
             )
         if column.name in seen:
             raise DataError(
-                f"{table.path}: {table.header}, columns {seen[column.name]} and {number} are both named '{column.name}'. "
-                "Names must differ; rename one."
+                f"{table.path}: {table.header}, columns {seen[column.name]} and {number} "
+                f"are both named '{column.name}'. Names must differ; rename one."
             )
         seen[column.name] = number
     return table

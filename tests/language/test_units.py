@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+
 from hydrotwin.models.language.errors import UnitError
 from hydrotwin.models.language.units import (
     compatible,

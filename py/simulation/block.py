@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 
 
@@ -35,7 +36,7 @@ class TrainingDomain:
 class Block:
     """A sampled system.
 
-    step : ``(x, u, p) -> (x_next, y)``, CasADi function (SX or MX) with these names; y[k] belongs to the sample of u[k].
+    step : ``(x, u, p) -> (x_next, y)``, CasADi function (SX or MX) with these names; y[k] belongs to u[k].
     start : ``(u, y, p) -> x``, state before the first step from the first input and first measured output.
     period : s between two steps.
     """

@@ -16,11 +16,12 @@ import warnings
 from pathlib import Path
 
 import platformdirs
+
 from hydrotwin.models.language.errors import SolveError
 
 # Contraction off: one rounding per operation, so that the C code equals the CasADi virtual machine.
 # No -march=native: measured equal without, and a cache folder may be shared by different machines.
-FLAGS = ("-O3", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 
 
@@ -41,7 +42,7 @@ def compilers() -> list[tuple[str, ...]]:
     return found
 
 
-def compile_library(source: str, name: str) -> Path | None:
+def compile_library(source: str, name: str, optimise: str = "-O3") -> Path | None:
     """Path of the shared library made from ``source``; None when this machine has no compiler.
 
     Raises SolveError with the compiler's own words when every compiler here refuses the source.
@@ -49,7 +50,7 @@ def compile_library(source: str, name: str) -> Path | None:
     words = ""
     for command in compilers():
         try:
-            return _compiled(source, name, command)
+            return _compiled(source, name, (*command, optimise, *FLAGS))
         except _Refused as refused:
             words = f"'{' '.join(command)}' said: {str(refused).strip()[-800:] or 'nothing'}"
             if command != compilers()[-1]:
@@ -67,7 +68,7 @@ class _Refused(Exception):
 
 
 def _compiled(source: str, name: str, command: tuple[str, ...]) -> Path:
-    key = "\0".join((source, *command, *FLAGS, _version_of(command), platform.machine()))
+    key = "\0".join((source, *command, _version_of(command), platform.machine()))
     folder = cache_folder()
     library = folder / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}{SUFFIX}"
     if library.exists():
@@ -76,7 +77,7 @@ def _compiled(source: str, name: str, command: tuple[str, ...]) -> Path:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".building-") as building:
         text, made = Path(building) / "model.c", Path(building) / f"model{SUFFIX}"
         text.write_text(source, encoding="utf-8")
-        done = _call((*command, *FLAGS, str(text), "-o", str(made), *(() if os.name == "nt" else ("-lm",))))
+        done = _call((*command, str(text), "-o", str(made), *(() if os.name == "nt" else ("-lm",))))
         if done.returncode or not made.exists():
             raise _Refused(done.stderr or done.stdout)
         os.replace(made, library)
@@ -92,7 +93,7 @@ def _call(command: tuple[str, ...]) -> subprocess.CompletedProcess:
 
 @functools.cache
 def _version_of(command: tuple[str, ...]) -> str:
-    done = _call((*command, "--version"))
+    done = _call((*(word for word in command if word not in FLAGS), "--version"))
     return done.stdout.partition("\n")[0]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, StateVariable
 

@@ -6,6 +6,7 @@ import functools
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations, inputs

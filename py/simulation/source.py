@@ -6,6 +6,7 @@ import tempfile
 from pathlib import Path
 
 import casadi as ca
+
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations
@@ -19,7 +20,8 @@ def growth(z: np.ndarray) -> np.ndarray:
     >>> [round(float(growth(np.array(z))), 3) for z in (-1.0, -2.7, -3.0, 2.8j)]
     [0.375, 0.879, 1.375, 0.948]
     """
-    return np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4))))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.nan_to_num(np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))), nan=np.inf)
 
 
 def explicit_is_stable(flat: FlatModel, engine, step: float, time, u, p, x0) -> bool:

@@ -22,13 +22,14 @@ from .model import Model
 from .modelica_expression import modelica_equation, modelica_expression, modelica_number
 from .units import modelica_unit
 
-WORDS = frozenset(
-    "algorithm and annotation assert block break class connect connector constant constrainedby der discrete each else "
-    "elseif elsewhen encapsulated end enumeration equation expandable extends external false final flow for function if "
-    "import impure in initial inner input loop model not operator or outer output package parameter partial protected "
-    "public pure record redeclare replaceable return stream then time true type when while within Real Integer Boolean "
-    "String".split()
-)
+WORDS = frozenset({
+    "algorithm", "and", "annotation", "assert", "block", "break", "class", "connect", "connector", "constant",
+    "constrainedby", "der", "discrete", "each", "else", "elseif", "elsewhen", "encapsulated", "end", "enumeration",
+    "equation", "expandable", "extends", "external", "false", "final", "flow", "for", "function", "if", "import",
+    "impure", "in", "initial", "inner", "input", "loop", "model", "not", "operator", "or", "outer", "output", "package",
+    "parameter", "partial", "protected", "public", "pure", "record", "redeclare", "replaceable", "return", "stream",
+    "then", "time", "true", "type", "when", "while", "within", "Real", "Integer", "Boolean", "String",
+})  # fmt: skip
 MAIN = "Main"
 
 
@@ -167,7 +168,7 @@ class _PackageWriter:
         here = getattr(component, name)
         word = identifier(name)
         if isinstance(here, Component):
-            return f"{self.class_of(here)} {word}{self._changes(here)} {_quoted(_sentence(here))};"
+            return f"{self.class_of(here)} {word}{self._changes(here)};"
         if isinstance(here, BoundPort):
             if type(declared) not in [type(kind) for kind in self.port_kinds]:
                 self.port_kinds.append(declared)
@@ -298,20 +299,10 @@ def _modifier(attributes: Mapping[str, str]) -> str:
 
 
 def _changed_settings(model: Model, elaboration: Elaboration) -> dict[str, str]:
-    """Values (and bounds) of the model that differ from the declarations, by path."""
-    changed = {}
-    for entry in elaboration.parameters:
-        setting = model.settings.get(entry.path, {})
-        if "value" not in setting or setting["value"] == entry.declaration.value:
-            continue
-        bounds = setting.get("bounds", entry.declaration.bounds)
-        limits = {
-            key: modelica_number(new)
-            for key, new, old in zip(("min", "max"), bounds, entry.declaration.bounds, strict=True)
-            if new != old and np.isfinite(new)
-        }
-        changed[entry.path] = f"{_modifier(limits)}={modelica_number(setting['value'])}"
-    return changed
+    """Values of the model that differ from the declarations, by path."""
+    values = {path: setting["value"] for path, setting in model.settings.items() if "value" in setting}
+    declared = {entry.path: entry.declaration.value for entry in elaboration.parameters}
+    return {p: f"={modelica_number(value)}" for p, value in values.items() if value != declared.get(p)}
 
 
 def _nested(changes: Mapping[str, str]) -> str:
@@ -333,7 +324,7 @@ def _names(kind: str) -> Iterator[str]:
 
 def _sentence(described) -> str:
     """First line of what a class says about itself."""
-    return (type(described).__doc__ or "").strip().split("\n")[0]
+    return (type(described).__doc__ or "").strip().split("\n")[0].replace("``", "")
 
 
 def _quoted(text: str) -> str:

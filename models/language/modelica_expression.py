@@ -5,6 +5,7 @@ CasADi raises no events, so conditions and corners are written inside ``noEvent`
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -95,11 +96,12 @@ def modelica_expression(expression: ca.SX, name_of: Callable[[ca.SX], str]) -> s
 def modelica_number(value: float) -> str:
     """The shortest text that reads back as the same number.
 
-    >>> modelica_number(0.1), modelica_number(2.0), modelica_number(1.747e9)
-    ('0.1', '2', '1747000000')
+    >>> modelica_number(0.1), modelica_number(2.0), modelica_number(1.747e9), modelica_number(1 / 3)
+    ('0.1', '2', '1.747e9', '0.3333333333333333')
     """
     value = float(value)
-    return str(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+    text = f"{value:g}" if float(f"{value:g}") == value else repr(value)
+    return re.sub(r"e([+-])0*", lambda sign: "e-" if sign[1] == "-" else "e", text)
 
 
 def _graph(expressions, name_of) -> list[Node]:

@@ -1,0 +1,45 @@
+# The two commands of the README: make demo, make test. Each makes the environment it needs.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+OUT ?= out/demo
+WORKERS ?= 2
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: help demo test lint bench fmus clean
+
+help:
+	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
+	@echo "make test   all tests"
+	@echo "make lint   style"
+	@echo "make bench  speed, as ratios"
+
+# torch==2.13.0 comes from constraints.txt
+$(VENV)/.run: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[learned]"
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.run
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[learned,dev]"
+	@touch $@
+
+demo: $(VENV)/.run
+	$(BIN)/python -m hydrotwin demo --out $(OUT)
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest -q -n $(WORKERS) --durations=15
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+
+bench: $(VENV)/.dev
+	$(BIN)/python benchmarks/run.py
+
+fmus: $(VENV)/.run
+	$(BIN)/python fmus/build.py
+
+clean:
+	rm -rf out build dist .pytest_cache .ruff_cache .import_linter_cache

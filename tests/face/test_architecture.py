@@ -1,0 +1,45 @@
+"""The floors of ARCHITECTURE.md: a room imports only rooms below it."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LINT = """
+import sys
+sys.meta_path[:] = [f for f in sys.meta_path if "editable" not in type(f).__module__.lower()]
+sys.path.insert(0, sys.argv[1])
+from importlinter.cli import lint_imports
+sys.exit(lint_imports(config_filename=sys.argv[2], no_cache=True))
+"""
+
+
+def test_every_room_imports_only_rooms_below_it(tmp_path):
+    rooms = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["scikit-build"]["wheel"]["packages"]
+    for name, folder in rooms.items():
+        if name != "hydrotwin/examples":
+            ignore = shutil.ignore_patterns("__pycache__", "runtime", "templates")
+            shutil.copytree(ROOT / folder, tmp_path / name, ignore=ignore, dirs_exist_ok=True)
+    command = [sys.executable, "-c", LINT, str(tmp_path), str(ROOT / "pyproject.toml")]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "3 kept" in answer.stdout, answer.stdout
+
+
+def test_the_base_package_imports_without_torch():
+    code = (
+        "import sys\n"
+        "class Blocked:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] in ('torch', 'gpytorch', 'pyoperon'): raise ImportError(name)\n"
+        "sys.meta_path.insert(0, Blocked())\n"
+        "import hydrotwin, hydrotwin.learned, hydrotwin.comparison, hydrotwin.report, hydrotwin.cli\n"
+        "hydrotwin.load('eq17')"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert answer.returncode == 0, answer.stderr

@@ -1,5 +1,7 @@
 """Export: write FMUs that run without Python, read anybody's FMU as a contender, check an FMU."""
 
+from .check import Check, CheckRow, check_fmu
+from .reader import FmuBlock, read_fmu
 from .writer import export_fmu
 
-__all__ = ["export_fmu"]
+__all__ = ["Check", "CheckRow", "FmuBlock", "check_fmu", "export_fmu", "read_fmu"]

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import importlib.metadata
 import importlib.util
 import os
 import platform
@@ -9,11 +12,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import platformdirs
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
+from hydrotwin.simulation.compiler import cache_folder
 
 TARGETS = {  # FMI 2 folder -> (zig target, suffix of the library)
     "linux64": ("x86_64-linux-gnu.2.17", ".so"),
@@ -52,15 +55,14 @@ def compile_for(target_platform: str, identifier: str, sources: Mapping[str, str
         raise DeclarationError(f"platform: no '{target_platform}'. {nearest(target_platform, TARGETS)}")
     target, suffix = TARGETS[target_platform]
     words = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, text in sources.items():
-            (Path(folder) / name).write_text(text, encoding="utf-8")
-        for command in _compilers(target, target_platform):
-            made = Path(folder) / f"{identifier}{suffix}"
-            said = _compile(command, folder, sorted(n for n in sources if n.endswith(".c")), made)
-            if said is None:
-                return made.name, made.read_bytes()
-            words.append(f"'{' '.join(command[:4])}' said: {said}")
+    for command in _compilers(target, target_platform):
+        kept = _kept_library(command, sources, suffix)
+        if not kept.exists():
+            said = _compile(command, sources, kept)
+            if said is not None:
+                words.append(f"'{' '.join(command[:4])}' said: {said}")
+                continue
+        return f"{identifier}{suffix}", kept.read_bytes()
     raise SolveError(
         f"{identifier}: compiling for {target_platform} failed ({'; '.join(words) or 'no compiler found'}). "
         "The ziglang package compiles for every platform. Install it: pip install ziglang."
@@ -77,23 +79,46 @@ def _compilers(target: str, target_platform: str) -> list[list[str]]:
     return commands
 
 
-def _compile(command: list[str], folder: str, files: list[str], made: Path) -> str | None:
+def _kept_library(command: list[str], sources: Mapping[str, str], suffix: str) -> Path:
+    """Where the library made from these very sources by this very compiler is kept."""
+    key = "\0".join((*command[1:], _version(tuple(command)), *FLAGS, *(f"{n}\0{sources[n]}" for n in sorted(sources))))
+    return cache_folder() / f"fmu-{hashlib.sha256(key.encode()).hexdigest()[:32]}{suffix}"
+
+
+def _compile(command: list[str], sources: Mapping[str, str], kept: Path) -> str | None:
     """None when it worked, else what the compiler said. The math library is part of the C library on Windows."""
-    libraries = [] if made.suffix == ".dll" else ["-lm"]
-    line = [*command, *FLAGS, *files, "-o", made.name, *libraries]
-    try:
-        done = subprocess.run(
-            line, cwd=folder, capture_output=True, text=True, errors="replace", timeout=TIME_LIMIT, check=False,
-            env=_environment(),
-        )  # fmt: skip
-    except (OSError, subprocess.TimeoutExpired) as failure:
-        return str(failure)
-    if done.returncode or not made.exists():
-        return (done.stderr or done.stdout).strip()[-1500:] or "nothing"
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".building-") as folder:
+        for name, text in sources.items():
+            (Path(folder) / name).write_text(text, encoding="utf-8")
+        files = sorted(n for n in sources if n.endswith(".c"))
+        line = [*command, *FLAGS, *files, "-o", kept.name, *([] if kept.suffix == ".dll" else ["-lm"])]
+        done = _call(line, folder)
+        made = Path(folder) / kept.name
+        if done.returncode or not made.exists():
+            return (done.stderr or done.stdout).strip()[-1500:] or "nothing"
+        os.replace(made, kept)
     return None
 
 
-def _environment() -> dict[str, str]:
-    """zig keeps what it compiled in the user's cache folder, which makes the second build quick."""
-    cache = os.environ.get("ZIG_GLOBAL_CACHE_DIR") or platformdirs.user_cache_dir("hydrotwin-zig", appauthor=False)
-    return {**os.environ, "ZIG_GLOBAL_CACHE_DIR": cache, "ZIG_LOCAL_CACHE_DIR": cache}
+def _call(line: Sequence[str], folder: str | None = None) -> subprocess.CompletedProcess:
+    """Run a compiler; one that is missing or hangs counts as a failure with a word on why."""
+    environment = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": _zig_cache(), "ZIG_LOCAL_CACHE_DIR": _zig_cache()}
+    try:
+        return subprocess.run(
+            line, cwd=folder, capture_output=True, text=True, errors="replace", timeout=TIME_LIMIT, check=False,
+            env=environment,
+        )  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as failure:
+        return subprocess.CompletedProcess(line, 1, "", str(failure))
+
+
+@functools.cache
+def _version(command: tuple[str, ...]) -> str:
+    if "ziglang" in command:
+        return importlib.metadata.version("ziglang")
+    return _call((*command, "--version")).stdout.partition("\n")[0]
+
+
+def _zig_cache() -> str:
+    return os.environ.get("ZIG_GLOBAL_CACHE_DIR") or str(cache_folder() / "zig")

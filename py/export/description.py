@@ -7,7 +7,9 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from .unit_definitions import shown_units, unit_definitions
+from hydrotwin.models.language.units import display_units
+
+from .unit_definitions import unit_definitions
 from .variables import Variable
 
 CAUSALITY = {
@@ -36,6 +38,7 @@ class Header:
     step_size: float
     tolerance: float
     sources: tuple[str, ...]
+    restarts: bool = False
     author: str = ""
     licence: str = ""
     version: str = ""
@@ -51,7 +54,7 @@ def model_description(header: Header, variables: Sequence[Variable]) -> str:
         ET.SubElement(categories, "Category", name=name, description=text)
     experiment = {"startTime": "0.0", "stopTime": repr(header.stop_time), "stepSize": repr(header.step_size)}
     ET.SubElement(root, "DefaultExperiment", experiment | {"tolerance": repr(header.tolerance)})
-    root.append(_annotations(variables))
+    root.append(_annotations(variables, header.restarts))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
         listed.append(_scalar_variable(reference, variable, header.sampled))
@@ -85,13 +88,18 @@ def _co_simulation(header: Header) -> ET.Element:
     return element
 
 
-def _annotations(variables: Sequence[Variable]) -> ET.Element:
-    """Which output measures what a start parameter sets: a reader can then start where a recording starts."""
+def _annotations(variables: Sequence[Variable], complete: bool) -> ET.Element:
+    """Which output measures what a start parameter sets: a reader can then start where a recording starts.
+
+    ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere.
+    """
     element = ET.Element("VendorAnnotations")
-    starts = ET.SubElement(ET.SubElement(element, "Tool", name="hydrotwin"), "Starts")
+    tool = ET.SubElement(element, "Tool", name="hydrotwin")
+    starts = ET.SubElement(tool, "Starts", complete="true" if complete else "false")
     for variable in variables:
-        if variable.measured_by:
-            ET.SubElement(starts, "Start", parameter=variable.name, output=variable.measured_by)
+        if variable.kind == "start":
+            measured = {"output": variable.measured_by} if variable.measured_by else {}
+            ET.SubElement(starts, "Start", {"parameter": variable.name, **measured})
     return element
 
 
@@ -117,9 +125,9 @@ def _variability(kind: str, sampled: bool) -> str:
 
 def _real_attributes(variable: Variable) -> dict[str, str]:
     attributes = {"unit": variable.unit}
-    shown = shown_units(variable.unit)
-    if shown:
-        attributes["displayUnit"] = shown[0]
+    best = display_units(variable.unit)[0]
+    if best != variable.unit:
+        attributes["displayUnit"] = best
     low, high = variable.bounds
     if math.isfinite(low):
         attributes["min"] = repr(float(low))

@@ -30,7 +30,10 @@ def documentation(
         f"<p>{escape(solver)}</p>",
         _starts_text(variables),
         "<h2>Variables</h2>",
-        _table(("name", "causality", "unit", "also shown in", "meaning"), [_variable_row(v) for v in variables if _shown(v)]),
+        _table(
+            ("name", "causality", "unit", "also shown in", "meaning"),
+            [_variable_row(v) for v in variables if _shown(v)],
+        ),
         "<h2>Parameters</h2>",
         _table(
             ("name", "value", "sigma", "unit", "bounds", "meaning", "source"),
@@ -42,7 +45,8 @@ def documentation(
         else "<p>None was recorded.</p>",
     ]
     head = f'<meta charset="utf-8"><title>{escape(lowered.name)}</title><style>{_STYLE}</style>'
-    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n' + "\n".join(b for b in body if b) + "\n</body></html>\n"
+    text = "\n".join(b for b in body if b)
+    return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{text}\n</body></html>\n'
 
 
 def _starts_text(variables: Sequence[Variable]) -> str:

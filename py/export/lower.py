@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable
 from hydrotwin.simulation.block import Block, TrainingDomain
@@ -52,6 +53,12 @@ class Lowered:
     def sampled(self) -> bool:
         """Whether the system only moves at its sample times."""
         return self.method == "sampled"
+
+    @property
+    def restarts(self) -> bool:
+        """Whether the start parameters determine the whole state: one for each, and no input with a memory."""
+        named = {s.name.removesuffix(".start") for s in self.starts}
+        return not self.sampled and named == {s.name for s in self.states} and max(self.dead_times, default=-1) < 0
 
     @property
     def dead_times(self) -> tuple[int, ...]:
@@ -225,10 +232,11 @@ def _tangent(
 ) -> ca.Function:
     """``(args, seeds of the args not in skip) -> tangents``; ``lead`` names empty results that go first."""
     arguments = _arguments(f)
-    seeds = [type(a).zeros(a.shape) if n in skip else type(a).sym(f"d{n}", a.shape) for a, n in _zip_names(f, arguments)]
+    sym = _symbols_for(f)
+    seeds = [sym.zeros(a.shape) if n in skip else sym.sym(f"d{n}", a.shape) for a, n in _zip_names(f, arguments)]
     tangents = f.forward(1).call([*arguments, *f.call(arguments), *seeds])
     wanted = [ca.densify(tangents[f.name_out().index(r)]) for r in results]
-    empty = [type(arguments[0])(0, 1) for _ in lead]
+    empty = [sym(0, 1) for _ in lead]
     known = [(s, f"d{n}") for s, (_, n) in zip(seeds, _zip_names(f, arguments), strict=True) if n not in skip]
     return ca.Function(
         name, [*arguments, *(s for s, _ in known)], [*empty, *wanted],

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 

@@ -53,9 +53,7 @@ def _work_sizes(functions: str) -> dict[str, int]:
     return sizes
 
 
-def _model_c(
-    lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, work: dict[str, int]
-) -> str:
+def _model_c(lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, work: dict[str, int]) -> str:
     """Tables of names, defaults and sizes, and the one constant `ht_the_model`."""
     functions = {role: f"ht_{role}" if role in lowered.functions else "NULL" for role in _ROLES}
     declared = "\n".join(

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import casadi as ca
+
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.units import si_unit
 

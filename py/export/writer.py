@@ -27,7 +27,7 @@ from .variables import Variable, variables_of
 REFERENCE_FILE = "documentation/reference.csv"
 _PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
 _SOLVERS = {
-    "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s, each with the mean of the inputs over it.",
+    "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
     "sampled": "A sampled block: it moves every {step:g} s and is held in between, whatever the master's step.",
 }
@@ -42,7 +42,7 @@ def export_fmu(
     given: Sequence[str] | None = None,
     method: str = "auto",
     step: float | None = None,
-    tolerance: float = 1e-9,
+    tolerance: float = 1e-10,
     stop_time: float = 10.0,
     step_size: float | None = None,
     platforms: Sequence[str] | None = None,
@@ -80,15 +80,13 @@ def export_fmu(
     header = Header(
         lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
         lowered.sampled, float(stop_time), float(size), float(tolerance),
-        tuple(sorted(n for n in sources if n.endswith(".c"))), author, licence,
+        tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, author, licence,
     )  # fmt: skip
     xml = model_description(header, variables)
     guid = _guid_of(xml, sources)
     xml = xml.replace(_PENDING_GUID, guid)
     sources["model.c"] = sources["model.c"].replace(_PENDING_GUID, guid)
-    page = documentation(
-        lowered, variables, solver, _facts(header, guid), {**lowered.provenance, **(provenance or {})}
-    )
+    page = documentation(lowered, variables, solver, _facts(header, guid), {**lowered.provenance, **(provenance or {})})
     files: dict[str, str | bytes] = {"modelDescription.xml": xml, "documentation/index.html": page}
     files |= {f"sources/{name}": text for name, text in sources.items()}
     for folder in platforms or (native_platform(),):

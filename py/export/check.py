@@ -1,0 +1,237 @@
+"""check_fmu: is this FMU good? One row for each thing that was tried, ours or anybody's."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from fmpy import supported_platforms
+from fmpy.validation import validate_fmu
+
+from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.records import Record, read_record
+
+from .child_process import start_child
+from .fmu_process.master import FLOATS, inputs_of, outputs_of
+from .foreign import Description, describe_fmu, unit_name
+from .reader import FmuBlock, read_fmu
+from .writer import REFERENCE_FILE
+
+AGREEMENT = 1e-6
+"""Largest difference to the reference, relative to the range of the signal, that passes."""
+
+PROBES = (
+    "runs", "reset", "second instance", "state", "dependencies", "directional derivatives",
+    "NaN input", "unknown value reference", "step before initialization",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class CheckRow:
+    """One thing tried: passed is None where it does not apply or is only worth a remark."""
+
+    name: str
+    passed: bool | None
+    detail: str
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was found out about an FMU."""
+
+    path: str
+    rows: tuple[CheckRow, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing failed."""
+        return all(row.passed is not False for row in self.rows)
+
+    @property
+    def failures(self) -> tuple[CheckRow, ...]:
+        """The rows that failed."""
+        return tuple(row for row in self.rows if row.passed is False)
+
+    def __getitem__(self, name: str) -> CheckRow:
+        for row in self.rows:
+            if row.name == name:
+                return row
+        raise KeyError(name)
+
+    def __str__(self) -> str:
+        words = {True: "ok", False: "FAILED", None: "-"}
+        width = max((len(row.name) for row in self.rows), default=0)
+        lines = [f"{words[row.passed]:>6}  {row.name:<{width}}  {row.detail}" for row in self.rows]
+        return "\n".join([self.path, *lines])
+
+
+def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_limit: float = 60.0) -> Check:
+    """Check an FMU of FMI 2 or 3, whoever made it.
+
+    Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
+    ``time_limit`` [s]: a short run, reset, a second instance, saving the state, declared dependencies against
+    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
+    With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared; they agree
+    when they differ by less than 1e-6 of each signal's range.
+
+    A row fails only where the standard is broken or the numbers are wrong. Raises DataError when there is no file.
+    """
+    path = Path(path)
+    try:
+        description = describe_fmu(path, {}, {})
+    except HydrotwinError as failure:
+        if not path.exists():
+            raise
+        return Check(str(path), (CheckRow("readable", False, str(failure)),))
+    rows = [
+        CheckRow("readable", True, _summary(description)), _validation(path), _files(path), _platforms(path),
+        _units(description), *_probes(path, description, time_limit),
+        _reference(path, reference, time_limit),
+    ]  # fmt: skip
+    return Check(str(path), tuple(rows))
+
+
+def _summary(description: Description) -> str:
+    md = description.source
+    counts = f"{len(inputs_of(md))} inputs, {len(outputs_of(md))} real outputs, {len(md.modelVariables)} variables"
+    return f"{md.modelName}, FMI {md.fmiVersion} {description.interface}, {counts}, by {md.generationTool or 'unknown'}"
+
+
+def _validation(path: Path) -> CheckRow:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        problems = validate_fmu(str(path))
+    if not problems:
+        return CheckRow("FMPy validation", True, "no problem found")
+    more = f" and {len(problems) - 3} more" if len(problems) > 3 else ""
+    return CheckRow("FMPy validation", False, " | ".join(p.strip() for p in problems[:3]) + more)
+
+
+def _files(path: Path) -> CheckRow:
+    if path.is_dir():
+        return CheckRow("files", None, "an unpacked folder")
+    with zipfile.ZipFile(path) as archive:
+        names = archive.namelist()
+    bad = [n for n in names if "\\" in n or n.startswith("/") or ".." in n.split("/")]
+    if bad:
+        return CheckRow("files", False, f"paths that other systems cannot unpack: {', '.join(bad[:3])}")
+    size = f"{path.stat().st_size / 1000:.0f} kB, {len(names)} files"
+    extras = [w for w in ("documentation", "sources", "resources") if any(n.startswith(f"{w}/") for n in names)]
+    return CheckRow("files", True, f"{size}, with {', '.join(extras) or 'no extras'}")
+
+
+def _platforms(path: Path) -> CheckRow:
+    found = supported_platforms(str(path))
+    return CheckRow("platforms", bool(found), ", ".join(found) or "no binary and no sources for any platform")
+
+
+def _units(description: Description) -> CheckRow:
+    real = [v for v in description.source.modelVariables if v.type in FLOATS and v.causality in ("input", "output")]
+    bare = [v.name for v in real if unit_name(v) is None]
+    if not real:
+        return CheckRow("units", None, "no real inputs or outputs")
+    if bare or description.unknown_units:
+        strange = f"; not understood: {', '.join(description.unknown_units[:3])}" if description.unknown_units else ""
+        missing = f"{len(bare)} of {len(real)} inputs and outputs have no unit ({', '.join(bare[:3])})"
+        return CheckRow("units", None, missing + strange)
+    return CheckRow("units", True, f"all {len(real)} inputs and outputs have a unit")
+
+
+def _probes(path: Path, description: Description, limit: float) -> list[CheckRow]:
+    """Each probe's row. After a crash the rest goes on in a new process."""
+    if description.interface != "CoSimulation":
+        return [_model_exchange_run(path, description, limit)]
+    rows, left = [], list(PROBES)
+    while left:
+        with tempfile.TemporaryDirectory(prefix="hydrotwin-check-", ignore_cleanup_errors=True) as folder:
+            job = {"task": "probe", "path": str(path.absolute()), "probes": left}
+            failure = start_child(job, {}, limit, Path(folder))
+            done, begun = _read_rows(Path(folder) / "rows.jsonl")
+        rows += done
+        if failure:
+            rows.append(CheckRow(begun or left[0], False, failure))
+        finished = {row.name for row in rows}
+        left = [name for name in left if name not in finished] if failure else []
+    return rows
+
+
+def _read_rows(path: Path) -> tuple[list[CheckRow], str | None]:
+    """Rows that were finished, and the name of the probe that was not."""
+    rows, begun = [], None
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        entry = json.loads(line)
+        if "begin" in entry:
+            begun = entry["begin"]
+        else:
+            rows.append(CheckRow(entry["name"], entry["passed"], entry["detail"]))
+            begun = None
+    return rows, begun
+
+
+def _model_exchange_run(path: Path, description: Description, limit: float) -> CheckRow:
+    """A second of simulation at rest, with FMPy's solver."""
+    time = np.linspace(0.0, 1.0, 51)
+    block = read_fmu(path, time_limit=limit)
+    at_rest = {s.name: np.full(51, _start_of(description, s.name, block)) for s in block.inputs}
+    record = Record(time, at_rest, {s.name: s.unit for s in block.inputs}, "at rest")
+    return _tried("runs", lambda: _all_finite(block, record))
+
+
+def _start_of(description: Description, name: str, block: FmuBlock) -> float:
+    variable = next(v for v in description.source.modelVariables if v.name == description.fmu_names[name])
+    factor, offset = description.scales[variable.name]
+    return factor * float(variable.start or 0.0) + offset
+
+
+def _all_finite(block: FmuBlock, record: Record) -> tuple[bool, str]:
+    found = block.free_run(record)
+    finite = all(np.isfinite(v).all() for v in found.signals.values())
+    count = f"{len(found.signals)} outputs {'finite' if finite else 'not finite'}"
+    return finite, f"{record.duration:g} s simulated, {count}"
+
+
+def _reference(path: Path, reference: Record | None, limit: float) -> CheckRow:
+    record = reference if reference is not None else _embedded_reference(path)
+    if record is None:
+        return CheckRow("reference", None, "no reference record was given and none is inside")
+    return _tried("reference", lambda: _replay(read_fmu(path, time_limit=limit), record))
+
+
+def _embedded_reference(path: Path) -> Record | None:
+    if path.is_dir():
+        inside = path / REFERENCE_FILE
+        return read_record(inside) if inside.exists() else None
+    with zipfile.ZipFile(path) as archive, tempfile.TemporaryDirectory() as folder:
+        if REFERENCE_FILE not in archive.namelist():
+            return None
+        return read_record(archive.extract(REFERENCE_FILE, folder))
+
+
+def _replay(block: FmuBlock, record: Record) -> tuple[bool, str]:
+    found = block.free_run(record)
+    shared = [s.name for s in block.outputs if s.name in record]
+    if not shared:
+        return False, f"the reference has none of the outputs {', '.join(s.name for s in block.outputs)}"
+    errors = {n: _relative_difference(found[n], record[n]) for n in shared}
+    worst = max(errors, key=errors.__getitem__)
+    detail = f"{len(shared)} outputs, largest difference {errors[worst]:.2g} of the range at {worst}"
+    return errors[worst] <= AGREEMENT, detail
+
+
+def _relative_difference(found: np.ndarray, expected: np.ndarray) -> float:
+    span = float(np.ptp(expected)) or max(float(np.abs(expected).max()), 1e-12)
+    return float(np.abs(found - expected).max() / span)
+
+
+def _tried(name: str, work: Callable[[], tuple[bool, str]]) -> CheckRow:
+    try:
+        return CheckRow(name, *work())
+    except HydrotwinError as failure:
+        return CheckRow(name, False, str(failure))

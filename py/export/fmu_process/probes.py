@@ -1,0 +1,210 @@
+"""Small experiments on a Co-Simulation FMU. Each returns ``(passed, detail)``; passed None: not applicable."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from fmpy.fmi1 import FMICallException
+from fmpy.model_description import ModelDescription
+
+from .master import FLOATS, Slave, inputs_of, outputs_of
+
+STEPS = 20
+
+
+def run_probes(names: Sequence[str], description: ModelDescription, unzipped: str, rows: Path):
+    """Append one line when a probe begins and one when it ends, so that a crash shows where it happened."""
+    with rows.open("a", encoding="utf-8") as stream:
+        for name in names:
+            stream.write(json.dumps({"begin": name}) + "\n")
+            stream.flush()
+            try:
+                passed, detail = PROBES[name](description, unzipped)
+            except Exception as failure:
+                passed, detail = False, f"{type(failure).__name__}: {failure}"
+            stream.write(json.dumps({"name": name, "passed": passed, "detail": detail}) + "\n")
+            stream.flush()
+
+
+def _runs(description: ModelDescription, unzipped: str):
+    slave, y = _short_run(description, unzipped)
+    slave.close()
+    if not np.isfinite(y).all():
+        return False, "an output is not finite within the first steps"
+    return True, f"{STEPS} steps of {_step_size(description):g} s, {y.shape[1]} outputs finite"
+
+
+def _reset(description: ModelDescription, unzipped: str):
+    slave, first = _short_run(description, unzipped)
+    slave.fmu.reset()
+    again = _advance(slave, description)
+    slave.close()
+    return _same(first, again, "after reset the run repeats itself")
+
+
+def _second_instance(description: ModelDescription, unzipped: str):
+    if getattr(description.coSimulation, "canBeInstantiatedOnlyOncePerProcess", False):
+        return None, "the FMU says that it can be instantiated only once per process"
+    alone_slave, alone = _short_run(description, unzipped)
+    alone_slave.close()
+    one, other = Slave(description, unzipped), Slave(description, unzipped)
+    for slave in (one, other):
+        slave.initialise(0.0, None, {}, {})
+    rows_one, rows_other = _interleaved(one, other, description)
+    one.close()
+    other.close()
+    if not np.array_equal(alone, rows_one):
+        return False, f"beside another instance the run differs by {np.abs(alone - rows_one).max():.3g}"
+    return _same(rows_one, rows_other, "two interleaved instances equal a run alone")
+
+
+def _nan_input(description: ModelDescription, unzipped: str):
+    inputs = [v for v in inputs_of(description) if v.type in FLOATS]
+    if not inputs:
+        return None, "no real input"
+    slave, _ = _short_run(description, unzipped)
+    outputs = [v.name for v in outputs_of(description)]
+    try:
+        slave.write({inputs[0].name: math.nan})
+        slave.step(STEPS * _step_size(description), _step_size(description))
+    except FMICallException as refused:
+        return True, f"NaN at '{inputs[0].name}' is refused (status {refused.status})"
+    values = slave.read(outputs)
+    if np.isfinite(values).all():
+        return None, f"NaN at '{inputs[0].name}' is taken without a word, the outputs stay finite"
+    return False, f"NaN at '{inputs[0].name}' is taken as a value and reaches the outputs"
+
+
+def _step_before_init(description: ModelDescription, unzipped: str):
+    slave = Slave(description, unzipped)
+    try:
+        slave.step(0.0, _step_size(description))
+    except FMICallException as refused:
+        return True, f"a step before initialization is refused (status {refused.status})"
+    return False, "a step before initialization is accepted"
+
+
+def _unknown_reference(description: ModelDescription, unzipped: str):
+    slave, _ = _short_run(description, unzipped)
+    unused = max(v.valueReference for v in description.modelVariables) + 12345
+    try:
+        (slave.fmu.getFloat64 if slave.fmi3 else slave.fmu.getReal)([unused])
+    except FMICallException as refused:
+        return True, f"value reference {unused} is refused (status {refused.status})"
+    return False, f"value reference {unused}, which no variable has, is answered"
+
+
+def _state(description: ModelDescription, unzipped: str):
+    if not description.coSimulation.canGetAndSetFMUstate:
+        return None, "the FMU says that it cannot save its state"
+    slave, _ = _short_run(description, unzipped)
+    state = slave.fmu.getFMUState()
+    first = _continue(slave, description)
+    slave.fmu.setFMUState(state)
+    again = _continue(slave, description)
+    return _same(first, again, "from a saved state the run goes on as it did")
+
+
+def _dependencies(description: ModelDescription, unzipped: str):
+    """An output that does not list an input must not answer to it; one that lists none must answer to nothing."""
+    declared = {u.variable.name: u.dependencies for u in description.outputs}
+    inputs = [v for v in inputs_of(description) if v.type in FLOATS]
+    if not inputs or not declared:
+        return None, "no real input or no output listed"
+    if all(d is None for d in declared.values()):
+        return None, "no dependencies are declared, a master must assume all"
+    slave, _ = _short_run(description, unzipped)
+    names = [v.name for v in outputs_of(description) if v.name in declared]
+    wrong, active = [], 0
+    for variable in inputs:
+        before, [value] = np.array(slave.read(names)), slave.read([variable.name])
+        slave.write({variable.name: value + max(1e-3 * float(variable.nominal or 1.0), 1e-3 * abs(value))})
+        changed = np.array(slave.read(names)) != before
+        slave.write({variable.name: value})
+        active += int(changed.any())
+        listed = [d is None or variable in d for d in (declared[n] for n in names)]
+        wrong += [f"{n} on {variable.name}" for n, c, d in zip(names, changed, listed, strict=True) if c and not d]
+    if wrong:
+        return False, f"not declared, yet seen: {', '.join(wrong)}"
+    return True, f"{len(inputs)} inputs moved, {active} reach an output at once, all of that is declared"
+
+
+def _directional(description: ModelDescription, unzipped: str):
+    """d output / d input against finite differences, where the FMU offers it."""
+    offered = getattr(description.coSimulation, "providesDirectionalDerivative", False) or getattr(
+        description.coSimulation, "providesDirectionalDerivatives", False
+    )
+    inputs, outputs = [v for v in inputs_of(description) if v.type == "Real"], outputs_of(description)
+    if not offered or not inputs or description.fmiVersion.startswith("3"):
+        return None, "not offered"
+    slave, _ = _short_run(description, unzipped)
+    names, references, worst = [v.name for v in outputs], [v.valueReference for v in outputs], 0.0
+    for variable in inputs:
+        h = 1e-5 * float(variable.nominal or 1.0)
+        [value] = slave.read([variable.name])
+        exact = slave.fmu.getDirectionalDerivative(references, [variable.valueReference], [1.0])
+        sides = []
+        for sign in (1, -1):
+            slave.write({variable.name: value + sign * h})
+            sides.append(np.array(slave.read(names)))
+        slave.write({variable.name: value})
+        scale = np.array([float(v.nominal or 1.0) for v in outputs]) / float(variable.nominal or 1.0)
+        worst = max(worst, float((np.abs((sides[0] - sides[1]) / (2 * h) - exact) / scale).max()))
+    return worst < 1e-4, f"largest difference to finite differences {worst:.2g} of nominal"
+
+
+def _step_size(description: ModelDescription) -> float:
+    experiment = description.defaultExperiment
+    return float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.01
+
+
+def _short_run(description: ModelDescription, unzipped: str) -> tuple[Slave, np.ndarray]:
+    slave = Slave(description, unzipped)
+    return slave, _advance(slave, description)
+
+
+def _advance(slave: Slave, description: ModelDescription) -> np.ndarray:
+    """Outputs of the first steps under a gentle input; from instantiated on."""
+    slave.initialise(0.0, None, {}, {})
+    return np.array([_one_step(slave, description, k) for k in range(STEPS)])
+
+
+def _continue(slave: Slave, description: ModelDescription) -> np.ndarray:
+    return np.array([_one_step(slave, description, k) for k in range(STEPS, 2 * STEPS)])
+
+
+def _interleaved(one: Slave, other: Slave, description: ModelDescription) -> tuple[np.ndarray, np.ndarray]:
+    rows = [(_one_step(one, description, k), _one_step(other, description, k)) for k in range(STEPS)]
+    return np.array([a for a, _ in rows]), np.array([b for _, b in rows])
+
+
+def _one_step(slave: Slave, description: ModelDescription, k: int) -> list[float]:
+    size = _step_size(description)
+    for v in inputs_of(description):
+        if v.type in FLOATS:
+            slave.write({v.name: float(v.start or 0.0) + 0.1 * float(v.nominal or 1.0) * math.sin(0.3 * (k + 1))})
+    slave.step(k * size, size)
+    return slave.read([v.name for v in outputs_of(description)])
+
+
+def _same(first: np.ndarray, again: np.ndarray, what: str) -> tuple[bool, str]:
+    if np.array_equal(first, again):
+        return True, f"{what}, bit by bit"
+    return False, f"not so: {what} (largest difference {np.abs(first - again).max():.3g})"
+
+
+PROBES = {
+    "runs": _runs,
+    "reset": _reset,
+    "second instance": _second_instance,
+    "state": _state,
+    "dependencies": _dependencies,
+    "directional derivatives": _directional,
+    "NaN input": _nan_input,
+    "unknown value reference": _unknown_reference,
+    "step before initialization": _step_before_init,
+}

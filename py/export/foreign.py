@@ -1,0 +1,137 @@
+"""What the modelDescription.xml of any FMU says, in the terms of this project."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from fmpy import read_model_description
+from fmpy.model_description import BaseUnit, ModelDescription
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
+from hydrotwin.models.language.units import parse_unit
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """Names, units and abilities of an FMU.
+
+    scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``.
+    starts : start parameter -> record name of the output that measures it.
+    states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
+    any_step : whether it takes communication steps of any size.
+    """
+
+    source: ModelDescription
+    interface: str
+    any_step: bool
+    record_names: Mapping[str, str]
+    units: Mapping[str, str]
+    scales: Mapping[str, tuple[float, float]]
+    unknown_units: tuple[str, ...]
+    starts: Mapping[str, str]
+    states: tuple[str, ...]
+    restarts: bool
+
+    @property
+    def fmu_names(self) -> dict[str, str]:
+        """Record name -> FMU variable."""
+        return {record: fmu for fmu, record in self.record_names.items()}
+
+
+def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str]) -> Description:
+    """Read the description; nothing of the FMU's code runs. DataError when the file is not an FMU of FMI 2 or 3."""
+    md = read_description(path)
+    if md.coSimulation is None and md.modelExchange is None:
+        raise DeclarationError(
+            f"{path}: it offers neither Co-Simulation nor Model Exchange. Ask its maker for one of the two."
+        )
+    meanings = {v.name: _meaning(v, md, units.get(v.name)) for v in md.modelVariables}
+    starts, complete = _annotated_starts(path)
+    plain = [p.removesuffix(".start") for p in starts] if complete else []
+    states = tuple(n if n in meanings and not _is_output(md, n) else f"state.{n}" for n in plain)
+    return Description(
+        source=md,
+        interface="CoSimulation" if md.coSimulation is not None else "ModelExchange",
+        any_step=md.coSimulation is None or bool(md.coSimulation.canHandleVariableCommunicationStepSize),
+        record_names={v.name: names.get(v.name, v.name) for v in md.modelVariables},
+        units={n: m[0] for n, m in meanings.items()},
+        scales={n: (m[1], m[2]) for n, m in meanings.items()},
+        unknown_units=tuple(n for n, m in meanings.items() if m[3]),
+        starts={p: names.get(o, o) for p, o in starts.items() if o},
+        states=states,
+        restarts=complete and md.coSimulation is not None,
+    )
+
+
+def read_description(path: Path) -> ModelDescription:
+    """FMPy's model description, unvalidated. DataError when there is none to read."""
+    if not path.exists():
+        raise DataError(f"{path}: no such file. Give the path of an .fmu.")
+    try:
+        md = read_model_description(str(path), validate=False)
+    except Exception as failure:
+        raise DataError(
+            f"{path}: not an FMU ({type(failure).__name__}: {failure}). "
+            "It must be a zip archive with a modelDescription.xml. Check the download."
+        ) from None
+    if not md.fmiVersion.startswith(("2", "3")):
+        raise DataError(f"{path}: FMI {md.fmiVersion} is not supported. FMI 2.0 and 3.0 are.")
+    return md
+
+
+def _is_output(md: ModelDescription, name: str) -> bool:
+    return any(v.name == name and v.causality != "local" for v in md.modelVariables)
+
+
+def unit_name(variable) -> str | None:
+    """The unit of a variable, its own or its type's; None when there is none."""
+    declared = getattr(variable, "declaredType", None)
+    return variable.unit or (declared.unit if declared is not None else None)
+
+
+def _meaning(variable, md: ModelDescription, chosen: str | None) -> tuple[str, float, float, bool]:
+    """SI unit, factor, offset, and whether the unit is a guess."""
+    text = chosen or unit_name(variable)
+    if not text:
+        return "1", 1.0, 0.0, False
+    try:
+        unit = parse_unit(text)
+        return unit.si, unit.factor, unit.offset, False
+    except UnitError:
+        if chosen:
+            raise
+    for definition in md.unitDefinitions:
+        if definition.name == text and definition.baseUnit is not None:
+            base = definition.baseUnit
+            return _si_text(base), float(base.factor), float(base.offset), False
+    return "1", 1.0, 0.0, True
+
+
+def _si_text(base: BaseUnit) -> str:
+    """``kg.m2/s3`` from exponents, in the unit grammar of this project."""
+    powers = {n: int(getattr(base, n)) for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
+    above = [n if p == 1 else f"{n}{p}" for n, p in powers.items() if p > 0]
+    below = [n if p == -1 else f"{n}{-p}" for n, p in powers.items() if p < 0]
+    text = ".".join(above) or "1"
+    return parse_unit(f"{text}/({'.'.join(below)})" if below else text).si
+
+
+def _annotated_starts(path: Path) -> tuple[dict[str, str], bool]:
+    """The start parameters an FMU of hydrotwin lists, and whether they determine the whole state."""
+    try:
+        if path.is_dir():
+            root = ET.parse(path / "modelDescription.xml").getroot()
+        else:
+            with zipfile.ZipFile(path) as archive:
+                root = ET.fromstring(archive.read("modelDescription.xml"))
+    except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
+        return {}, False
+    listed = root.find("./VendorAnnotations/Tool[@name='hydrotwin']/Starts")
+    if listed is None:
+        return {}, False
+    starts = {e.get("parameter"): e.get("output") or "" for e in listed.findall("Start")}
+    return starts, listed.get("complete") == "true"

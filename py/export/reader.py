@@ -1,0 +1,167 @@
+"""read_fmu: anybody's FMU as a contender in a comparison."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import ParameterValue, Signal
+from hydrotwin.records import Record, require
+
+from .child_process import run_child
+from .fmu_process.master import FLOATS, inputs_of, outputs_of
+from .foreign import Description, describe_fmu
+
+TIME_LIMIT = 120.0
+
+
+@dataclass(frozen=True, eq=False)
+class FmuBlock:
+    """An FMU seen as a contender: it runs in a process of its own, in SI, under the names of the records.
+
+    starts : start parameter -> output whose first sample it is set to.
+    values : variables set before initialization, in the FMU's own units.
+    """
+
+    name: str
+    path: str
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    parameters: tuple[ParameterValue, ...]
+    description: Description = field(repr=False)
+    starts: Mapping[str, str] = field(default_factory=dict)
+    values: Mapping[str, float] = field(default_factory=dict)
+    time_limit: float = TIME_LIMIT
+    kind: str = "fmu"
+    provenance: dict = field(default_factory=dict)
+
+    def free_run(self, record: Record) -> Record:
+        """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
+
+        Raises DataError or UnitError when the record lacks an input, SolveError when the FMU fails, crashes or hangs.
+        """
+        job, arrays = self._job("run", record)
+        return self._record(record, run_child(job, arrays, self.time_limit)["y"])
+
+    def one_step(self, record: Record) -> Record:
+        """Outputs at ``record.time``, each from a restart at the measurement one sample before.
+
+        Only possible when every state of the FMU can be set at the start; other FMUs raise DeclarationError.
+        """
+        if not self.description.restarts:
+            raise DeclarationError(
+                f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
+                "Compare it in free run, or export the model with start parameters for all states (given=...)."
+            )
+        job, arrays = self._job("restart", record)
+        pairs = {p: o for p, o in self.starts.items() if o in record}
+        job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
+        columns = [self._to_fmu(p, record[o]) for p, o in pairs.items()]
+        arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
+        return self._record(record, run_child(job, arrays, self.time_limit)["y"])
+
+    def _job(self, task: str, record: Record) -> tuple[dict, dict[str, np.ndarray]]:
+        if len(record) < 2:
+            raise DataError(f"{record.name}: an FMU needs two samples or more (got {len(record)}).")
+        self._check_time_axis(record)
+        require(record, self.inputs, self.name)
+        of = self.description.fmu_names
+        starts = {p: float(self._to_fmu(p, record[o][:1])[0]) for p, o in self.starts.items() if o in record}
+        columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
+        job = {
+            "task": task, "path": self.path, "interface": self.description.interface,
+            "starts": {**starts, **self.values}, "inputs": [of[s.name] for s in self.inputs], "outputs": [of[s.name] for s in self.outputs],
+            "linear": [of[s.name] for s in self.inputs if s.interpolation == "linear"],
+        }  # fmt: skip
+        u = np.column_stack(columns) if columns else np.empty((len(record), 0))
+        return job, {"time": np.array(record.time), "u": u}
+
+    def _check_time_axis(self, record: Record):
+        steps = np.diff(record.time)
+        if not self.description.any_step and np.ptp(steps) > 1e-6 * steps.mean():
+            raise DataError(
+                f"{record.name}: {self.name} takes one step size only, the record has steps from {steps.min():g} s to "
+                f"{steps.max():g} s. Resample the record: record.resample(period=...)."
+            )
+
+    def _to_fmu(self, variable: str, values: np.ndarray) -> np.ndarray:
+        factor, offset = self.description.scales[variable]
+        return (np.asarray(values) - offset) / factor
+
+    def _record(self, record: Record, y: np.ndarray) -> Record:
+        signals, units = {}, {}
+        for k, s in enumerate(self.outputs):
+            factor, offset = self.description.scales[self.description.fmu_names[s.name]]
+            signals[s.name], units[s.name] = factor * y[:, k] + offset, s.unit
+        return Record(record.time, signals, units, self.name)
+
+
+def read_fmu(
+    path: str | os.PathLike,
+    *,
+    name: str | None = None,
+    names: Mapping[str, str] = MappingProxyType({}),
+    units: Mapping[str, str] = MappingProxyType({}),
+    starts: Mapping[str, str] = MappingProxyType({}),
+    values: Mapping[str, float] = MappingProxyType({}),
+    interpolation: str = "hold",
+    time_limit: float = TIME_LIMIT,
+) -> FmuBlock:
+    """Any FMU of FMI 2.0 or 3.0, Co-Simulation (preferred) or Model Exchange, as a contender.
+
+    names : FMU variable -> name in the records; others keep their own.
+    units : FMU variable -> unit, for FMUs that give none or a wrong one.
+    starts : start parameter -> record name of the output it takes its value from; an FMU of hydrotwin brings its own.
+    values : variables to set before initialization, in the FMU's units.
+    interpolation : what the inputs do between samples, "hold" or "linear".
+
+    Nothing of the FMU's code runs here: it runs in a child process with ``time_limit`` [s] at each free run.
+    Raises DataError for a file that is not an FMU, DeclarationError for unknown variables.
+    """
+    description = describe_fmu(Path(path), names, units)
+    known = list(description.scales)
+    for variable in (*names, *units, *starts, *values):
+        if variable not in known:
+            raise DeclarationError(f"{path}: no variable '{variable}'. {nearest(variable, known)}")
+    md = description.source
+    return FmuBlock(
+        name=name or md.modelName, path=str(Path(path).absolute()),
+        inputs=tuple(_signal(v, description, interpolation) for v in inputs_of(md)),
+        outputs=tuple(_signal(v, description, interpolation) for v in outputs_of(md)),
+        parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
+        description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
+        provenance=_provenance(md, description),
+    )  # fmt: skip
+
+
+def _signal(variable, description: Description, interpolation: str) -> Signal:
+    factor, _ = description.scales[variable.name]
+    nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
+    return Signal(
+        description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
+        interpolation if variable.type in FLOATS else "hold",
+    )  # fmt: skip
+
+
+def _is_parameter(variable) -> bool:
+    return variable.causality == "parameter" and variable.type in FLOATS and variable.start not in (None, "")
+
+
+def _parameter(variable, description: Description) -> ParameterValue:
+    factor, offset = description.scales[variable.name]
+    value = factor * float(str(variable.start).split()[0]) + offset
+    text = variable.description or ""
+    return ParameterValue(variable.name, value, description.units[variable.name], description=text)
+
+
+def _provenance(md, description: Description) -> dict:
+    facts = {"tool": md.generationTool, "date": md.generationDateAndTime, "guid": md.guid, "fmi": md.fmiVersion}
+    if description.unknown_units:
+        facts["units taken as 1"] = ", ".join(description.unknown_units)
+    return {k: v for k, v in facts.items() if v}

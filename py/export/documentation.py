@@ -32,7 +32,7 @@ def documentation(
         "<h2>Variables</h2>",
         _table(
             ("name", "causality", "unit", "also shown in", "meaning"),
-            [_variable_row(v) for v in variables if _shown(v)],
+            [_variable_row(v) for v in variables if v.kind not in ("parameter", "time")],
         ),
         "<h2>Parameters</h2>",
         _table(
@@ -58,10 +58,6 @@ def _starts_text(variables: Sequence[Variable]) -> str:
         f"<p>Initial values to set before the run: {names}. All other initial states follow from them, the parameters "
         "and the inputs at the end of initialization.</p>"
     )
-
-
-def _shown(variable: Variable) -> bool:
-    return variable.kind not in ("parameter", "time")
 
 
 def _variable_row(variable: Variable) -> list[str]:

@@ -75,10 +75,14 @@ class FmuBlock:
         starts = {p: float(self._to_fmu(p, record[o][:1])[0]) for p, o in self.starts.items() if o in record}
         columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
         job = {
-            "task": task, "path": self.path, "interface": self.description.interface,
-            "starts": {**starts, **self.values}, "inputs": [of[s.name] for s in self.inputs], "outputs": [of[s.name] for s in self.outputs],
+            "task": task,
+            "path": self.path,
+            "interface": self.description.interface,
+            "starts": {**starts, **self.values},
+            "inputs": [of[s.name] for s in self.inputs],
+            "outputs": [of[s.name] for s in self.outputs],
             "linear": [of[s.name] for s in self.inputs if s.interpolation == "linear"],
-        }  # fmt: skip
+        }
         u = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return job, {"time": np.array(record.time), "u": u}
 

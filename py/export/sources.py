@@ -65,20 +65,21 @@ def _model_c(lowered: Lowered, variables: Sequence[Variable], guid: str, history
         str(sum(v.kind == kind for v in variables))
         for kind in ("input", "parameter", "start", "output", "state", "derivative")
     )
+    labels = [v.name for v in variables if v.kind != "time"] + ["time"]
     pieces = history if any(k >= 0 for k in lowered.dead_times) else 0
     return f"""#include "core.h"
 
 {declared}
 
 static const double defaults[] = {{{_numbers(lowered.defaults)}}};
-static const char *const labels[] = {{{", ".join(_text(v.name) for v in variables)}}};
+static const char *const labels[] = {{{", ".join(_text(name) for name in labels)}}};
 static const int dead_time[] = {{{", ".join(map(str, (*lowered.dead_times, -1)))}}};
 
 const ht_model ht_the_model = {{
     {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]},
     {counts}, /* inputs, parameters, starts, outputs, states, derivatives */
     defaults, labels, dead_time,
-    {pieces}, {lowered.step!r}, /* history, step */
+    {pieces}, {int(any(v.kind == "time" for v in variables))}, {lowered.step!r}, /* history, time listed, step */
     {", ".join(functions[role] for role in _ROLES)},
     {", ".join(str(work[name] + 1) for name in _WORK)},
 }};

@@ -82,7 +82,8 @@ def variables_of(lowered: Lowered) -> tuple[Variable, ...]:
             )
             for k, (n, s) in enumerate(zip(names, lowered.states, strict=True))
         ]  # fmt: skip
-    rows.append(Variable("time", "time", "s", "simulation time"))
+    if depends.on_time:
+        rows.append(Variable("time", "time", "s", "simulation time"))
     _check_names(lowered.name, rows)
     return tuple(rows)
 
@@ -131,6 +132,11 @@ class _Dependencies:
             self.rows["xdot"] = {n: _rows(output, output.index_out("xdot"), n) for n in output.name_in()}
         start = lowered.functions["start"]
         self.start = {n: _rows(start, 0, n) for n in start.name_in()}
+
+    @property
+    def on_time(self) -> bool:
+        """Whether the equations read the time; only then it is a variable of the FMU."""
+        return any(rows["t"] for rows in self.rows.values())
 
     def of_output(self, k: int) -> dict:
         """``depends`` and ``starts_from`` of output k."""

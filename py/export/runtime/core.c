@@ -35,6 +35,7 @@ ht_kind ht_kind_of(const ht_model *m, size_t reference, size_t *index) {
     for (k = 0; k < (int)HT_UNKNOWN; k++) {
         size_t size = block_size(m, (ht_kind)k);
         if (reference < size) {
+            if (k == HT_TIME && !m->time_listed) return HT_UNKNOWN;
             if (index) *index = reference;
             return (ht_kind)k;
         }

@@ -28,6 +28,7 @@ typedef struct {
     const char *const *labels;    /* names of all variables, for messages */
     const int *dead_time;         /* per input: which parameter [s] delays it, or -1 */
     size_t history;               /* pieces kept of each delayed input */
+    int time_listed;              /* whether time is one of the variables */
     double step;                  /* longest internal step, or the sample period [s] */
     ht_function start;            /* (u, p, z) -> x */
     ht_function start_forward;    /* (u, p, z, du, dp, dz) -> dx */

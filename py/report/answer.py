@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hydrotwin.comparison import Comparison, Residual, Score
+from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Residual, Score
 
 from .format import difference_to_shown, number_text, times_text, with_unit
 
@@ -39,81 +39,87 @@ def winners(comparison: Comparison) -> tuple[Winner, ...]:
 
 def answer(comparison: Comparison, shown: Mapping[str, str]) -> str:
     """One sentence on the first mode; ``shown`` is the unit of each output."""
-    first = [w for w in winners(comparison) if w.mode == comparison.modes[0]]
-    return _mode_sentence(first, comparison, shown) if first else "No model could be scored: see what failed below."
+    sentence = _mode_sentence(comparison, comparison.modes[0], shown)
+    return sentence or "No model could be scored: see what failed below."
 
 
 def facts(comparison: Comparison, shown: Mapping[str, str]) -> tuple[str, ...]:
     """The same sentence for every further mode, and the fastest model."""
-    found = winners(comparison)
-    sentences = []
-    for mode in comparison.modes[1:]:
-        of_mode = [w for w in found if w.mode == mode]
-        if of_mode:
-            sentences.append(_mode_sentence(of_mode, comparison, shown))
+    sentences = [_mode_sentence(comparison, mode, shown) for mode in comparison.modes[1:]]
     seconds = comparison.seconds_per_simulated_second
     times = {m: s for m, s in seconds.items() if m not in comparison.yardsticks}
     if len(times) > 1:
         fastest = min(times, key=times.__getitem__)
         sentences.append(f"The fastest is {fastest}: {number_text(1.0 / times[fastest], 2)} times real time.")
-    return tuple(sentences)
+    return tuple(s for s in sentences if s)
 
 
 def _winner(ranking: tuple[Score, ...]) -> Winner:
-    best = ranking[0]
-    rivals = [s for s in ranking[1:] if s.recordings == best.recordings]
+    best, *rivals = [s for s in ranking if s.recordings == ranking[0].recordings]
     second = rivals[0] if rivals else None
-    if second is None:
-        times = float("nan")
-    else:
-        times = second.rmse / best.rmse if best.rmse > 0 else (1.0 if second.rmse == 0 else float("inf"))
+    times = _times(best, second) if second else float("nan")
     return Winner(
-        best.mode,
-        best.output,
-        best.model,
-        best.rmse,
-        best.unit,
-        best.fit_percent,
-        second.model if second else None,
-        times,
+        mode=best.mode,
+        output=best.output,
+        model=best.model,
+        rmse=best.rmse,
+        unit=best.unit,
+        fit_percent=best.fit_percent,
+        next=second.model if second else None,
+        times=times,
     )
 
 
-def _mode_sentence(found: list[Winner], comparison: Comparison, shown: Mapping[str, str]) -> str:
-    mode = {"free run": "In free run", "one step": "One step ahead"}[found[0].mode]
-    rest = list(found)
-    clauses = []
-    for model in dict.fromkeys(w.model for w in found):
-        of = [w for w in rest if w.model == model]
-        if of:
-            clauses.append(_clause(model, of, len(of) == len(found) > 1, comparison, shown))
-    return f"{mode}, {'; '.join(clauses)}."
+def _times(best: Score, other: Score) -> float:
+    """RMSE of ``other`` over that of ``best``."""
+    if best.rmse > 0.0:
+        return other.rmse / best.rmse
+    return 1.0 if other.rmse == 0.0 else float("inf")
 
 
-def _clause(model: str, of: list[Winner], everywhere: bool, comparison: Comparison, shown: Mapping[str, str]) -> str:
-    lead = of[0]
-    unit = shown[lead.output]
-    rmse = number_text(float(difference_to_shown(lead.rmse, lead.unit, unit)))
-    size = f"{lead.output} RMSE {with_unit(rmse, unit)}"
-    if everywhere:
-        start = f"{model} is best on all {len(of)} outputs: {size}"
-    elif len(of) == 1:
-        start = f"{model} is best on {size}"
-    else:
-        others = ", ".join(w.output for w in of[1:])
-        start = f"{model} is best on {size} and on {others}"
-    return start + _margin(lead, len(comparison.models), unit)
+def _mode_sentence(comparison: Comparison, mode: str, shown: Mapping[str, str]) -> str:
+    """Few clauses that cover all outputs: again and again the model that is best, or level, on most of the rest."""
+    rankings = {s.name: comparison.ranking(s.name, mode) for s in comparison.outputs}
+    rest = {output: _level(r) for output, r in rankings.items() if r}
+    total, clauses = len(rest), []
+    while rest:
+        model = max(comparison.models, key=lambda m: sum(m in level for level in rest.values()))
+        covered = [output for output, level in rest.items() if model in level]
+        clauses.append(_clause(model, covered, total, rankings[covered[0]], shown[covered[0]]))
+        rest = {output: level for output, level in rest.items() if output not in covered}
+    start = {FREE_RUN: "In free run", ONE_STEP: "One step ahead"}[mode]
+    return f"{start}, {'; '.join(clauses)}." if clauses else ""
 
 
-def _margin(lead: Winner, models: int, unit: str) -> str:
-    if lead.next is None:
-        return "" if models == 1 else ", where no other model could be scored on as many recordings"
-    if lead.times < LEVEL:
-        return f", level with {lead.next}"
-    if lead.times == float("inf"):
-        return f", exactly; the next is {lead.next}"
-    rival = number_text(float(difference_to_shown(lead.rmse * lead.times, lead.unit, unit)))
-    return f", {times_text(lead.times)} times smaller than that of {lead.next} ({with_unit(rival, unit)})"
+def _level(ranking: tuple[Score, ...]) -> set[str]:
+    """The best model and those level with it."""
+    best = ranking[0]
+    return {s.model for s in ranking if s.recordings == best.recordings and _times(best, s) < LEVEL}
+
+
+def _clause(model: str, covered: list[str], total: int, ranking: tuple[Score, ...], unit: str) -> str:
+    own = next(s for s in ranking if s.model == model)
+    rivals = [s for s in ranking if s.model != model and s.recordings == own.recordings]
+    level = [s.model for s in rivals if s.model in _level(ranking)]
+    behind = [s for s in rivals if s.model not in _level(ranking)]
+    what = own.output
+    if len(covered) == total > 1:
+        what = f"all {total} outputs: {own.output}"
+    elif len(covered) > 1:
+        what = f"{len(covered)} of {total} outputs: {own.output}"
+    text = f"{model} is best on {what} RMSE {_rmse_text(own, unit)}"
+    if level:
+        text += f", level with {' and '.join(level)}"
+    if behind and own.rmse > 0.0:
+        rival = behind[0]
+        text += (
+            f", {times_text(_times(own, rival))} times smaller than that of {rival.model} ({_rmse_text(rival, unit)})"
+        )
+    return text
+
+
+def _rmse_text(score: Score, unit: str) -> str:
+    return with_unit(number_text(float(difference_to_shown(score.rmse, score.unit, unit))), unit)
 
 
 def verdicts(comparison: Comparison) -> tuple[str, ...]:
@@ -140,4 +146,5 @@ def _left(residual: Residual) -> str:
     size = f"error {number_text(residual.times_noise, 2)} times the noise" if _size(residual) else "an error"
     if not residual.follows:
         return f"{residual.output} ({size})"
-    return f"{residual.output} ({size}, follows {residual.follows} with correlation {residual.strength:.2f})"
+    strength = number_text(residual.strength, 2)
+    return f"{residual.output} ({size}, follows {residual.follows} with correlation {strength})"

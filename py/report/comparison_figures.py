@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+
 from hydrotwin.comparison import FREE_RUN, Comparison
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record

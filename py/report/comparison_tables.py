@@ -11,7 +11,7 @@ from .figure import Style
 from .format import common_decimals, difference_to_shown
 from .tables import Column, Table, counts, numbers, table, texts, warned
 
-HEADLINE_OUTPUTS = 5
+HEADLINE_OUTPUTS = 6
 
 
 def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> Table:
@@ -31,11 +31,13 @@ def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str
         of = {s.model: s for s in comparison.ranking(first[0].name, mode)}
         fits = [of[m].fit_percent if m in of else None for m in models]
         among = [m in _complete(of.values()) for m in models]
-        columns.append(numbers("fit_percent", f"Fit of {first[0].name}", fits, "%", best="max", among=among))
+        columns.append(
+            numbers("fit_percent", f"Fit of {first[0].name}", fits, "%", decimals=2, best="max", among=among)
+        )
         if any(s.recordings < len(comparison.records) for s in of.values()):
             columns.append(texts("recordings", "Recordings", [_coverage(of.get(m), comparison) for m in models]))
     seconds = comparison.seconds_per_simulated_second
-    speed = [1.0 / seconds[m] if m in seconds else None for m in models]
+    speed = [1.0 / seconds[m] if m in seconds and m not in comparison.yardsticks else None for m in models]
     columns.append(
         numbers(
             "real_time_factor",
@@ -48,7 +50,7 @@ def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str
         )
     )
     left = len([s for s in comparison.outputs if comparison.ranking(s.name, mode)]) - len(first)
-    more = f" {left} more outputs are below." if left > 0 else ""
+    more = f" {left} more output{'s are' if left > 1 else ' is'} below." if left > 0 else ""
     count = len(comparison.records)
     over = f"mean over the {count} validation recordings" if count > 1 else "on the validation recording"
     note = f"RMSE in {mode}, {over}; the best is bold.{more}"
@@ -75,9 +77,10 @@ def score_tables(comparison: Comparison, shown: Mapping[str, str], look: Mapping
 
 def run_times(comparison: Comparison, look: Mapping[str, Style]) -> Table:
     """Wall time per simulated second, fastest first."""
-    rows = sorted(comparison.timings, key=lambda t: (comparison.modes.index(t.mode), t.seconds_per_simulated_second))
+    timings = [t for t in comparison.timings if t.model not in comparison.yardsticks]
+    rows = sorted(timings, key=lambda t: (comparison.modes.index(t.mode), t.seconds_per_simulated_second))
     values = [t.seconds_per_simulated_second for t in rows]
-    first = [t.mode == comparison.modes[0] and t.model not in comparison.yardsticks for t in rows]
+    first = [t.mode == comparison.modes[0] for t in rows]
     columns = [
         _models([t.model for t in rows], look),
         texts("mode", "Mode", [t.mode for t in rows]),
@@ -193,7 +196,7 @@ def _metrics(rows: Sequence[Score], unit: str, best: bool = True) -> list[Column
         errors("rmse", "RMSE", low),
         errors("mae", "MAE", low),
         errors("maximum", "Maximum", low),
-        numbers("fit_percent", "Fit", [s.fit_percent for s in rows], "%", best=high, among=among),
+        numbers("fit_percent", "Fit", [s.fit_percent for s in rows], "%", decimals=2, best=high, among=among),
         errors("bias", "Mean error", ""),
         numbers("relative", "× best RMSE", [s.relative for s in rows], common=False),
     ]

@@ -52,7 +52,7 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
     """Everything about one fit."""
     rows = parameter_rows(fit)
     parts: list = [parameter_table(rows, f"{id}_parameters"), interval_figure(rows, f"{id}-intervals")]
-    findings = tuple(str(f) for f in fit.findings)
+    findings = tuple(str(f).removeprefix("identify: ") for f in fit.findings)
     if findings:
         parts.append(Note(findings, tone="warning"))
     residuals = getattr(fit, "residuals", ())

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
+
 from hydrotwin.models.language.errors import UnitError
 from hydrotwin.models.language.units import compatible, from_si
 

@@ -166,10 +166,10 @@ def _missing(comparison: Comparison, look) -> Section:
 
 def _notices(comparison: Comparison) -> tuple[str, ...]:
     """What failed, each cause once, and holes in the recordings."""
-    modes: dict[tuple[str, str, str], list[str]] = {}
+    where: dict[tuple[str, str], list[str]] = {}
     for f in comparison.failures:
-        modes.setdefault((f.model, f.record, f.sentence.removeprefix(f"{f.model}: ")), []).append(f.mode)
-    found = [f"{m} failed on {r} ({' and '.join(of)}): {text}" for (m, r, text), of in modes.items()]
+        where.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), []).append(f"{f.record} in {f.mode}")
+    found = [f"{model} failed on {', '.join(of)}: {text}" for (model, text), of in where.items()]
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
     return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Residual, Score
 
-from .format import difference_to_shown, number_text, times_text, with_unit
+from .format import difference_to_shown, margin_text, number_text, with_unit
 
 LEVEL = 1.02  # two models whose errors differ by less are level
 
@@ -112,9 +112,7 @@ def _clause(model: str, covered: list[str], total: int, ranking: tuple[Score, ..
         text += f", level with {' and '.join(level)}"
     if behind and own.rmse > 0.0:
         rival = behind[0]
-        text += (
-            f", {times_text(_times(own, rival))} times smaller than that of {rival.model} ({_rmse_text(rival, unit)})"
-        )
+        text += f", {margin_text(_times(own, rival))} smaller than that of {rival.model} ({_rmse_text(rival, unit)})"
     return text
 
 

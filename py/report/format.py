@@ -113,13 +113,15 @@ def number_text(value: float | None, digits: int = 3) -> str:
     return text.replace("-", "−")
 
 
-def times_text(ratio: float) -> str:
-    """A ratio as in "3.4 times".
+def margin_text(ratio: float) -> str:
+    """How much smaller one number is than ``ratio`` times itself: in percent when close, else "n times".
 
-    >>> times_text(3.42), times_text(27.4)
-    ('3.4', '27')
+    >>> margin_text(1.25), margin_text(3.42), margin_text(27.4)
+    ('20 %', '3.4 times', '27 times')
     """
-    return f"{ratio:.1f}" if ratio < 10 else f"{ratio:.0f}"
+    if ratio < 1.5:
+        return f"{100.0 * (1.0 - 1.0 / ratio):.0f} %"
+    return f"{ratio:.1f} times" if ratio < 10 else f"{_spaced(f'{ratio:.0f}')} times"
 
 
 def with_unit(text: str, unit: str) -> str:

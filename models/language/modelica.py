@@ -47,9 +47,9 @@ def modelica_text(model: Model) -> str:
     connectors = [_connector(kind) for kind in writer.port_kinds]
     if writer.has_signals:
         connectors += ["connector RealInput = input Real;", "connector RealOutput = output Real;"]
-    main = f"model {MAIN} {_quoted(f'{model.name} with its parameter values')}\n  extends {top}{changes};\nend {MAIN};"
+    main = f"model {MAIN}{_quoted(f'{model.name} with its parameter values')}\n  extends {top}{changes};\nend {MAIN};"
     body = "\n\n".join([*connectors, *writer.classes.values(), main])
-    head = f"package {identifier(model.name)} {_quoted(_sentence(model.root))}\n"
+    head = f"package {identifier(model.name)}{_quoted(_sentence(model.root))}\n"
     return head + _indented(body) + f"\nend {identifier(model.name)};\n"
 
 
@@ -76,7 +76,7 @@ def _connector(kind: Port) -> str:
     (letter, unit), (flow, flow_unit) = kind.potential, kind.flow
     nominal, flow_nominal = (f", nominal={modelica_number(n)}" if n != 1 else "" for n in kind.nominals)
     return (
-        f"connector {type(kind).__name__} {_quoted(_sentence(kind))}\n"
+        f"connector {type(kind).__name__}{_quoted(_sentence(kind))}\n"
         f'  Real {identifier(letter)}(unit="{modelica_unit(unit)}"{nominal});\n'
         f'  flow Real {identifier(flow)}(unit="{modelica_unit(flow_unit)}"{flow_nominal});\n'
         f"end {type(kind).__name__};"
@@ -133,7 +133,7 @@ class _PackageWriter:
         if (kind, text) not in self.bodies:
             name = next(n for n in _names(kind) if n not in self.classes and n != MAIN)
             word = "record" if passive else "model"
-            self.classes[name] = f"{word} {name} {text}\nend {name};"
+            self.classes[name] = f"{word} {name}{text}\nend {name};"
             self.bodies[kind, text] = name
         return self.bodies[kind, text]
 
@@ -154,8 +154,9 @@ class _PackageWriter:
         return body
 
     def _equation(self, equation: Equation, path: str, body: _Body) -> str:
-        new = iter(f"shared_{k}" for k in range(len(body.shared) + 1, 10_000))
-        text, shared = modelica_equation(equation.left, equation.right, self._names_in(path), lambda: next(new))
+        new = (f"shared_{k}" for k in range(len(body.shared) + 1, 10_000))
+        names = self._names_in(path, body)
+        text, shared = modelica_equation(equation.left, equation.right, names, lambda: next(new))
         for name, definition in shared:
             body.shared.append(name)
             body.equations.append(f"{name} = {definition};")
@@ -168,15 +169,17 @@ class _PackageWriter:
         here = getattr(component, name)
         word = identifier(name)
         if isinstance(here, Component):
-            return f"{self.class_of(here)} {word}{self._changes(here)};"
+            said_around = name in component.changes and component.parent is not None
+            changes = "" if said_around else self._modifiers(here, self._names_in(component.path))
+            return f"{self.class_of(here)} {word}{changes};"
         if isinstance(here, BoundPort):
             if type(declared) not in [type(kind) for kind in self.port_kinds]:
                 self.port_kinds.append(declared)
-            return f"{type(declared).__name__} {word} {_quoted(declared.description)};"
+            return f"{type(declared).__name__} {word}{_quoted(declared.description)};"
         attributes = _attributes(declared)
         if isinstance(declared, Parameter):
             value = self._value(component, name, declared)
-            return f"parameter Real {word}{_modifier(attributes)}{value} {_quoted(declared.description)};"
+            return f"parameter Real {word}{_modifier(attributes)}{value}{_quoted(declared.description)};"
         if isinstance(declared, State):
             attributes |= self._start_attributes(component, name, declared)
         elif isinstance(declared, Variable) and declared.start:
@@ -186,7 +189,7 @@ class _PackageWriter:
         signal = isinstance(declared, (Input, Output))
         self.has_signals |= signal
         kind = f"Real{type(declared).__name__}" if signal else "Real"
-        return f"{kind} {word}{_modifier(attributes)} {_quoted(declared.description)};"
+        return f"{kind} {word}{_modifier(attributes)}{_quoted(declared.description)};"
 
     def _value(self, component: Component, name: str, declared: Parameter) -> str:
         """`` = ...`` of a parameter in its class; values given from around the component are modifiers there."""
@@ -207,39 +210,45 @@ class _PackageWriter:
             return {"start": text, "fixed": str(declared.fixed).lower(), **always}
         return {"fixed": "false", **always}  # an initial equation or a modifier says the rest
 
-    def _changes(self, component: Component) -> str:
-        """The modifiers with which its parent declares a component: numbers, bindings and start values."""
-        names_in_parent = self._names_in(component.parent.path)
-        modifiers = []
+    def _modifiers(self, component: Component, names: Callable[[ca.SX], str]) -> str:
+        """The modifiers that make a class this component: numbers, bindings and start values, of its parts as well."""
+        found = []
         for name, change in component.changes.items():
-            symbol, word = getattr(component, name), identifier(name)
-            own = declarations(type(component))[name]
-            if isinstance(own, Parameter):
-                value = change.value if isinstance(change, Parameter) else change
-                if callable(value):
-                    value = modelica_expression(self.elaboration.bindings[f"{component.path}.{name}"], names_in_parent)
+            here, word = getattr(component, name), identifier(name)
+            if isinstance(here, Component):
+                inside = self._modifiers(here, names)
+                found += [f"{word}{inside}"] if inside else []
+            elif isinstance(declarations(type(component))[name], Parameter):
+                binding = self.elaboration.bindings.get(f"{component.path}.{name}")
+                if binding is not None:
+                    found.append(f"{word}={modelica_expression(binding, names)}")
                 elif not isinstance(change, Parameter):
-                    value = modelica_number(value)
-                else:
-                    continue
-                modifiers.append(f"{word}={value}")
-            elif isinstance(own, State) and isinstance(symbol, ca.SX) and not isinstance(change, State):
+                    found.append(f"{word}={modelica_number(change)}")
+            elif isinstance(here, ca.SX) and not isinstance(change, (State, Variable, Input, Output)):
                 start = ca.SX(change(component.parent) if callable(change) else change)
-                if self._constant(start):
-                    modifiers.append(f"{word}(start={modelica_expression(start, names_in_parent)})")
-                else:
-                    modifiers.append(f"{word}(fixed=false)")
-        return f"({', '.join(modifiers)})" if modifiers else ""
+                known = f"start={modelica_expression(start, names)}" if self._constant(start) else "fixed=false"
+                found.append(f"{word}({known})")
+        return f"({', '.join(found)})" if found else ""
 
     # -- names and places --------------------------------------------------------------------------------------
-    def _names_in(self, owner: str) -> Callable[[ca.SX], str]:
-        """How symbols are called inside the class of the component at ``owner``."""
+    def _names_in(self, owner: str, body: _Body | None = None) -> Callable[[ca.SX], str]:
+        """How symbols are called inside the class of the component at ``owner``.
+
+        Modelica takes no derivative of a derivative: ``body`` gets a variable for the inner one.
+        """
         skip = len(owner) + 1 if owner else 0
 
         def name_of(symbol: ca.SX) -> str:
             key = symbol.element_hash()
             if key in self.rates:
-                return f"der({name_of(self.rates[key])})"
+                inner = name_of(self.rates[key])
+                if inner.startswith("der("):
+                    rate = "rate_of_" + inner[4:-1].replace(".", "_")
+                    if rate not in body.shared:
+                        body.shared.append(rate)
+                        body.equations.append(f"{rate} = {inner};")
+                    inner = rate
+                return f"der({inner})"
             if key in self.delays:
                 item = self.delays[key]
                 return f"delay({name_of(item.argument)}, {name_of(item.time)})"
@@ -328,8 +337,9 @@ def _sentence(described) -> str:
 
 
 def _quoted(text: str) -> str:
+    """A description as it follows a declaration, nothing for no text."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    return f' "{escaped}"' if text else ""
 
 
 def _indented(text: str) -> str:

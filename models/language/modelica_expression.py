@@ -181,6 +181,8 @@ class _Writer:
             return word.join(self.condition(each, RELATION) for each in operands), IF
         if op in _BINARY:
             sign, binds, left, right = _BINARY[op]
+            if binds == PRODUCT and operands[0].op == ca.OP_CONST and operands[0].value < 0:
+                binds, left = SUM, SUM  # Modelica reads -2*a as -(2*a)
             return f"{self.write(operands[0], left)}{sign}{self.write(operands[1], right)}", binds
         if op in _TEMPLATES:
             template, binds, inner = _TEMPLATES[op]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     DeclarationError,
@@ -14,7 +15,6 @@ from hydrotwin.models.language import (
     connect,
     der,
 )
-
 from tests.language.parts import FlowSource, Lag, Mass, Oscillator, PressureSource, Restriction, Spring, Volume
 
 

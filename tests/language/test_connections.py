@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     Flange,
@@ -14,7 +15,6 @@ from hydrotwin.models.language import (
     TopologyError,
     connect,
 )
-
 from tests.language.parts import (
     Damper,
     FlowSource,

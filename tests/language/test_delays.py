@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     Input,
@@ -15,7 +16,6 @@ from hydrotwin.models.language import (
     delay,
     der,
 )
-
 from tests.language.parts import rates
 
 

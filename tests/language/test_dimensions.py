@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 import pytest
+
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, UnitError, der
 from hydrotwin.models.language.dimensions import ANY, NUMBER, dimensions_of, written
 from hydrotwin.models.language.units import dimension

@@ -5,8 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
-from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der, time
 
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der, time
 from tests.language.parts import FlowSource, Lag, Oscillator, PressureSource, Restriction, Volume, observed, rates
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     Flange,
@@ -19,7 +20,6 @@ from hydrotwin.models.language import (
     connect,
     der,
 )
-
 from tests.language.parts import Attached, LoadedOscillator, Mass, Oscillator, observed, rates
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     DeclarationError,
@@ -17,7 +18,6 @@ from hydrotwin.models.language import (
     TopologyError,
     der,
 )
-
 from tests.language.parts import Mass, Oscillator
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from hydrotwin.models.language import (
     Component,
     DeclarationError,
@@ -16,7 +17,6 @@ from hydrotwin.models.language import (
     State,
     der,
 )
-
 from tests.language.parts import (
     Attached,
     Damper,

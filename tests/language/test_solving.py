@@ -5,6 +5,8 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
+
 from hydrotwin.models.language import (
     Component,
     Input,
@@ -17,8 +19,6 @@ from hydrotwin.models.language import (
     connect,
     der,
 )
-from scipy.optimize import fsolve
-
 from tests.language.parts import FlowSource, PressureSource, Restriction, observed, rates
 
 

@@ -12,6 +12,7 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-10  # of the implicit method; states and time in nominal units
+TANGENT_TOLERANCE = 1e-8  # of its sensitivities, in nominal units of states and parameters
 
 
 @dataclass(frozen=True)
@@ -148,20 +149,29 @@ def implicit_substep(flat: FlatModel) -> ca.Function:
 
 
 def implicit_tangent(flat: FlatModel, to: Directions) -> ca.Function:
-    """``(t, x, u, p, h, dx, du) -> dx`` after the step, from the integrator's own forward derivatives."""
-    substep = implicit_substep(flat)
-    t, x, u, p, h = (ca.MX.sym(n, substep.size1_in(i)) for i, n in enumerate("txuph"))
-    dx = ca.MX.sym("dx", x.numel(), to.count)
-    du = ca.MX.sym("du", len(to.dead))
-    seed_p = np.zeros((p.numel(), to.count))
-    seed_p[list(to.parameters), range(len(to.parameters))] = 1
-    seed_u = ca.MX(u.numel(), to.count)
-    for m, (j, column) in enumerate(to.dead):
-        seed_u[j, column] = du[m]
-    forward = substep.forward(to.count)
-    seeds = [ca.DM(1, to.count), dx, ca.densify(seed_u), seed_p, ca.DM(1, to.count)]
-    after = forward(t, x, u, p, h, ca.MX(x.numel(), 1), *seeds)
-    return ca.Function("implicit_tangent", [t, x, u, p, h, dx, du], [ca.densify(after)])
+    """``(t, x, u, p, h, dx, du) -> dx`` after the step: the variational equations in the same integrator,
+
+        S' = df/dx S + df/dp + df/du du,
+
+    so that its step control sees them: the derivative of a state at rest may ring.
+    """
+    t, x, u, p = symbols(flat)
+    h, fraction, du = ca.SX.sym("h"), ca.SX.sym("fraction"), ca.SX.sym("du", len(to.dead))
+    S = ca.SX.sym("S", x.numel(), to.count)
+    scale = np.array([s.nominal for s in flat.states])
+    columns = np.array([flat.parameters[i].nominal for i in to.parameters] + [scale[i] for i in to.states])
+    units = ca.DM(np.outer(scale, 1 / columns))
+    xdot, fx, fp, fu = linear_rate(flat, to)(t + fraction * h, scale * x, u, p)
+    Sdot = fx @ (S * units) + _placed(fp, fu, du, to)
+    slope = ca.vertcat(h * xdot / scale, ca.vec(h * Sdot / units))
+    dae = {"t": fraction, "x": ca.vertcat(x, ca.vec(S)), "p": ca.vertcat(t, u, p, h, du), "ode": ca.densify(slope)}
+    tolerances = {"reltol": TANGENT_TOLERANCE, "abstol": TANGENT_TOLERANCE}
+    within = ca.integrator("implicit_tangent_within", "rosenbrock", dae, 0, 1, tolerances)
+    T, X, U, P, H, dU = (ca.MX.sym(n, s.numel()) for n, s in zip("txuphd", (t, x, u, p, h, du), strict=True))
+    dX = ca.MX.sym("dx", *S.shape)
+    after = within(x0=ca.vertcat(X / scale, ca.vec(dX / units)), p=ca.vertcat(T, U, P, H, dU))["xf"]
+    tangent = ca.reshape(after[x.numel() :], *S.shape) * units
+    return ca.Function("implicit_tangent", [T, X, U, P, H, dX, dU], [tangent])
 
 
 def _shared(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:

@@ -211,7 +211,7 @@ def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpret
 
 def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
     name = "".join(c if c.isalnum() else "_" for c in flat.name)
-    optimise = "-O1" if implicit else "-O3"  # the integrator's code is long: 3 times the compilation for 1.2 of speed
+    optimise = "-O2" if implicit else "-O3"  # the integrator is long: -O3 compiles longer and runs no faster
     path = compile_library(c_source(flat, to, implicit), name, optimise)
     if path is not None:
         return Library(path, len(flat.outputs))

@@ -85,8 +85,8 @@ def test_rosenbrock_has_the_sensitivities_of_fine_explicit_steps(machine):
         propagator = prepare(model, free_parameters=free, free_states=states, **options)
         answers.append(propagator.sensitivity(TIME, COMMAND, p, x0, seeds))
     scaled = np.concatenate([p[[model.index_of(n) for n in free]], [1.0, 100.0]])
-    assert_close(answers[0][1] * scaled, answers[1][1] * scaled, 1e-5)
-    assert_close(answers[0][3] * scaled, answers[1][3] * scaled, 1e-5)
+    assert_close(answers[0][1] * scaled, answers[1][1] * scaled, 2e-5)
+    assert_close(answers[0][3] * scaled, answers[1][3] * scaled, 2e-5)
 
 
 def test_every_parameter_of_the_actuator(machine):

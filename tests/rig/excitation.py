@@ -37,7 +37,7 @@ def drive(
     m = machine_of(machine)
     time = commands.jittered_time(duration, rate, jitter, seed) if jitter else _ticks(duration, rate)
     bare = [(n, o) for n, o in named_effects(machine, effects) if not n.startswith(("sensor", "quantisation"))]
-    truth = dict(parameters=parameters, effects=bare, start=start, step=COARSE)
+    truth = dict(parameters=parameters, effects=bare, start=start, step=COARSE, hold_after_loss=True)
     if kind == "drive":
         return time, _smooth(m, time, rate, seed, truth)
     return time, _hard(m, time, kind, seed, truth)

@@ -70,14 +70,14 @@ def field_names(machine: str) -> tuple[str, ...]:
     return tuple(_library().rig_names(NAMES.index(machine)).decode().rstrip(",").split(","))
 
 
-def run(machine, times, values, slopes, fields, start, outputs, step):
+def run(machine, times, values, slopes, fields, start, outputs, step, hold_after_loss=False):
     """Integrate through breakpoints.
 
     On ``[times[i], times[i+1])`` the input is ``values[i] + slopes[i] (t - times[i])``.
 
     Args: times, values, slopes (n,); fields: mapping of every C field; start: state, SI; step: longest step [s].
     Returns: outputs at the breakpoints, (n, outputs).
-    Raises: RuntimeError when an output is not finite, with the time.
+    Raises: RuntimeError when an output is not finite or an oil volume is gone, with the time.
     """
     parameters = np.array([fields[name] for name in field_names(machine)], dtype=float)
     state = np.zeros(STATES)
@@ -85,6 +85,8 @@ def run(machine, times, values, slopes, fields, start, outputs, step):
     answer = np.empty((len(times), outputs))
     arrays = [np.ascontiguousarray(a, dtype=float) for a in (times, values, slopes)]
     bad = _library().rig_run(NAMES.index(machine), len(times), *arrays, parameters, step, state, answer)
-    if bad >= 0:
-        raise RuntimeError(f"rig: {machine} left the finite numbers at t = {times[bad]:.4f} s.")
+    if bad >= 0 and hold_after_loss:
+        answer[bad:] = answer[bad - 1]
+    elif bad >= 0:
+        raise RuntimeError(f"rig: {machine} left its volumes or the finite numbers at t = {times[bad]:.4f} s.")
     return answer

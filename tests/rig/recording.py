@@ -26,12 +26,14 @@ def record(
     seed: int = 0,
     start: float | None = None,
     step: float = STEP,
+    hold_after_loss: bool = False,
 ) -> dict[str, np.ndarray]:
     """Simulate the truth and measure it at ``time``; the command is held from each sample to the next.
 
     Args: command (n,) in V or 1; time (n,) [s], any spacing; parameters by name, SI; effects: {name: options} or pairs;
     noise, quantisation: per output, SI (absent = none); start: arm angle [rad] or position [m]; step: longest step [s].
     Returns: columns ``time``, the command, and every output, SI.
+    Raises: RuntimeError when the machine leaves its volumes; ``hold_after_loss`` holds its last outputs instead.
     """
     m, time = machine_of(machine), np.asarray(time, dtype=float)
     command = np.asarray(command, dtype=float)
@@ -44,7 +46,7 @@ def record(
     times = _breakpoints(np.concatenate(corners), time[0], time[-1])
     u, slopes = signal.on(times)
     state = m.start_state(values, fields, m.start_value if start is None else start, u[0])
-    outputs = native.run(machine, times, u, slopes, fields, state, len(m.outputs), step)
+    outputs = native.run(machine, times, u, slopes, fields, state, len(m.outputs), step, hold_after_loss)
     columns = {"time": time.copy(), m.input: command.copy()}
     for i, name in enumerate(m.outputs):
         columns[name] = sensors.measured(name, times, outputs[:, i], time, effects)

@@ -39,9 +39,7 @@ static double cehA_dry(const CehA *p, double speed, double x, double pa, double 
     return force;
 }
 
-static double cehA_payload(const CehA *p, double t) {
-    return p->extra_mass + (p->payload_step != 0 && t >= p->payload_time ? p->payload_step : 0);
-}
+static double cehA_payload(const CehA *p) { return p->extra_mass + payload_change((const Common *)p); }
 
 /* Everything that pushes the sliding body except exact dry friction [N at the rod]. */
 static double cehA_drive(const CehA *p, double t, const double *x, double *dz, double *pin_force) {
@@ -56,13 +54,13 @@ static double cehA_drive(const CehA *p, double t, const double *x, double *dz, d
         return force - *pin_force;
     }
     *pin_force = 0;
-    double m = cehA_payload(p, t) + 0.5 * p->arm_mass;
-    return force - external_force(c, t) - m * 9.80665 * p->length * cos(x[C_THETA] + p->tilt) / k.lever;
+    double m = cehA_payload(p) + 0.5 * p->arm_mass;
+    return force - external_force(c) - m * 9.80665 * p->length * cos(x[C_THETA] + p->tilt) / k.lever;
 }
 
 static void cehA_motion(const CehA *p, double t, const double *x, int direction, double dry, double *dx) {
     Link k = link_of(p, x[C_THETA], x[C_OMEGA]);
-    double pin, m1 = cehA_payload(p, t), L = p->length;
+    double pin, m1 = cehA_payload(p), L = p->length;
     double J = (m1 + p->arm_mass / 3) * L * L;
     double drive = cehA_drive(p, t, x, &dx[C_Z], &pin) - direction * dry;
     dx[C_THETA] = x[C_OMEGA];
@@ -72,7 +70,7 @@ static void cehA_motion(const CehA *p, double t, const double *x, int direction,
         return;
     }
     double load = (m1 + 0.5 * p->arm_mass) * 9.80665 * L * cos(x[C_THETA] + p->tilt);
-    dx[C_OMEGA] = (k.lever * (pin - external_force((const Common *)p, t)) - load) / J;
+    dx[C_OMEGA] = (k.lever * (pin - external_force((const Common *)p)) - load) / J;
     dx[C_XR] = x[C_VR];
     dx[C_VR] = direction == 0 && dry > 0 ? 0 : drive / p->rod_mass;
 }
@@ -122,9 +120,14 @@ static int cehA_sliding_state(const void *pv) {
     return cehA_loose(p) ? C_VR : C_OMEGA;
 }
 
-static void cehA_output(double t, const double *x, const void *pv, double *y) {
+static int cehA_inside(const double *x, const void *pv) {
     const CehA *p = pv;
-    (void)t;
+    double xr = cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
+    return fabs(x[C_THETA]) < 1.5 && p->dead_a + p->area_a * xr > 0 && p->dead_b - p->area_b * xr > 0;
+}
+
+static void cehA_output(const double *x, const void *pv, double *y) {
+    const CehA *p = pv;
     y[0] = x[C_THETA];
     y[1] = x[C_W];
     y[2] = cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
@@ -133,4 +136,5 @@ static void cehA_output(double t, const double *x, const void *pv, double *y) {
     y[5] = x[C_PA] * p->area_a - x[C_PB] * p->area_b;
 }
 
-static const Machine cehA = {C_STATES, 6, cehA_derivative, cehA_contact, cehA_sliding_state, cehA_output};
+static const Machine cehA = {
+    C_STATES, 6, cehA_derivative, cehA_contact, cehA_sliding_state, cehA_inside, cehA_output};

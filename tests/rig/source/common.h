@@ -1,5 +1,7 @@
 /* What both machines share: friction, leakage, oil, stops, and the coupling between rod and load.
- * Every field is neutral at zero (absent) unless its name says otherwise. SI units throughout. */
+ * Every field is neutral at zero (absent) unless its name says otherwise. SI units throughout.
+ * `now` is the middle of the present stretch between breakpoints: timed switches look at it, so that the last stage of
+ * a step that ends at the switch still sees the state of affairs before it. */
 #ifndef RIG_COMMON_H
 #define RIG_COMMON_H
 #include <math.h>
@@ -13,7 +15,7 @@
 #define BODY(X)                                                                                            \
     X(stop_low) X(stop_high) X(stop_stiffness) X(stop_damping) X(coupling_stiffness) X(coupling_damping)     \
     X(coupling_gap) X(rod_mass) X(constant_force) X(push_force) X(push_start) X(push_end)                    \
-    X(payload_step) X(payload_time) X(command_lag) X(drift) X(warming) X(warming_time)
+    X(payload_step) X(payload_time) X(command_lag) X(drift) X(warming) X(warming_time) X(now)
 #define COMMON(X) FRICTION(X) OIL(X) BODY(X)
 
 #define RIG_FIELD(name) double name;
@@ -28,7 +30,8 @@ typedef struct {
     void (*derivative)(double t, const double *x, double u, const void *p, int direction, double *dx);
     Contact (*contact)(double t, const double *x, double u, const void *p);
     int (*sliding_state)(const void *p);   /* index of the velocity that sticks, or -1: no exact friction */
-    void (*output)(double t, const double *x, const void *p, double *y);
+    int (*inside)(const double *x, const void *p);   /* volumes open, linkage short of its dead centre */
+    void (*output)(const double *x, const void *p, double *y);
 } Machine;
 
 static inline double sign_of(double v) { return (v > 0) - (v < 0); }
@@ -93,9 +96,11 @@ static inline double coupling_force(const Common *c, double dx, double dv) {
     return half > 0 && force * stretch < 0 ? 0 : force;
 }
 
-static inline double external_force(const Common *c, double t) {
-    return c->constant_force + (t >= c->push_start && t < c->push_end ? c->push_force : 0);
+static inline double external_force(const Common *c) {
+    return c->constant_force + (c->now >= c->push_start && c->now < c->push_end ? c->push_force : 0);
 }
+
+static inline double payload_change(const Common *c) { return c->now >= c->payload_time ? c->payload_step : 0; }
 
 static inline double warmed(const Common *c, double value, double t) {
     return c->warming == 0 ? value : value * (1 - c->warming * (1 - exp(-t / c->warming_time)));

@@ -10,6 +10,7 @@
 #define EXPORT
 #endif
 #define MOST_STATES 16
+#define MOST_FIELDS 128
 
 typedef struct { const Machine *m; const void *p; double u, slope, t_u; int direction, sliding; } Run;
 
@@ -89,26 +90,36 @@ static void start_mode(Run *r, double t, double *x) {
     else choose_mode(r, t, x);
 }
 
+static int fields_of(const Machine *m) { return (m == &cehA ? sizeof(CehA) : sizeof(Spool)) / sizeof(double); }
+
+static int fine(const Machine *m, const double *x, const double *p, const double *y) {
+    for (int k = 0; k < m->outputs; k++)
+        if (!isfinite(y[k])) return 0;
+    return m->inside(x, p);
+}
+
 /* Run through breakpoints t[0..n-1]; on [t[i], t[i+1]) the input is u[i] + slope[i] (t - t[i]).
- * y: n rows of outputs. x: start state in, final state out. Returns the first index with a non-finite output, or -1. */
-EXPORT long rig_run(int machine, long n, const double *t, const double *u, const double *slope, const double *p,
+ * y: n rows of outputs. x: start state in, final state out.
+ * Returns the first index at which an output is not finite or a volume is gone, or -1. */
+EXPORT long rig_run(int machine, long n, const double *t, const double *u, const double *slope, const double *fields,
                     double step, double *x, double *y) {
     const Machine *m = machine ? &spool_valve : &cehA;
+    double p[MOST_FIELDS];
+    memcpy(p, fields, sizeof(double) * fields_of(m));
     Run r = {m, p, u[0], slope[0], t[0], 0, -1};
     start_mode(&r, t[0], x);
-    m->output(t[0], x, p, y);
+    m->output(x, p, y);
     for (long i = 0; i + 1 < n; i++) {
         double dt = t[i + 1] - t[i];
         long steps = (long)ceil(dt / step - 1e-9);
         if (steps < 1) steps = 1;
+        ((Common *)p)->now = t[i] + 0.5 * dt;
         r.u = u[i]; r.slope = slope[i]; r.t_u = t[i];
         for (long j = 0; j < steps; j++) advance(&r, t[i] + dt * j / steps, x, dt / steps);
-        m->output(t[i + 1], x, p, y + (i + 1) * m->outputs);
-        for (int k = 0; k < m->outputs; k++)
-            if (!isfinite(y[(i + 1) * m->outputs + k])) return i + 1;
+        m->output(x, p, y + (i + 1) * m->outputs);
+        if (!fine(m, x, p, y + (i + 1) * m->outputs)) return i + 1;
     }
     return -1;
 }
 
 EXPORT const char *rig_names(int machine) { return machine ? SPOOL(RIG_NAME) "" : CEHA(RIG_NAME) ""; }
-EXPORT int rig_states(int machine) { return (machine ? &spool_valve : &cehA)->states; }

@@ -38,23 +38,21 @@ static double spool_drive(const Spool *p, double t, const double *x, double *dz,
     double force = x[S_PA] * p->area_a - x[S_PB] * p->area_b - warmed(c, p->viscous, t) * vr;
     force += stop_force(c, xr, vr) - bristles(c, vr, x[S_Z], dz);
     *pin_force = loose ? coupling_force(c, xr - x[S_X], vr - x[S_V]) : 0;
-    return loose ? force - *pin_force : force - p->load - external_force(c, t) - p->spring * x[S_X];
+    return loose ? force - *pin_force : force - p->load - external_force(c) - p->spring * x[S_X];
 }
 
-static double spool_mass(const Spool *p, double t) {
-    return p->mass + (p->payload_step != 0 && t >= p->payload_time ? p->payload_step : 0);
-}
+static double spool_mass(const Spool *p) { return p->mass + payload_change((const Common *)p); }
 
 static void spool_motion(const Spool *p, double t, const double *x, int direction, double dry, double *dx) {
     double pin, drive = spool_drive(p, t, x, &dx[S_Z], &pin) - direction * dry, held = direction == 0 && dry > 0;
     dx[S_X] = x[S_V];
     if (!spool_loose(p)) {
-        dx[S_V] = held ? 0 : drive / spool_mass(p, t);
+        dx[S_V] = held ? 0 : drive / spool_mass(p);
         dx[S_XR] = dx[S_VR] = 0;
         return;
     }
-    double load = p->load + external_force((const Common *)p, t) + p->spring * x[S_X];
-    dx[S_V] = (pin - load) / spool_mass(p, t);
+    double load = p->load + external_force((const Common *)p) + p->spring * x[S_X];
+    dx[S_V] = (pin - load) / spool_mass(p);
     dx[S_XR] = x[S_VR];
     dx[S_VR] = held ? 0 : drive / p->rod_mass;
 }
@@ -100,8 +98,14 @@ static int spool_sliding_state(const void *pv) {
     return spool_loose(p) ? S_VR : S_V;
 }
 
-static void spool_output(double t, const double *x, const void *pv, double *y) {
-    (void)t; (void)pv;
+static int spool_inside(const double *x, const void *pv) {
+    const Spool *p = pv;
+    double xr = spool_loose(p) ? x[S_XR] : x[S_X];
+    return p->dead_a + p->area_a * xr > 0 && p->dead_b + p->area_b * (p->stroke - xr) > 0;
+}
+
+static void spool_output(const double *x, const void *pv, double *y) {
+    (void)pv;
     y[0] = x[S_X];
     y[1] = x[S_S];
     y[2] = x[S_PA];
@@ -109,4 +113,5 @@ static void spool_output(double t, const double *x, const void *pv, double *y) {
     y[4] = x[S_V];
 }
 
-static const Machine spool_valve = {S_STATES, 5, spool_derivative, spool_contact, spool_sliding_state, spool_output};
+static const Machine spool_valve = {
+    S_STATES, 5, spool_derivative, spool_contact, spool_sliding_state, spool_inside, spool_output};

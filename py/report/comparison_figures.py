@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from .format import difference_to_shown, pretty_unit, to_shown
 
 BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
 BUDGET = 2.4e6  # bytes of curves in one page
+FAR = 10.0  # times the smallest error: what is larger may leave the error axis
 MOST, FEWEST = 2400, 200  # points of one curve
 
 
@@ -72,9 +73,24 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
     data += errors
     label = pretty_unit(unit)
     titles = [f"{signal.name} [{label}]", f"error [{label}]"] if label else [signal.name, "error"]
-    spec = {"data": data, "layout": layout("time [s]", titles, shares=(0.62, 0.38), height=520)}
+    plan = layout("time [s]", titles, shares=(0.62, 0.38), height=520)
+    reach = error_reach([v - measured for v in predictions.values()])
+    if reach is not None:
+        limit = 1.1 * float(difference_to_shown(reach, signal.unit, unit))
+        plan["yaxis2"]["range"] = [-limit, limit]
+    spec = {"data": data, "layout": plan}
     row = mode if len(comparison.modes) > 1 else ""
     return Figure(f"{signal.name}-{mode.replace(' ', '-')}-{record.name}", record.name, spec, row=row)
+
+
+def error_reach(errors: Sequence[np.ndarray]) -> float | None:
+    """Half the height of an error axis when some errors dwarf the rest, else None: the axis then fits all of them.
+
+    It fits every error up to FAR times the smallest one, so that a model that ran away hides nothing.
+    """
+    sizes = [float(np.nanmax(np.abs(e))) for e in errors]
+    near = [s for s in sizes if s <= FAR * min(sizes)]
+    return max(near) if len(near) < len(sizes) and max(near) > 0.0 else None
 
 
 def _predictions(comparison: Comparison, signal: Signal, record: Record, mode: str) -> dict[str, np.ndarray]:

@@ -11,7 +11,7 @@ from .figure import Style
 from .format import common_decimals, difference_to_shown
 from .tables import Column, Table, counts, numbers, table, texts, warned
 
-HEADLINE_OUTPUTS = 6
+HEADLINE_OUTPUTS = 4
 
 
 def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> Table:

@@ -120,7 +120,7 @@ def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
     lead = (
         "Measured and predicted, with the error (model minus measurement) below. Drag to zoom, double-click to reset, "
     )
-    lead += "click a name to hide it. Curves keep every peak; all numbers come from the full recordings."
+    lead += "click a name to hide it. Errors more than ten times the smallest may leave their axis. Curves keep every peak; all numbers come from the full recordings."
     if len(plotted) < len(comparison.records):
         lead += f" The first {len(plotted)} of {len(comparison.records)} recordings are drawn."
     return Section("plots", "Measured and predicted", tuple(overlay_groups(comparison, shown, look)), lead)
@@ -166,10 +166,14 @@ def _missing(comparison: Comparison, look) -> Section:
 
 def _notices(comparison: Comparison) -> tuple[str, ...]:
     """What failed, each cause once, and holes in the recordings."""
-    where: dict[tuple[str, str], list[str]] = {}
+    causes: dict[tuple[str, str], dict[str, list[str]]] = {}
     for f in comparison.failures:
-        where.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), []).append(f"{f.record} in {f.mode}")
-    found = [f"{model} failed on {', '.join(of)}: {text}" for (model, text), of in where.items()]
+        modes = causes.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), {})
+        modes.setdefault(f.mode, []).append(f.record)
+    found = []
+    for (model, text), modes in causes.items():
+        where = " and ".join(f"in {mode} on {', '.join(records)}" for mode, records in modes.items())
+        found.append(f"{model} failed {where}: {text}")
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
     return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.signal import lfilter
+
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
-from scipy.signal import lfilter
 
 COMMAND = Signal("command", "V", nominal=5.0)
 ANGLE = Signal("arm_angle", "rad", "angle of the arm above horizontal")

@@ -1,0 +1,222 @@
+"""`compare` on a toy machine: who wins, what fails, what is not scored."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import MEAN, HoldLast, as_contender, compare
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+from hydrotwin.simulation.block import TrainingDomain
+from tests.comparison.toys import ANGLE, COMMAND, OUTPUTS, PRESSURE, SPEED, Toy, recording
+
+TRUE, WRONG = Toy("true"), Toy("wrong", gain=130.0)
+
+
+def run(contenders, records=None, **options):
+    return compare(contenders, records or [recording(1), recording(2)], repeats=1, **options)
+
+
+def scores(comparison, **wanted):
+    return [s for s in comparison.scores if all(getattr(s, k) == v for k, v in wanted.items())]
+
+
+def test_the_true_model_wins_and_its_error_is_the_sensor_noise():
+    comparison = run([WRONG, TRUE])
+    best, second = comparison.ranking("motor_speed")
+    assert (best.model, second.model) == ("true", "wrong")
+    assert best.rmse == pytest.approx(2.0, rel=0.1)
+    assert best.relative == 1.0
+    assert second.relative == pytest.approx(second.rmse / best.rmse)
+
+
+def test_every_model_output_recording_and_mode_is_scored_once():
+    comparison = run([WRONG, TRUE])
+    keys = [(s.model, s.record, s.output, s.mode) for s in comparison.scores]
+    assert len(keys) == len(set(keys)) == 2 * 2 * 3 * 2
+
+
+def test_means_are_those_of_the_recordings():
+    comparison = run([TRUE])
+    each = scores(comparison, output="arm_angle", mode="free run")
+    (mean,) = [s for s in comparison.means if s.output == "arm_angle" and s.mode == "free run"]
+    assert mean.record == MEAN
+    assert mean.recordings == 2
+    assert mean.rmse == pytest.approx(np.mean([s.rmse for s in each]))
+    assert mean.maximum == max(s.maximum for s in each)
+
+
+def test_one_step_ahead_a_drift_hardly_shows():
+    drifting = Toy("drifting", drift=0.01)
+    comparison = run([drifting])
+    (free,) = [s for s in comparison.means if s.output == "arm_angle" and s.mode == "free run"]
+    (step,) = [s for s in comparison.means if s.output == "arm_angle" and s.mode == "one step"]
+    assert step.rmse < 0.02 * free.rmse
+
+
+def test_holding_the_last_sample_is_the_yardstick_of_one_step():
+    comparison = run([HoldLast(OUTPUTS)])
+    record = comparison.records[0]
+    (score,) = scores(comparison, record=record.name, output="arm_angle", mode="one step")
+    expected = np.r_[0.0, np.diff(record["arm_angle"])]
+    assert score.rmse == pytest.approx(np.sqrt(np.mean(expected**2)))
+    assert comparison.yardsticks == {"hold last sample"}
+
+
+def test_a_model_that_fails_on_one_recording_is_a_row_not_the_end():
+    comparison = run([TRUE, Toy("fragile", fails_on="validation_2")])
+    assert {(f.model, f.record) for f in comparison.failures} == {("fragile", "validation_2")}
+    assert "got nan at 1.2 s" in comparison.failures[0].sentence
+    assert scores(comparison, model="fragile", record="validation_1")
+
+
+def test_a_model_with_fewer_recordings_ranks_last_and_has_no_ratio():
+    comparison = run([Toy("fragile", fails_on="validation_2"), WRONG])
+    best, last = comparison.ranking("motor_speed")
+    assert (best.model, last.model) == ("wrong", "fragile")
+    assert last.rmse < best.rmse
+    assert np.isnan(last.relative)
+
+
+def test_errors_that_are_no_hydrotwin_errors_are_rows_too():
+    class Broken(Toy):
+        def free_run(self, record):
+            raise ZeroDivisionError("division by zero")
+
+    comparison = run([TRUE, Broken("broken")], modes=["free run"])
+    assert comparison.failures[0].sentence == "ZeroDivisionError: division by zero"
+
+
+def test_a_missing_input_names_the_column_and_the_nearest():
+    record = recording(1)
+    renamed = Record(
+        record.time,
+        {"comand": record["command"], "arm_angle": record["arm_angle"]},
+        {"comand": "V", "arm_angle": "rad"},
+        "renamed",
+    )
+    comparison = run([TRUE], [renamed, record])
+    (sentence,) = {f.sentence for f in comparison.failures}
+    assert "renamed: no column 'command'" in sentence
+    assert "Did you mean 'comand'?" in sentence
+
+
+def test_an_input_of_another_dimension_is_refused():
+    record = recording(1)
+    amps = dataclasses.replace(record, units={**record.units, "command": "A"}, name="amps")
+    comparison = run([TRUE], [amps])
+    assert "wrong dimension (got A)" in comparison.failures[0].sentence
+
+
+def test_outputs_that_were_not_recorded_are_listed_not_scored():
+    record = recording(1).select(["command", "arm_angle"])
+    comparison = run([TRUE], [recording(2), record])
+    listed = {(u.record, u.output, u.reason) for u in comparison.unscored}
+    assert listed == {("validation_1", n, "not recorded") for n in ("motor_speed", "pressure_cap")}
+
+
+def test_a_model_without_an_output_is_listed():
+    comparison = run([TRUE, Toy("angle only", outputs=(ANGLE,))])
+    reasons = {(u.model, u.output): u.reason for u in comparison.unscored}
+    assert reasons["angle only", "motor_speed"] == "not an output of this model"
+
+
+def test_a_prediction_with_nan_is_a_failure_of_that_output_only():
+    class Half(Toy):
+        def free_run(self, record):
+            good = super().free_run(record)
+            return good.with_signals({"arm_angle": np.full(len(record.time), np.nan)})
+
+    comparison = run([Half("half")], modes=["free run"])
+    assert all(f.sentence.startswith("arm_angle: the prediction is not finite") for f in comparison.failures)
+    assert {s.output for s in comparison.scores} == {"motor_speed", "pressure_cap"}
+
+
+def test_a_time_axis_that_is_not_uniform_is_scored_on_its_own_samples():
+    record = recording(1)
+    keep = np.sort(np.random.default_rng(0).choice(len(record.time), 300, replace=False))
+    sparse = Record(record.time[keep], {n: record[n][keep] for n in record}, record.units, "sparse")
+    comparison = run([HoldLast(OUTPUTS)], [sparse])
+    assert all(s.samples == 300 for s in comparison.scores)
+
+
+def test_a_prediction_on_another_time_axis_is_brought_to_the_recording():
+    class Coarse(Toy):
+        def free_run(self, record):
+            return super().free_run(record).resample(period=0.02)
+
+    comparison = run([Coarse("coarse")], [recording(1, noise=0.0)], modes=["free run"])
+    (score,) = scores(comparison, output="arm_angle")
+    assert score.samples == len(recording(1).time)
+    assert score.rmse < 1e-4
+
+
+def test_run_time_is_wall_time_per_simulated_second():
+    import time
+
+    class Slow(Toy):
+        def free_run(self, record):
+            time.sleep(0.02)
+            return super().free_run(record)
+
+    comparison = run([Slow("slow"), TRUE], [recording(1, duration=4.0)], modes=["free run"])
+    assert comparison.seconds_per_simulated_second["slow"] == pytest.approx(0.02 / 3.99, rel=0.5)
+    assert comparison.seconds_per_simulated_second["true"] < 0.002
+
+
+def test_training_domain_shares_count_samples_outside():
+    record = recording(1)
+    half = TrainingDomain(("command",), (0.0,), (100.0,))
+    comparison = run([Toy("boxed", domain=half)], [record], train_records=[record])
+    own, shared = comparison.domains
+    assert (own.model, own.source, own.beyond) == ("boxed", "model", ("command",))
+    assert own.inside_percent == pytest.approx(100 * np.mean(record["command"] >= 0.0))
+    assert (shared.model, shared.inside_percent, shared.beyond) == ("", 100.0, ())
+
+
+def test_two_recordings_of_one_name_are_told_apart():
+    comparison = run([TRUE], [recording(1), recording(1)])
+    assert [r.name for r in comparison.records] == ["validation_1", "validation_1 (2)"]
+
+
+def test_wrong_use_raises_with_the_nearest_name():
+    with pytest.raises(DeclarationError, match="two models are called 'true'"):
+        run([TRUE, Toy("true")])
+    with pytest.raises(DeclarationError, match="Did you mean 'arm_angle'"):
+        run([TRUE], outputs=["arm_angel"])
+    with pytest.raises(DeclarationError, match="no mode 'free'"):
+        run([TRUE], modes=["free"])
+    with pytest.raises(DataError, match="0 recordings"):
+        compare([TRUE], [])
+    with pytest.raises(DataError, match="no recording holds an output"):
+        run([Toy("t", outputs=(ANGLE,))], [recording(1).select(["command"])])
+
+
+def test_only_the_outputs_asked_for_are_scored():
+    comparison = run([TRUE], outputs=["pressure_cap"])
+    assert {s.output for s in comparison.scores} == {"pressure_cap"}
+
+
+def test_progress_counts_every_run():
+    calls = []
+    run([TRUE, WRONG], progress=lambda done, total, what: calls.append((done, total)))
+    assert calls[0] == (0, 8)
+    assert calls[-1] == (8, 8)
+    assert len(calls) == 9
+
+
+def test_anything_that_predicts_is_a_contender_and_can_be_renamed():
+    renamed = as_contender(TRUE, "other name")
+    assert (renamed.name, renamed.kind, renamed.inputs) == ("other name", "physical", (COMMAND,))
+    with pytest.raises(DeclarationError, match="a str cannot take part"):
+        as_contender("cehA")
+
+
+@pytest.mark.parametrize("signal", [SPEED, PRESSURE])
+def test_units_come_from_the_models_signals(signal: Signal):
+    comparison = run([TRUE])
+    assert {s.unit for s in scores(comparison, output=signal.name)} == {signal.unit}

@@ -1,0 +1,115 @@
+"""Scenario files: read, refused with the nearest name, run."""
+
+from __future__ import annotations
+
+import pytest
+
+from hydrotwin.comparison import HoldLast, ModelEntry, load_contenders, read_scenario, run_scenario
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.records import write_record
+from tests.comparison.toys import Toy, recording
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for k in (1, 2):
+        write_record(recording(k), tmp_path / f"validation_{k}.csv")
+    write_record(recording(9), tmp_path / "training_1.csv")
+    (tmp_path / "fitted.toml").write_text('model = "cehA"\n')
+    return tmp_path
+
+
+def scenario(folder, text):
+    path = folder / "scenario.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_scenario_reads_with_paths_beside_its_file(folder):
+    found = read_scenario(
+        scenario(
+            folder,
+            """
+            title = "Two toys"
+            models = ["good", "fitted.toml", {model = "bad", name = "spoilt"}, "mine.py:make"]
+            validate = ["validation_*.csv"]
+            train = ["training_1.csv"]
+            modes = ["free run"]
+            outputs = ["arm_angle"]
+            scale = {command = "0.05 V/%"}
+            """,
+        )
+    )
+    assert found.title == "Two toys"
+    assert found.models == (
+        ModelEntry("good"),
+        ModelEntry(str(folder / "fitted.toml")),
+        ModelEntry("bad", "spoilt"),
+        ModelEntry(f"{folder / 'mine'}.py:make"),
+    )
+    assert found.validate == (folder / "validation_1.csv", folder / "validation_2.csv")
+    assert found.train == (folder / "training_1.csv",)
+    assert (found.modes, found.outputs, found.base) == (("free run",), ("arm_angle",), folder)
+    assert found.scale == {"command": "0.05 V/%"}
+
+
+def test_a_scenario_runs(folder):
+    path = scenario(
+        folder, 'models = ["good", "hold_last"]\nvalidate = ["validation_1.csv"]\ntrain = ["training_1.csv"]'
+    )
+    comparison = run_scenario(read_scenario(path), lambda name: Toy(name), repeats=1)
+    assert comparison.title == "scenario"
+    assert comparison.models == ("good", "hold last sample")
+    assert comparison.records[0].digest
+    assert comparison.ranking("arm_angle")[0].model == "good"
+
+
+def test_the_yardstick_takes_its_place_and_the_outputs_of_the_others(folder):
+    path = scenario(folder, 'models = ["hold_last", "good"]\nvalidate = ["validation_1.csv"]')
+    first, second = load_contenders(read_scenario(path), lambda name: Toy(name))
+    assert isinstance(first, HoldLast)
+    assert first.outputs == second.outputs
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('model = ["good"]\nvalidate = ["validation_1.csv"]', "unknown key 'model'. Did you mean 'models'"),
+        ('models = ["good"]\nvalidte = ["validation_1.csv"]', "unknown key 'validte'. Did you mean 'validate'"),
+        ('models = ["good"]', "no 'validate'"),
+        ('models = []\nvalidate = ["validation_1.csv"]', "no 'models'"),
+        ('models = "good"\nvalidate = ["validation_1.csv"]', "'models' is not a list"),
+        ('models = [3]\nvalidate = ["validation_1.csv"]', "a model is a text or a table"),
+        ('models = [{name = "x"}]\nvalidate = ["validation_1.csv"]', "a model has no 'model'"),
+        ('models = [{model = "x", nme = "y"}]\nvalidate = ["validation_1.csv"]', "Did you mean 'name'"),
+        ('models = ["good"]\nvalidate = [1]', "'validate' holds no text"),
+        (
+            'models = ["good"]\nvalidate = ["validation_1.csv"]\nmodes = ["free"]',
+            "no mode 'free'. Did you mean 'free run'",
+        ),
+        ('models = ["good"]\nvalidate = ["validation_1.csv"]\nscale = ["V"]', "'scale' is no table"),
+    ],
+)
+def test_what_a_scenario_cannot_say_is_refused_with_the_next_step(folder, text, message):
+    with pytest.raises(DeclarationError, match=message):
+        read_scenario(scenario(folder, text))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('models = ["good"]\nvalidate = ["validatoin_1.csv"]', "Did you mean 'validation_1.csv'"),
+        ('models = ["fited.toml"]\nvalidate = ["validation_1.csv"]', "Did you mean 'fitted.toml'"),
+        ('models = ["good"]\nvalidate = ["none_*.csv"]', "no recording"),
+        ("models = [", "not a TOML file"),
+    ],
+)
+def test_files_that_are_not_there_are_refused(folder, text, message):
+    with pytest.raises(DataError, match=message):
+        read_scenario(scenario(folder, text))
+
+
+def test_a_scenario_that_does_not_exist_names_the_nearest_file(folder):
+    scenario(folder, "")
+    with pytest.raises(DataError, match="Did you mean 'scenario.toml'"):
+        read_scenario(folder / "scenaro.toml")

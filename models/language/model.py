@@ -232,6 +232,12 @@ class Model:
             )
         return x
 
+    def linearize(self, at: Mapping[str, float] | None = None, *, steady: bool = False):
+        """The linear model around an operating point as `control.StateSpace`, see `linearisation.linearise`."""
+        from .linearisation import linearise
+
+        return linearise(self, at, steady=steady)
+
     def __repr__(self):
         flat = self.flat
         return (

@@ -59,15 +59,18 @@ class Cylinder(Component):
     oil = Slot(BulkModulusLaw, default=ConstantBulkModulus())
     leakage = Slot(LeakageLaw, default=NoLeakage())
     cap_area = Parameter(8.042e-4, "m2", "piston area, cap side", bounds=(1e-6, 1.0), source="C-EHA paper, Table 1")
-    rod_area = Parameter(
-        6.319e-4, "m2", "annulus area, rod side", bounds=(1e-6, 1.0), source="C-EHA paper, Table 1"
-    )
+    rod_area = Parameter(6.319e-4, "m2", "annulus area, rod side", bounds=(1e-6, 1.0), source="C-EHA paper, Table 1")
     cap_dead_volume = Parameter(8e-5, "m3", "cap-side volume at s = 0", bounds=(1e-7, 1.0), source="assumed")
     rod_dead_volume = Parameter(
         8e-5, "m3", "rod-side volume at s = rod_reference", bounds=(1e-7, 1.0), source="assumed"
     )
     rod_reference = Parameter(
-        0.0, "m", "position s_ref at which the rod side holds its dead volume", bounds=(-10, 10), nominal=0.1
+        0.0,
+        "m",
+        "position s_ref at which the rod side holds its dead volume",
+        bounds=(-10, 10),
+        nominal=0.1,
+        source="0: both dead volumes at s = 0",
     )
     cap_pressure = State(2e6, "Pa", "pressure, cap side", nominal=1e6)
     rod_pressure = State(2e6, "Pa", "pressure, rod side", nominal=1e6)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from hydrotwin.models.language import Component, Flange, Input, Parameter, Slot, State, Variable, der
 from hydrotwin.models.laws import FrictionLaw, NoFriction
 
@@ -108,7 +109,7 @@ class SpringDamper(Component):
     b = Flange("other end")
     stiffness = Parameter(1e6, "N/m", "spring rate k", bounds=(0, 1e12), source="geometry")
     damping = Parameter(1e3, "N.s/m", "damping b", bounds=(0, 1e9), source="geometry")
-    free_length = Parameter(0.0, "m", "s_a - s_b without force", bounds=(-100, 100), nominal=0.1)
+    free_length = Parameter(0.0, "m", "s_a - s_b without force", bounds=(-100, 100), nominal=0.1, source="geometry")
 
     def equations(self):
         stretch = self.a.s - self.b.s - self.free_length
@@ -120,7 +121,7 @@ class Ground(Component):
     """A fixed place."""
 
     flange = Flange("fixed")
-    position = Parameter(0.0, "m", "where it is", bounds=(-1e3, 1e3), nominal=0.1)
+    position = Parameter(0.0, "m", "where it is", bounds=(-1e3, 1e3), nominal=0.1, source="geometry")
 
     def equations(self):
         yield self.flange.s == self.position

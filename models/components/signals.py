@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from hydrotwin.models.language import Component, Input, Output, Parameter, State, delay, der
 
 
@@ -10,7 +11,7 @@ class Constant(Component):
     """y = k."""
 
     y = Output("1", "constant signal")
-    k = Parameter(1.0, "1", "value", nominal=1.0)
+    k = Parameter(1.0, "1", "value", bounds=(-1e9, 1e9), source="setting")
 
     def equations(self):
         yield self.y == self.k
@@ -21,7 +22,7 @@ class Gain(Component):
 
     u = Input("1", "signal in")
     y = Output("1", "signal out")
-    k = Parameter(1.0, "1", "gain", nominal=1.0)
+    k = Parameter(1.0, "1", "gain", bounds=(-1e9, 1e9), source="setting")
 
     def equations(self):
         yield self.y == self.k * self.u
@@ -43,7 +44,7 @@ class FirstOrderLag(Component):
 
     u = Input("1", "signal in")
     y = Output("1", "signal out")
-    time_constant = Parameter(0.01, "s", "lag T", bounds=(1e-6, 1e4))
+    time_constant = Parameter(0.01, "s", "lag T", bounds=(1e-6, 1e4), source="setting")
     x = State(0.0, "1", "lagged signal")
 
     def equations(self):
@@ -56,7 +57,7 @@ class DeadTime(Component):
 
     u = Input("1", "signal in")
     y = Output("1", "signal out, late")
-    dead_time = Parameter(0.0, "s", "dead time T", bounds=(0, 10), nominal=0.01)
+    dead_time = Parameter(0.0, "s", "dead time T", bounds=(0, 10), nominal=0.01, source="setting")
 
     def equations(self):
         yield self.y == delay(self.u, self.dead_time)
@@ -67,8 +68,8 @@ class Saturation(Component):
 
     u = Input("1", "signal in")
     y = Output("1", "signal out")
-    lower = Parameter(-1.0, "1", "lower limit")
-    upper = Parameter(1.0, "1", "upper limit")
+    lower = Parameter(-1.0, "1", "lower limit", bounds=(-1e9, 1e9), source="setting")
+    upper = Parameter(1.0, "1", "upper limit", bounds=(-1e9, 1e9), source="setting")
 
     def equations(self):
         yield self.y == ca.fmin(ca.fmax(self.u, self.lower), self.upper)
@@ -79,7 +80,7 @@ class Deadband(Component):
 
     u = Input("1", "signal in")
     y = Output("1", "signal out")
-    width = Parameter(0.02, "1", "half width of the band", bounds=(0, 10))
+    width = Parameter(0.02, "1", "half width of the band", bounds=(0, 10), nominal=0.02, source="setting")
 
     def equations(self):
         yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
@@ -91,8 +92,8 @@ class PiController(Component):
     reference = Input("1", "wanted value")
     measured = Input("1", "measured value")
     y = Output("1", "command")
-    proportional_gain = Parameter(1.0, "1", "K_p", bounds=(0, 1e6))
-    reset_time = Parameter(1.0, "s", "T_i", bounds=(1e-4, 1e6))
+    proportional_gain = Parameter(1.0, "1", "K_p", bounds=(0, 1e6), source="setting")
+    reset_time = Parameter(1.0, "s", "T_i", bounds=(1e-4, 1e6), source="setting")
     integral = State(0.0, "1", "integral of the error over the reset time")
 
     def equations(self):

@@ -12,7 +12,9 @@ class ProportionalSolenoid(Component):
     current = Input("1", "normalised solenoid current")
     target = Output("1", "wanted spool position")
     gain = Parameter(1.0, "1", "spool position per current", bounds=(0.01, 10), source="normalised")
-    offset = Parameter(0.0, "1", "spool position without current", bounds=(-0.5, 0.5), nominal=0.02)
+    offset = Parameter(
+        0.0, "1", "spool position without current", bounds=(-0.5, 0.5), nominal=0.02, source="symmetric valve"
+    )
     dead_time = Parameter(0.0, "s", "dead time T_d", bounds=(0, 0.5), nominal=0.01, source="typical 2-240 ms")
 
     def equations(self):

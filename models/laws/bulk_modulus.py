@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from hydrotwin.models.language import Law, Parameter
 
 
@@ -28,12 +29,13 @@ class ConstantBulkModulus(BulkModulusLaw):
 class AirLadenBulkModulus(BulkModulusLaw):
     """Oil with undissolved air, compressed polytropically.
 
-    The volume of the mixture is ``V = V_oil (1 - (p - p0)/beta) + a V_oil (p0/p)^(1/n)``, whose compressibility is
+    The volume of the mixture is that of oil and of gas, and ``beta_e = -V dp/dV``:
 
-        beta_e = beta (1 + a (p0/p)^(1/n)) / (1 + a (p0/p)^(1/n) beta / (n p)).
+        V/V_0 = o + g,   o = exp(-(p - p0)/beta),   g = a (p0/p)^(1/n)
+        beta_e = (o + g) / (o/beta + g/(n p))
 
-    Validity: p > 0; below a hundredth of ``reference_pressure`` the pressure counts as that floor.
-    Source: Merritt, Hydraulic Control Systems (1967), section 2.3; Nykaenen et al. (2000).
+    Validity: the air neither dissolves nor leaves the oil; below a hundredth of ``reference_pressure`` the pressure
+    counts as that floor. Source: Merritt, Hydraulic Control Systems (1967), section 2.3; Nykaenen et al. (2000).
     """
 
     bulk_modulus = Parameter(
@@ -46,5 +48,6 @@ class AirLadenBulkModulus(BulkModulusLaw):
     def effective(self, p):
         beta, p0, n = self.bulk_modulus, self.reference_pressure, self.polytropic_exponent
         p = ca.fmax(p, 0.01 * p0)
-        air = self.air_fraction * (p0 / p) ** (1 / n)
-        return beta * (1 + air) / (1 + air * beta / (n * p))
+        oil = ca.exp((p0 - p) / beta)
+        gas = self.air_fraction * (p0 / p) ** (1 / n)
+        return (oil + gas) / (oil / beta + gas / (n * p))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import casadi as ca
+
 from hydrotwin.models.language import Law, Parameter
 
 OLSSON = "Olsson et al., Friction models and friction compensation, Eur. J. Control 4 (1998) 176-195"

@@ -21,7 +21,10 @@ class NoPumpLoss(PumpLossLaw):
 
 
 class ConstantVolumetricEfficiency(PumpLossLaw):
-    """q = eta_v c_p w. Valid near one operating point. Source: Merritt (1967), section 4.3."""
+    """q = eta_v c_p w. Source: Merritt (1967), section 4.3.
+
+    Validity: near one operating point at which the machine pumps; driven as a motor it would create energy.
+    """
 
     efficiency = Parameter(0.92, "1", "volumetric efficiency eta_v", bounds=(0.3, 1.0), source="typical 0.85-0.98")
 

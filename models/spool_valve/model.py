@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import casadi as ca
+
 from hydrotwin.models.components import (
     Cylinder,
     FourEdgeValve,
@@ -72,10 +73,12 @@ class FlowCurve(Component):
 
     For x > 0, with q = k_q x sqrt(dp) at both edges and p_a A_a - p_b A_b = F + b v:
 
-        v = k x (-b k x + sqrt((b k x)^2 + 4 S F_0)) / (2 S),   S = A_a^3 + A_b^3,   F_0 = A_a p_s - A_b p_t - F
+        S (v/(k x))^2 + b v = F_0,   S = A_a^3 + A_b^3,   F_0 = A_a p_s - A_b p_t - F
+        v = 2 k x F_0 / (b k x + sqrt((b k x)^2 + 4 S |F_0|))
 
-    and for x < 0 the same with F_0 = A_b p_s - A_a p_t + F. Serves recordings at 10 Hz, where the chambers are always
-    in equilibrium. Source: Merritt (1967), section 5.2 with unequal areas.
+    and for x < 0 the same, inwards, with F_0 = A_b p_s - A_a p_t + F. A load beyond the supply (F_0 < 0) pushes the
+    oil back. Serves recordings at 10 Hz, where the chambers are always in equilibrium.
+    Source: Merritt (1967), section 5.2 with unequal areas.
     """
 
     spool = Input("1", "spool position")
@@ -100,7 +103,7 @@ class FlowCurve(Component):
 
     def _speed(self, x, F_0):
         k, b, S = self.flow_coefficient, self.viscous, self.cap_area**3 + self.rod_area**3
-        return k * x * (-b * k * x + ca.sqrt((b * k * x) ** 2 + 4 * S * F_0)) / (2 * S)
+        return 2 * k * x * F_0 / (b * k * x + ca.sqrt((b * k * x) ** 2 + 4 * S * ca.fabs(F_0)))
 
 
 class QuasiStaticSpoolValve(Component):

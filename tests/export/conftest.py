@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import dataclasses
+
+import casadi as ca
+import pytest
+
+from hydrotwin.export import export_fmu
+from hydrotwin.simulation import TrainingDomain
+from tests.export.raw import Library
+from tests.export.systems import delayed_mass, lag_block, stiff_oscillator
+from tests.simulation.flat_cehA import flat_cehA
+
+BOX = TrainingDomain(("command", "rate"), (-1.0, -0.9), (1.0, 0.9))
+
+
+@pytest.fixture(scope="session")
+def systems():
+    """Name -> what is exported under it."""
+    return {
+        "cehA": flat_cehA(),
+        "delayed mass": delayed_mass(),
+        "stiff": stiff_oscillator(),
+        "lag": lag_block(),
+        "lag in MX": dataclasses.replace(lag_block(ca.MX), name="lag in MX"),
+        "lag with domain": lag_block(domain=BOX),
+    }
+
+
+@pytest.fixture(scope="session")
+def fmus(systems, tmp_path_factory):
+    """Name -> path of the FMU, all with the defaults of `export_fmu`; made when first asked for."""
+    folder = tmp_path_factory.mktemp("fmus")
+
+    class Made(dict):
+        def __missing__(self, name):
+            self[name] = export_fmu(systems[name], folder / f"{name}.fmu")
+            return self[name]
+
+    return Made()
+
+
+@pytest.fixture(scope="session")
+def libraries(fmus, tmp_path_factory):
+    """Name -> the FMU's loaded library."""
+
+    class Loaded(dict):
+        def __missing__(self, name):
+            self[name] = Library(fmus[name], tmp_path_factory.mktemp("unpacked"))
+            return self[name]
+
+    return Loaded()
+
+
+@pytest.fixture(params=["cehA", "delayed mass", "stiff", "lag", "lag in MX"])
+def library(request, libraries):
+    """Each kind of FMU in turn."""
+    return libraries[request.param]

@@ -1,0 +1,224 @@
+"""One model, several masters, one answer."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hydrotwin.export import export_fmu, read_fmu
+from hydrotwin.export.method import choose_method
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
+from tests.export.raw import DISCARD, OK, Library
+from tests.export.systems import arm_record, command_record, mass_record
+from tests.simulation.flat_cehA import flat_cehA
+
+WITHIN = 1e-6  # of the range of each signal
+
+
+def largest_difference(found: Record, expected: Record, names) -> float:
+    return max(float(np.abs(found[n] - expected[n]).max() / np.ptp(expected[n])) for n in names)
+
+
+def names_of(system) -> list[str]:
+    return [s.name for s in system.outputs]
+
+
+def test_the_fmu_of_the_actuator_equals_simulate(fmus, systems):
+    record, flat = arm_record(), systems["cehA"]
+    found = read_fmu(fmus["cehA"]).free_run(record)
+    assert largest_difference(found, simulate(flat, record), names_of(flat)) < WITHIN
+
+
+def test_libcosimpy_runs_the_fmu_to_the_same_numbers(fmus, systems):
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimManipulator import CosimManipulator
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    record, names = arm_record(2.0), names_of(systems["cehA"])
+    execution = CosimExecution.from_step_size(step_size=int(record.period * 1e9 + 0.5))
+    slave = execution.add_local_slave(CosimLocalSlave(fmu_path=str(fmus["cehA"]), instance_name="arm"))
+    references = {v.name.decode(): v.reference for v in execution.slave_variables(slave)}
+    execution.real_initial_value(slave, references["arm.angle.start"], 0.1)
+    override, observer = CosimManipulator.create_override(), CosimObserver.create_last_value()
+    execution.add_manipulator(override)
+    execution.add_observer(observer)
+    found = []
+    for value in record["command"][:-1]:
+        override.slave_real_values(slave, [references["command"]], [float(value)])
+        execution.step()
+        found.append(observer.last_real_values(slave, [references[n] for n in names]))
+    expected = simulate(systems["cehA"], record).array(names)
+    assert (np.abs(np.array(found) - expected[1:]) / np.ptp(expected, axis=0)).max() < WITHIN
+
+
+def test_fmpys_own_master_runs_the_fmu_to_the_same_numbers(fmus, systems):
+    from fmpy import simulate_fmu
+
+    record, names = arm_record(2.0), names_of(systems["cehA"])
+    pairs = list(zip(record.time, record["command"], strict=True))
+    signals = np.array(pairs, dtype=[("time", np.float64), ("command", np.float64)])
+    result = simulate_fmu(
+        str(fmus["cehA"]), start_values={"arm.angle.start": 0.1}, input=signals, output=names, output_interval=0.01,
+        start_time=0.0, stop_time=record.time[-1],
+    )  # fmt: skip
+    expected = simulate(systems["cehA"], record).array(names)
+    found = np.column_stack([result[n] for n in names])
+    assert (np.abs(found - expected) / np.ptp(expected, axis=0)).max() < WITHIN
+
+
+def cvodes(flat, record: Record, start: dict[str, float]) -> dict[str, np.ndarray]:
+    """Outputs of SUNDIALS' CVODES at 1e-12, inputs held."""
+    p, nominal = flat.parameter_vector(), np.array([s.nominal for s in flat.states])
+    u = record.array([s.name for s in flat.inputs])
+    z, h = ca.SX.sym("z", len(nominal)), float(record.period)
+    us = ca.SX.sym("u", u.shape[1])
+    dae = {"x": z, "p": us, "ode": flat.ode(0, z * nominal, us, p)[0] / nominal}
+    solver = ca.integrator("cvodes", "cvodes", dae, 0, h, {"reltol": 1e-12, "abstol": 1e-12, "max_num_steps": 100_000})
+    x = flat.start_given(tuple(start))(u[0], p, list(start.values())).full().ravel() / nominal
+    rows = []
+    for k in range(len(record)):
+        rows.append(flat.ode(0, x * nominal, u[k], p)[1].full().ravel())
+        x = solver(x0=x, p=u[k])["xf"].full().ravel()
+    return dict(zip(names_of(flat), np.array(rows).T, strict=True))
+
+
+def test_the_adaptive_fmu_agrees_with_cvodes_in_every_output(tmp_path):
+    record, flat = arm_record(2.0), flat_cehA()
+    fmu = export_fmu(flat, tmp_path / "adaptive.fmu", method="adaptive")
+    expected = cvodes(flat, record, {"arm.angle": 0.1})
+    found = read_fmu(fmu).free_run(record)
+    errors = {n: np.abs(found[n] - expected[n]).max() / np.ptp(expected[n]) for n in expected}
+    assert max(errors.values()) < WITHIN, errors
+
+
+def test_the_explicit_fmu_agrees_with_cvodes_in_the_motion(fmus):
+    record = arm_record(2.0)
+    expected, found = cvodes(flat_cehA(), record, {"arm.angle": 0.1}), read_fmu(fmus["cehA"]).free_run(record)
+    for name in ("arm_angle", "rod_position", "motor_speed"):
+        assert np.abs(found[name] - expected[name]).max() < WITHIN * np.ptp(expected[name])
+
+
+def test_a_stiff_model_gets_the_adaptive_method_and_agrees_with_cvodes(fmus, systems):
+    flat = systems["stiff"]
+    assert choose_method(flat, "auto", flat.step)[0] == "adaptive"
+    t = np.arange(0.0, 2.0, 0.01)
+    record = Record(t, {"drive": np.sin(3 * t)}, {"drive": "1"})
+    expected, found = cvodes(flat, record, {}), read_fmu(fmus["stiff"]).free_run(record)
+    assert np.abs(found["level"] - expected["level"]).max() < WITHIN * np.ptp(expected["level"])
+
+
+def test_the_actuator_gets_the_step_of_simulate(systems):
+    assert choose_method(systems["cehA"], "auto", 1e-3)[:2] == ("explicit", 1e-3)
+
+
+def test_a_delayed_linear_input_on_uneven_samples_equals_simulate(fmus, systems):
+    record, flat = mass_record(), systems["delayed mass"]
+    block = read_fmu(fmus["delayed mass"], interpolation="linear")
+    held = [s if s.name == "force" else type(s)(**{**vars(s), "interpolation": "hold"}) for s in block.inputs]
+    object.__setattr__(block, "inputs", tuple(held))
+    assert largest_difference(block.free_run(record), simulate(flat, record), names_of(flat)) < WITHIN
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0013, 0.25, 5.0])
+def test_the_dead_time_is_a_parameter_that_works(fmus, systems, delay):
+    record, flat = mass_record(1.0), systems["delayed mass"]
+    slow = read_fmu(fmus["delayed mass"], interpolation="linear", values={"force_delay": delay})
+    held = {k: v for k, v in record.signals.items() if k != "extra"} | {"extra": np.full(len(record), 0.4)}
+    record = Record(record.time, held, record.units)
+    expected = simulate(flat, record, parameters={"force_delay": delay})
+    found = slow.free_run(record)
+    for name in names_of(flat):
+        assert np.abs(found[name] - expected[name]).max() < WITHIN * max(np.ptp(expected[name]), 1e-3)
+
+
+def test_a_short_history_keeps_the_mean_of_the_input(systems, tmp_path):
+    """With 8 pieces for 40 samples of dead time the input is smoothed, not lost."""
+    flat = systems["delayed mass"].with_parameters({"force_delay": 0.4})
+    record = mass_record(2.0)
+    block = read_fmu(export_fmu(flat, tmp_path / "short.fmu", history=8))
+    found, expected = block.free_run(record), simulate(flat, record)
+    assert np.abs(found["place"] - expected["place"]).max() < 0.2 * np.ptp(expected["place"])
+    assert np.abs(found["place"] - expected["place"]).max() > 0.0
+
+
+@pytest.mark.parametrize("name", ["lag", "lag in MX"])
+def test_a_block_equals_simulate_bit_by_bit(fmus, systems, name):
+    record = command_record()
+    found, expected = read_fmu(fmus[name]).free_run(record), simulate(systems[name], record)
+    for output in ("angle", "rate"):
+        np.testing.assert_allclose(found[output], expected[output], rtol=1e-14, atol=1e-15)
+
+
+@pytest.mark.parametrize("ratio", [0.25, 1.0, 2.5, 7.0])
+def test_a_block_is_held_between_its_samples_whatever_the_masters_step(libraries, systems, ratio):
+    """The block moves at 0, 20, 40 ms ...; a master of another step sees the last sample, and the same states."""
+    block, instance = systems["lag"], libraries["lag"].instance().initialise()
+    assert instance.set("command", 0.7) == OK
+    size, x, y = ratio * block.period, np.zeros(2), None
+    taken = 0
+    for k in range(40):
+        assert instance.step(k * size, size) == OK
+        now = (k + 1) * size
+        while taken * block.period <= now + 1e-9:
+            after, y = block.step(x, 0.7, block.parameter_vector())
+            x, taken = after.full().ravel(), taken + 1
+        assert instance.get("angle", "rate") == pytest.approx(y.full().ravel().tolist(), rel=1e-13)
+    instance.free()
+
+
+def test_a_block_leaving_its_training_data_says_how_far(fmus):
+    record = command_record()
+    found = read_fmu(fmus["lag with domain"]).free_run(record)
+    outside = np.maximum(np.maximum(np.abs(record["command"]) - 1.0, 0) / 2.0, (np.abs(found["rate"]) - 0.9) / 1.8)
+    np.testing.assert_allclose(found["training_distance"], np.maximum(outside, 0.0), atol=1e-12)
+
+
+def test_a_new_start_angle_moves_the_static_equilibrium(libraries, systems):
+    flat = systems["cehA"]
+    for angle in (-0.2, 0.0, 0.4):
+        instance = libraries["cehA"].instance().initialise(**{"arm.angle.start": angle, "precharge": 1.5e6})
+        expected = flat.start_given(["arm.angle"])([0.0], flat.parameter_vector({"precharge": 1.5e6}), [angle])
+        assert instance.get(*(s.name for s in flat.states)) == pytest.approx(
+            expected.full().ravel().tolist(), rel=1e-14
+        )
+        instance.free()
+
+
+def test_a_parameter_changed_while_running_takes_effect_at_the_next_step(libraries, systems):
+    instance = libraries["cehA"].instance().initialise()
+    instance.set("command", 1.0)
+    assert [instance.step(k * 0.01, 0.01) for k in range(100)] == [OK] * 100
+    assert instance.get("motor_speed")[0] == pytest.approx(120.0, rel=1e-6)
+    instance.set("motor.gain", 60.0)
+    assert [instance.step(1.0 + k * 0.01, 0.01) for k in range(100)] == [OK] * 100
+    assert instance.get("motor_speed")[0] == pytest.approx(60.0, rel=1e-6)
+    instance.free()
+
+
+def test_a_numerical_failure_is_discarded_and_the_state_is_the_one_before(libraries):
+    instance = libraries["cehA"].instance().initialise()
+    assert instance.step(0.0, 0.01) == OK
+    before, stored = instance.get("arm_angle", "pressure_cap"), instance.serialized()
+    instance.set("motor.time_constant", 1e-5)  # far below the internal step: unstable
+    instance.set("command", 5.0)
+    assert instance.step(0.01, 0.5) == DISCARD
+    status, message = instance.library.messages[-1] if instance.library.messages else (None, "")
+    assert instance.get("arm_angle", "pressure_cap") == before
+    instance.set("motor.time_constant", 0.03)
+    assert instance.step(0.01, 0.01) == OK
+    assert instance.restore(stored) == OK
+    assert instance.get("arm_angle", "pressure_cap") == before
+    instance.free()
+
+
+def test_given_names_the_states_that_can_be_set(tmp_path, systems):
+    flat = systems["cehA"]
+    fmu = export_fmu(flat, tmp_path / "all.fmu", given=[s.name for s in flat.states])
+    library = Library(fmu, tmp_path / "all")
+    starts = {f"{s.name}.start": value for s, value in zip(flat.states, (10.0, 3e6, 2.5e6, 0.2, 0.05), strict=True)}
+    instance = library.instance().initialise(**starts)
+    assert instance.get(*(s.name for s in flat.states)) == list(starts.values())
+    instance.free()

@@ -1,0 +1,88 @@
+"""check_fmu tells good from bad."""
+
+from __future__ import annotations
+
+import pytest
+
+from hydrotwin.export import check_fmu, export_fmu
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.simulation import simulate
+from tests.export.foreign import CRASHES, rewritten
+from tests.export.systems import arm_record, command_record
+
+ROWS = {
+    "readable", "FMPy validation", "files", "platforms", "units", "runs", "reset", "second instance", "state",
+    "dependencies", "directional derivatives", "NaN input", "unknown value reference", "step before initialization",
+    "reference",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["delayed mass", "lag"])
+def test_our_own_fmus_pass(fmus, name):
+    check = check_fmu(fmus[name])
+    assert check.passed, str(check)
+    assert {row.name for row in check.rows} == ROWS
+    assert "bit by bit" in check["reset"].detail
+
+
+def test_the_embedded_reference_is_replayed(systems, tmp_path):
+    flat, record = systems["cehA"], arm_record(1.0)
+    simulated = simulate(flat, record).with_signals({"command": record["command"]}, {"command": "V"})
+    check = check_fmu(export_fmu(flat, tmp_path / "with.fmu", reference=simulated))
+    assert check["reference"].passed, str(check)
+
+
+def test_a_reference_that_differs_fails(fmus, systems):
+    record = command_record()
+    simulated = simulate(systems["lag"], record)
+    wrong = simulated.with_signals(
+        {"command": record["command"], "rate": simulated["rate"] + 1e-3}, {"command": "V", "rate": "rad/s"}
+    )
+    row = check_fmu(fmus["lag"], wrong)["reference"]
+    assert row.passed is False
+    assert "rate" in row.detail
+
+
+def test_a_swallowed_nan_and_an_undeclared_dependency_are_found(fmus, tmp_path):
+    swallow = {
+        "return answer(c, ht_set(&((component *)c)->core, vr, n, value));":
+        "{ size_t k; for (k = 0; k < n; k++) ((component *)c)->core.data[vr[k]] = value[k]; }\n"
+        "    ht_set_slope(&((component *)c)->core, NULL, 0, NULL);\n    return ht_set(&((component *)c)->core, vr, 0, value) ? fmi2Error : fmi2OK;"
+    }  # fmt: skip
+    fmu = rewritten(
+        fmus["delayed mass"], tmp_path / "careless.fmu", c=swallow, xml={'dependencies="1 2"': 'dependencies="1"'}
+    )
+    check = check_fmu(fmu)
+    assert check["NaN input"].passed is False
+    assert check["dependencies"].passed is False
+    assert "seen_force on extra" in check["dependencies"].detail
+    assert not check.passed
+
+
+def test_a_crash_is_one_row_and_the_rest_goes_on(fmus, tmp_path):
+    check = check_fmu(rewritten(fmus["lag"], tmp_path / "crash.fmu", c=CRASHES), time_limit=20.0)
+    assert "SIGABRT" in check["runs"].detail
+    assert {row.name for row in check.rows} == ROWS
+    assert not check.passed
+
+
+def test_a_broken_description_is_reported_and_the_rest_goes_on(fmus, tmp_path):
+    fmu = rewritten(fmus["lag"], tmp_path / "bad.fmu", xml={'initial="calculated"': 'initial="exact"'})
+    check = check_fmu(fmu)
+    assert check["FMPy validation"].passed is False
+    assert check["runs"].passed
+
+
+def test_what_cannot_be_read_is_one_row_and_a_missing_file_an_error(tmp_path):
+    (tmp_path / "x.fmu").write_text("nothing")
+    check = check_fmu(tmp_path / "x.fmu")
+    assert [row.name for row in check.rows] == ["readable"]
+    assert not check.passed
+    with pytest.raises(DataError):
+        check_fmu(tmp_path / "y.fmu")
+
+
+def test_missing_units_are_remarked(fmus, tmp_path):
+    check = check_fmu(rewritten(fmus["lag"], tmp_path / "bare.fmu", xml={'<Real unit="V" ': "<Real "}))
+    assert check["units"].passed is None
+    assert "command" in check["units"].detail

@@ -1,0 +1,143 @@
+"""Anybody's FMU as a contender."""
+
+from __future__ import annotations
+
+import time
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hydrotwin.export import export_fmu, read_fmu
+from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, UnitError
+from hydrotwin.simulation import predict_one_step, simulate
+from tests.export.foreign import CRASHES, HANGS, rewritten
+from tests.export.systems import arm_record, command_record
+
+
+def test_the_block_knows_what_the_fmu_says_of_itself(fmus, systems):
+    block, flat = read_fmu(fmus["cehA"]), systems["cehA"]
+    assert (block.name, block.kind) == ("cehA", "fmu")
+    assert [(s.name, s.unit) for s in block.inputs] == [("command", "V")]
+    assert [(s.name, s.unit, s.nominal) for s in block.outputs] == [(s.name, s.unit, s.nominal) for s in flat.outputs]
+    values = {p.name: p.value for p in block.parameters}
+    assert {p.name: p.value for p in flat.parameters}.items() <= values.items()
+    assert block.provenance["tool"].startswith("hydrotwin")
+
+
+def test_it_starts_where_the_recording_starts(fmus):
+    found = read_fmu(fmus["cehA"]).free_run(arm_record(0.1))
+    assert found["arm_angle"][0] == pytest.approx(0.1, abs=1e-15)
+
+
+def test_a_crash_of_the_fmu_is_an_error_here(fmus, tmp_path):
+    fmu = rewritten(fmus["lag"], tmp_path / "crash.fmu", c=CRASHES)
+    with pytest.raises(SolveError, match="SIGABRT"):
+        read_fmu(fmu).free_run(command_record())
+
+
+def test_a_hang_of_the_fmu_is_an_error_in_time(fmus, tmp_path):
+    fmu = rewritten(fmus["lag"], tmp_path / "hang.fmu", c=HANGS)
+    began = time.monotonic()
+    with pytest.raises(SolveError, match="did not come to an end"):
+        read_fmu(fmu, time_limit=3.0).free_run(command_record())
+    assert time.monotonic() - began < 10.0
+
+
+def test_a_failing_step_names_the_reason_of_the_fmu(fmus):
+    block = read_fmu(fmus["cehA"], values={"motor.time_constant": 1e-5})
+    with pytest.raises(SolveError, match="not finite"):
+        block.free_run(arm_record(1.0))
+
+
+def test_units_of_the_fmu_are_converted(fmus, tmp_path):
+    degrees = {
+        '<Real unit="rad" displayUnit="deg"': '<Real unit="deg"',
+        '<Unit name="rad">': '<Unit name="deg"/><Unit name="rad">',
+    }
+    fmu = rewritten(fmus["lag"], tmp_path / "degrees.fmu", xml=degrees)
+    record = command_record()
+    found = read_fmu(fmu).free_run(record)
+    plain = read_fmu(fmus["lag"]).free_run(record)
+    assert found.units["angle"] == "rad"
+    start = found["angle"][0] / plain["angle"][0]
+    assert start == pytest.approx(1.0)  # 0.3 rad went in as 17.2 and came back
+    assert not np.allclose(found["angle"][5:], plain["angle"][5:])  # the inside still counts in rad
+
+
+def test_a_unit_only_the_fmu_defines_is_read_from_its_exponents(fmus, tmp_path):
+    inches = {
+        '<Real unit="V"': '<Real unit="zoll"',
+        '<Unit name="V">': '<Unit name="zoll"><BaseUnit m="1" factor="0.0254"/></Unit><Unit name="V">',
+    }
+    block = read_fmu(rewritten(fmus["lag"], tmp_path / "zoll.fmu", xml=inches))
+    assert block.inputs[0].unit == "m"
+    assert block.description.scales["command"] == (0.0254, 0.0)
+
+
+def test_names_and_units_can_be_given(fmus):
+    block = read_fmu(fmus["lag"], names={"command": "voltage"}, units={"command": "mV"})
+    record = command_record()
+    renamed = type(record)(
+        record.time, {"voltage": record["command"] / 1000, "angle": record["angle"]}, {"voltage": "V", "angle": "rad"}
+    )
+    expected = read_fmu(fmus["lag"]).free_run(record)
+    np.testing.assert_allclose(block.free_run(renamed)["angle"], expected["angle"], rtol=1e-12)
+
+
+def test_a_missing_input_a_wrong_unit_and_a_wrong_name_are_named(fmus):
+    block, record = read_fmu(fmus["cehA"]), arm_record(1.0)
+    with pytest.raises(DataError, match="command"):
+        block.free_run(record.select(["arm_angle"]))
+    wrong = type(record)(record.time, {"command": record["command"]}, {"command": "Pa"})
+    with pytest.raises(UnitError, match="command"):
+        block.free_run(wrong)
+    with pytest.raises(DeclarationError, match=r"Did you mean 'motor\.gain'"):
+        read_fmu(fmus["cehA"], values={"motor.gian": 1.0})
+
+
+def test_a_file_that_is_no_fmu_is_a_data_error(tmp_path):
+    (tmp_path / "x.fmu").write_text("nothing")
+    with pytest.raises(DataError, match="not an FMU"):
+        read_fmu(tmp_path / "x.fmu")
+    with pytest.raises(DataError, match="no such file"):
+        read_fmu(tmp_path / "y.fmu")
+
+
+def test_one_step_says_that_inner_states_cannot_be_set(fmus):
+    with pytest.raises(DeclarationError, match="one-step prediction is not available"):
+        read_fmu(fmus["cehA"]).one_step(arm_record(1.0))
+
+
+def test_one_step_equals_ours_when_every_state_has_a_start(systems, tmp_path):
+    flat, record = systems["cehA"], arm_record(1.0)
+    rng = np.random.default_rng(3)
+    truth = simulate(flat, record)
+    noisy = {
+        n: truth[n] + 1e-3 * np.ptp(truth[n]) * rng.standard_normal(len(record)) for n in ("arm_angle", "motor_speed")
+    }
+    record = record.with_signals(noisy, {"motor_speed": "rad/s"})
+    fmu = export_fmu(flat, tmp_path / "all.fmu", given=[s.name for s in flat.states])
+    starts = {
+        s.name: float(v)
+        for s, v in zip(
+            flat.states, flat.start_given(())([0.0], flat.parameter_vector(), []).full().ravel(), strict=True
+        )
+    }
+    values = {f"{n}.start": v for n, v in starts.items() if n not in ("arm.angle", "motor.speed")}
+    start = {n: v for n, v in starts.items() if n not in ("arm.angle", "motor.speed")}
+    found, expected = read_fmu(fmu, values=values).one_step(record), predict_one_step(flat, record, start=start)
+    for name in ("arm_angle", "motor_speed", "pressure_cap"):
+        assert np.abs(found[name] - expected[name]).max() < 1e-6 * np.ptp(expected[name])
+
+
+def test_an_fmu_of_fmi_3_for_model_exchange_runs(tmp_path):
+    """Made by CasADi's own exporter: another writer, another version, another kind of interface."""
+    dae = ca.DaeBuilder("lag3")
+    dae.add("u", "input", {"start": 0.0})
+    dae.add("x", "state", {"start": 1.0})
+    dae.add("y", "output")
+    dae.eq(dae.der("x"), dae.var("u") - 2.0 * dae.var("x"))
+    dae.eq(dae.var("y"), dae.var("x"))
+    files = dae.export_fmu()
+    assert files

@@ -118,9 +118,10 @@ def comparison_data(comparison: Comparison, fits: Iterable, command: str, date: 
 def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
     plotted = plan(comparison)[1]
     lead = (
-        "Measured and predicted, with the error (model minus measurement) below. Drag to zoom, double-click to reset, "
+        "The error below each plot is model minus measurement; errors over ten times the smallest may leave its axis. "
+        "Drag to zoom, double-click to reset, click a name to hide it. All numbers come from the full recordings, and "
+        "the curves keep every peak."
     )
-    lead += "click a name to hide it. Errors more than ten times the smallest may leave their axis. Curves keep every peak; all numbers come from the full recordings."
     if len(plotted) < len(comparison.records):
         lead += f" The first {len(plotted)} of {len(comparison.records)} recordings are drawn."
     return Section("plots", "Measured and predicted", tuple(overlay_groups(comparison, shown, look)), lead)

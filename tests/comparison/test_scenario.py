@@ -111,5 +111,5 @@ def test_files_that_are_not_there_are_refused(folder, text, message):
 
 def test_a_scenario_that_does_not_exist_names_the_nearest_file(folder):
     scenario(folder, "")
-    with pytest.raises(DataError, match="Did you mean 'scenario.toml'"):
+    with pytest.raises(DataError, match=r"Did you mean 'scenario\.toml'"):
         read_scenario(folder / "scenaro.toml")

@@ -1,0 +1,127 @@
+"""The page in a real browser: no script errors, plots drawn, tables as in compare.json."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
+
+BROWSER = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
+DRIVER = shutil.which("chromedriver")
+FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+READ_TABLES = """
+return Object.fromEntries(Array.from(document.querySelectorAll("table[data-table]")).map(table => [
+  table.dataset.table,
+  Array.from(table.tBodies[0].rows).map(
+    row => Array.from(row.cells).map(cell => cell.querySelector(".text").textContent)),
+]));
+"""
+DRAWN = "return Array.from(document.querySelectorAll('.plot')).filter(p => p.dataset.drawn === 'yes').length"
+
+pytestmark = pytest.mark.skipif(not (BROWSER and DRIVER), reason="no chromium with chromedriver on this machine")
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    options = webdriver.ChromeOptions()
+    options.binary_location = BROWSER
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}", "--window-size=1280,900"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    yield driver
+    driver.quit()
+
+
+@pytest.fixture(scope="module")
+def opened(browser, report):
+    browser.get(report["html"].as_uri())
+    wait_until(browser, f"{DRAWN} > 0")
+    return browser
+
+
+def wait_until(browser, condition, seconds=20):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, seconds).until(lambda b: b.execute_script(condition))
+
+
+def test_the_tables_a_reader_sees_are_those_of_compare_json(opened, report):
+    data = json.loads(report["json"].read_text(encoding="utf-8"))
+    expected = {k: [[c["shown"] for c in row.values()] for row in t["rows"]] for k, t in data["tables"].items()}
+    assert opened.execute_script(READ_TABLES) == expected
+
+
+def test_answer_and_headline_are_on_the_first_screen(opened, report):
+    opened.execute_script("window.scrollTo({top: 0, behavior: 'instant'})")
+    data = json.loads(report["json"].read_text(encoding="utf-8"))
+    assert opened.execute_script("return document.querySelector('.answer').textContent") == data["answer"]
+    bottom = opened.execute_script("return document.getElementById('table-headline').getBoundingClientRect().bottom")
+    assert bottom < 900
+
+
+def test_plots_are_drawn_when_they_come_into_view(opened):
+    groups = opened.execute_script("return document.querySelectorAll('.group').length")
+    for k in range(groups):
+        opened.execute_script(f"document.querySelectorAll('.group')[{k}].scrollIntoView({{behavior: 'instant'}})")
+        wait_until(
+            opened, f"return document.querySelectorAll('.group')[{k}].querySelector('.plot').dataset.drawn === 'yes'"
+        )
+    curves = opened.execute_script("return document.querySelectorAll('.group .scatterlayer .js-line').length")
+    assert curves >= 3 * 5
+
+
+def test_a_tab_shows_another_recording(opened):
+    opened.execute_script("document.querySelectorAll('.group')[0].querySelectorAll('button')[1].click()")
+    wait_until(
+        opened, "return document.querySelectorAll('.group')[0].querySelectorAll('.plot')[1].dataset.drawn === 'yes'"
+    )
+    shown = opened.execute_script(
+        "return Array.from(document.querySelectorAll('.group')[0].querySelectorAll('figure')).map(f => !f.hidden)"
+    )
+    assert shown == [k == 1 for k in range(len(shown))]
+
+
+def test_one_model_has_one_colour_in_tables_and_plots(opened):
+    swatch = opened.execute_script(
+        "return Array.from(document.querySelectorAll('#table-headline tbody tr'))"
+        ".map(r => [r.cells[0].textContent.trim(), r.querySelector('.swatch').style.background])"
+    )
+    lines = opened.execute_script(
+        "return document.querySelector('.plot').data.filter(t => t.showlegend).map(t => [t.name, t.line.color])"
+    )
+    colours = {name: f"rgb({int(c[1:3], 16)}, {int(c[3:5], 16)}, {int(c[5:], 16)})" for name, c in lines}
+    assert {name: colour for name, colour in swatch}.items() <= colours.items()
+
+
+def test_a_narrow_screen_does_not_scroll_sideways(opened):
+    metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    wait_until(opened, "return document.documentElement.scrollWidth <= 390")
+    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_printing_opens_every_table(opened):
+    opened.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    assert opened.execute_script("return Array.from(document.querySelectorAll('details')).every(d => d.open)")
+
+
+def test_no_script_error_and_no_request_leaves_the_page(opened):
+    assert [e for e in opened.get_log("browser") if e["level"] == "SEVERE"] == []
+    sent = [json.loads(e["message"])["message"] for e in opened.get_log("performance")]
+    requests = [m["params"] for m in sent if m["method"] == "Network.requestWillBeSent"]
+    urls = [r["request"]["url"] for r in requests if r["documentURL"].startswith("file:")]
+    assert urls
+    assert [url for url in urls if not url.startswith(("file:", "data:", "blob:"))] == []

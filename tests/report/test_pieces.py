@@ -1,0 +1,156 @@
+"""The pieces a page is made of: numbers, tables, figures, sections."""
+
+from __future__ import annotations
+
+import base64
+import doctest
+import json
+
+import numpy as np
+import pytest
+
+import hydrotwin.report.format as number_format
+from hydrotwin.report import (
+    Figure,
+    FigureGroup,
+    Note,
+    Page,
+    Section,
+    as_html,
+    as_json,
+    as_markdown,
+    decimate,
+    error_bars,
+    layout,
+    line,
+    numbers,
+    pretty_unit,
+    shown_unit,
+    styles,
+    table,
+    texts,
+)
+from hydrotwin.report.comparison_figures import error_reach
+from hydrotwin.report.format import number_texts
+
+
+def unpacked(array):
+    return np.frombuffer(base64.b64decode(array["bdata"]), "<f4")
+
+
+def test_the_examples_of_the_number_format_hold():
+    found = doctest.testmod(number_format)
+    assert found.attempted >= 6
+    assert found.failed == 0
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([0.0123, 1.5], ["0.0123", "1.5000"]),
+        ([1e-9, 2.0], ["1.00e−9", "2.00"]),
+        ([12345.0, 100.0], ["12\u202f345", "100"]),
+        ([-1e-5, 0.5, 0.02], ["−1.00e−5", "0.500", "0.0200"]),
+        ([0.0, float("nan"), float("inf")], ["0", "–", "∞"]),
+        ([None, 3.0], ["–", "3.00"]),
+    ],
+)
+def test_numbers_of_a_column_share_decimals_unless_they_span_decades(values, expected):
+    assert number_texts(values) == expected
+
+
+def test_zero_has_no_minus():
+    assert number_texts([-0.0001, 1.0], decimals=2) == ["0.00", "1.00"]
+
+
+def test_units_are_those_engineers_read():
+    assert shown_unit("rad/s", peak=1.0) == "deg/s"
+    assert shown_unit("rad", preferred="rad") == "rad"
+    assert shown_unit("Pa", preferred="mm") == "bar"
+    assert shown_unit("m3/(s.sqrt(Pa))") == "m3/(s.sqrt(Pa))"
+    assert pretty_unit("N.s/m") == "N·s/m"
+    assert pretty_unit("cm3/rev") == "cm³/rev"
+
+
+def test_errors_in_a_unit_with_a_zero_point_are_differences():
+    column = numbers("e", "Error", [2.0], "K", "degC")
+    assert column.cells[0].text == "2.00"
+    assert numbers("t", "Temperature", [293.15], "K", "degC", difference=False).cells[0].text == "20.0"
+
+
+def test_the_best_is_marked_among_those_allowed():
+    column = numbers("r", "RMSE", [1.0, 0.5, 0.2], best="min", among=[True, True, False])
+    assert [c.best for c in column.cells] == [False, True, False]
+    assert [c.best for c in numbers("r", "RMSE", [1.0], best="min").cells] == [False]
+
+
+def test_decimation_keeps_ends_and_every_peak():
+    time = np.linspace(0.0, 10.0, 50_001)
+    values = np.sin(time)
+    values[31_234] = 9.0
+    values[7_000] = -7.0
+    t, v = decimate(time, values, 400)
+    assert len(t) <= 400
+    assert (np.diff(t) > 0).all()
+    assert (t[0], t[-1], v.max(), v.min()) == (0.0, 10.0, 9.0, -7.0)
+    assert t[np.argmax(v)] == time[31_234]
+
+
+def test_decimation_leaves_short_signals_and_survives_gaps():
+    time = np.linspace(0.0, 1.0, 1000)
+    assert decimate(time, time, 1000)[0] is time
+    values = np.where((time > 0.4) & (time < 0.6), np.nan, time)
+    t, v = decimate(time, values, 100)
+    assert np.isnan(v[(t > 0.45) & (t < 0.55)]).all()
+    assert np.isfinite(v[t < 0.39]).all()
+
+
+def test_a_line_carries_its_numbers_as_32_bit_floats():
+    trace = line(np.array([0.0, 1.0]), np.array([2.0, 3.5]), "a<b>", "#0072B2")
+    assert unpacked(trace["y"]).tolist() == [2.0, 3.5]
+    assert "<b>" not in trace["hovertemplate"]
+
+
+def test_each_model_keeps_its_style_and_the_palette_never_repeats_one():
+    names = [f"model {k}" for k in range(20)]
+    look = styles(names)
+    assert len(set(look.values())) == 20
+    assert look["model 0"] == styles(names[:3])["model 0"]
+
+
+def test_error_bars_reach_from_lowest_to_highest():
+    spec = error_bars(["a", "b"], {"m": [(1.0, 0.5, -2.0, 4.0), None]}, styles(["m"]), "mm")
+    reach, spread, marker = spec["data"]
+    assert (marker["x"], marker["y"]) == ([0.0], [1.0])
+    assert (reach["error_y"]["array"], reach["error_y"]["arrayminus"]) == ([3.0], [3.0])
+    assert spread["error_y"]["array"] == [0.5]
+
+
+def test_a_model_that_runs_away_does_not_set_the_error_axis():
+    assert error_reach([np.array([0.1]), np.array([0.4]), np.array([60.0])]) == 0.4
+    assert error_reach([np.array([0.1]), np.array([0.4])]) is None
+
+
+def page():
+    figure = Figure("f", "one", {"data": [], "layout": layout("t", ["y"])}, caption="</script><b>")
+    other = Figure("g", "two", {"data": [], "layout": layout("t", ["a", "b"])})
+    rows = table("rows", "Rows", [texts("n", "Name", ["a|b"]), numbers("v", "Value", [1.0], "Pa", "bar")])
+    parts = (rows, figure, FigureGroup("both", "Both", (figure, other)), Note(("A word.",), tone="warning"))
+    return Page("Gap", "today", "Leakage.", table("headline", "", []), (Section("s", "First", parts, "Lead."),))
+
+
+def test_other_rooms_compose_a_page_of_the_same_pieces():
+    html, markdown, data = as_html(page()), as_markdown(page()), json.loads(as_json(page()))
+    assert html.count('class="plot"') == 3
+    assert "&lt;/script&gt;&lt;b&gt;" in html
+    assert "| a\\|b | 1.00e−5 |" in markdown
+    assert data["tables"]["rows"]["rows"] == [
+        {"n": {"value": "a|b", "shown": "a|b"}, "v": {"value": 1.0, "shown": "1.00e−5"}}
+    ]
+
+
+def test_axes_of_stacked_plots_do_not_overlap():
+    plan = layout("t", ["a", "b"], shares=(0.6, 0.4))
+    assert plan["yaxis2"]["domain"][1] < plan["yaxis"]["domain"][0]
+    assert plan["yaxis2"]["domain"][0] == pytest.approx(0.0)
+    assert plan["xaxis"]["anchor"] == "y2"

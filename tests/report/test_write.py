@@ -1,0 +1,182 @@
+"""The three files of a report: the same numbers, readable units, honest about what failed."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import compare
+from hydrotwin.report import write_report
+from tests.comparison.toys import Toy, recording
+
+
+@pytest.fixture(scope="module")
+def data(report):
+    return json.loads(report["json"].read_text(encoding="utf-8"))
+
+
+def html_tables(text):
+    """Rows of cell texts by table id."""
+    tables = {}
+    for match in re.finditer(r'<table id="table-([^"]+)".*?<tbody>(.*?)</tbody>', text, re.DOTALL):
+        rows = re.findall(r"<tr>(.*?)</tr>", match[2], re.DOTALL)
+        cells = [re.findall(r'<span class="text">(.*?)</span>', row, re.DOTALL) for row in rows]
+        tables[match[1]] = [[html.unescape(c) for c in row] for row in cells]
+    return tables
+
+
+def markdown_tables(text):
+    """Rows of cell texts of each table, in order."""
+    tables, rows = [], []
+    for line in [*text.splitlines(), ""]:
+        if line.startswith("|"):
+            rows.append([c.strip().replace("\\|", "|").strip("*") for c in re.split(r"(?<!\\)\|", line)[1:-1]])
+        elif rows:
+            tables.append(rows[2:])
+            rows = []
+    return tables
+
+
+def test_html_markdown_and_json_hold_the_same_rows(report, data):
+    page = html_tables(report["html"].read_text(encoding="utf-8"))
+    expected = {k: [[c["shown"] for c in row.values()] for row in t["rows"]] for k, t in data["tables"].items()}
+    assert page == expected
+    assert markdown_tables(report["markdown"].read_text(encoding="utf-8")) == list(expected.values())
+    assert len(expected) > 12
+
+
+def test_json_is_si_and_agrees_with_the_comparison(comparison, data):
+    for written, score in zip(data["scores"], comparison.scores, strict=True):
+        assert written["rmse"] == score.rmse
+        assert written["unit"] == score.unit
+    (best,) = [b for b in data["best"] if b["output"] == "pressure_cap" and b["mode"] == "free run"]
+    ranking = comparison.ranking("pressure_cap")
+    assert (best["model"], best["rmse"], best["next"]) == (ranking[0].model, ranking[0].rmse, ranking[1].model)
+
+
+def test_tables_show_engineering_units_of_the_si_values(data):
+    table = data["tables"]["scores_free_run_arm_angle"]
+    (column,) = [c for c in table["columns"] if c["key"] == "rmse"]
+    assert (column["unit"], column["shown_unit"]) == ("rad", "deg")
+    for row in table["rows"]:
+        assert float(row["rmse"]["shown"]) == pytest.approx(np.degrees(row["rmse"]["value"]), abs=1e-4)
+    pressure = data["tables"]["scores_free_run_pressure_cap"]
+    assert {c["shown_unit"] for c in pressure["columns"] if c["key"] == "mae"} == {"bar"}
+    assert {c["shown_unit"] for c in data["tables"]["headline"]["columns"] if c["key"] == "motor_speed"} == {"rpm"}
+
+
+def test_tables_are_sorted_and_mark_the_best(data):
+    rows = data["tables"]["scores_free_run_motor_speed"]["rows"]
+    rmse = [r["rmse"]["value"] for r in rows]
+    assert rmse == sorted(rmse)
+    assert rows[0]["rmse"]["best"]
+    assert "best" not in rows[-1]["rmse"]
+
+
+def test_the_answer_names_winner_size_and_margin(data):
+    assert data["answer"].startswith("In free run, identified physics is best on all 3 outputs: arm_angle RMSE 0.0")
+    assert re.search(r"\d+ times smaller than that of network \(0\.\d+°\)\.$", data["answer"])
+
+
+def test_a_failure_is_on_the_first_screen_and_in_its_table(report, data):
+    assert "formula failed in free run on validation_3 and in one step on validation_3" in data["notices"][0]
+    assert len(data["tables"]["failures"]["rows"]) == 2
+    (row,) = [r for r in data["tables"]["headline"]["rows"] if r["model"]["value"] == "formula"]
+    assert row["recordings"]["shown"] == "2 of 3"
+
+
+def test_the_fit_shows_start_value_interval_shift_and_bound(data):
+    gain, oil, volume = data["tables"]["fit_parameters"]["rows"]
+    assert [gain[k]["shown"] for k in ("start", "value", "low", "high")] == ["100.0", "119.7", "119.6", "119.8"]
+    assert oil["unit"]["shown"] == "bar"
+    assert oil["low"]["value"] == pytest.approx(1.62e9 - 1.96 * 4e7, rel=1e-4)
+    assert float(oil["shift"]["shown"].replace("−", "-")) == pytest.approx(-7.27, abs=0.01)
+    assert (volume["remark"]["shown"], volume["low"]["value"], volume["low"]["shown"]) == ("at bound", None, "–")
+
+
+def test_the_fit_says_what_is_explained_and_what_not(report):
+    text = report["markdown"].read_text(encoding="utf-8")
+    assert "Explained down to the noise: arm_angle. Not explained: pressure_cap." in text
+    assert "3.0 times its noise: 88.9 % of the error's power is not sensor noise" in text
+    assert "\nmotor.gain and pump.displacement cannot be told apart." in text
+
+
+def test_residuals_say_what_each_model_explains(report):
+    text = report["markdown"].read_text(encoding="utf-8")
+    assert re.search(
+        r"catalogue physics leaves .*motor_speed \(error [\d.]+ times the noise, follows motor_speed", text
+    )
+    assert "hold last sample explains" not in text
+
+
+def test_provenance_names_hashes_versions_command_and_date(data):
+    rows = {r["record"]["value"]: r for r in data["tables"]["recordings"]["rows"]}
+    assert rows["validation_2"]["sha256"]["value"] == f"{2:064x}"
+    made = {r["item"]["value"]: r["value"]["value"] for r in data["tables"]["made"]["rows"]}
+    assert made["date"] == "2026-03-04T05:06:07+00:00"
+    assert made["command"] == "hydrotwin compare toys.toml"
+    assert {"python", "numpy", "casadi", "hydrotwin"} <= set(made)
+
+
+def test_the_page_loads_nothing_from_elsewhere(report):
+    text = report["html"].read_text(encoding="utf-8")
+    own = text[: text.index("plotly.js v")] + text[text.rindex("<script>") :]
+    assert not re.search(r"(src|href)=\"(?!#|data:)", own)
+    assert not re.search(r"@import|url\(", own)
+    assert text.count("plotly.js v") == 1
+
+
+def test_a_title_with_markup_cannot_break_the_page(report):
+    text = report["html"].read_text(encoding="utf-8")
+    assert "<h1>Toys &lt;/script&gt; &amp; more</h1>" in text
+    assert "Toys </script>" not in text
+
+
+def test_the_same_comparison_gives_the_same_files(comparison, fit, report, tmp_path):
+    from tests.report.conftest import DATE
+
+    again = write_report(comparison, tmp_path, fits=[fit], command="hydrotwin compare toys.toml", date=DATE)
+    for kind, path in again.items():
+        assert path.read_bytes() == report[kind].read_bytes(), kind
+
+
+def test_long_recordings_keep_the_page_small_and_the_numbers_whole(tmp_path):
+    records = [recording(k, duration=80.0, period=1e-3) for k in (1, 2, 3)]
+    models = [Toy("a"), Toy("b", gain=121.0), Toy("c", gain=122.0), Toy("d", lag=0.04)]
+    comparison = compare(models, records, repeats=1)
+    paths = write_report(comparison, tmp_path)
+    assert paths["html"].stat().st_size < 8e6
+    data = json.loads(paths["json"].read_text(encoding="utf-8"))
+    assert {s["samples"] for s in data["scores"]} == {80_000}
+
+
+def test_a_failed_write_leaves_the_old_file_whole(comparison, tmp_path, monkeypatch):
+    paths = write_report(comparison, tmp_path)
+    before = paths["json"].read_bytes()
+
+    def no_space(*_):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("os.replace", no_space)
+    with pytest.raises(OSError, match="no space"):
+        write_report(comparison, tmp_path)
+    assert paths["json"].read_bytes() == before
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["compare.json", "report.html", "report.md"]
+
+
+def test_a_comparison_where_everything_failed_is_still_a_report(tmp_path):
+    comparison = compare([Toy("fragile", fails_on="validation_1")], [recording(1)])
+    paths = write_report(comparison, tmp_path)
+    data = json.loads(paths["json"].read_text(encoding="utf-8"))
+    assert data["answer"].startswith("No model could be scored")
+    assert data["failures"][0]["sentence"].endswith("Try a smaller step.")
+
+
+def test_a_single_model_and_recording_needs_no_rival(tmp_path):
+    paths = write_report(compare([Toy("only")], [recording(1)], modes=["free run"]), tmp_path)
+    answer = json.loads(paths["json"].read_text(encoding="utf-8"))["answer"]
+    assert re.fullmatch(r"In free run, only is best on all 3 outputs: arm_angle RMSE 0\.\d+°\.", answer)

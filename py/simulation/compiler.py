@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import functools
 import hashlib
 import importlib.util
@@ -21,7 +22,7 @@ from hydrotwin.models.language.errors import SolveError
 
 # Contraction off: one rounding per operation, so that the C code equals the CasADi virtual machine.
 # No -march=native: measured equal without, and a cache folder may be shared by different machines.
-FLAGS = ("-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+FLAGS = ("-fvisibility=hidden", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 
 
@@ -63,17 +64,34 @@ def compile_library(source: str, name: str, optimise: str = "-O3") -> Path | Non
     )
 
 
+def _writable_folder() -> Path:
+    """The cache folder, or a private one for this process where the cache cannot be written."""
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return _private_folder()
+    return folder if os.access(folder, os.W_OK) else _private_folder()
+
+
+@functools.cache
+def _private_folder() -> Path:
+    folder = tempfile.mkdtemp(prefix="hydrotwin-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
+
+
 class _Refused(Exception):
     """A compiler that is missing or returned an error; the text is what it wrote."""
 
 
 def _compiled(source: str, name: str, command: tuple[str, ...]) -> Path:
+    """The library in the cache, compiled when it is not there; beside it first, then renamed."""
     key = "\0".join((source, *command, _version_of(command), platform.machine()))
-    folder = cache_folder()
+    folder = _writable_folder()
     library = folder / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}{SUFFIX}"
     if library.exists():
         return library
-    folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".building-") as building:
         text, made = Path(building) / "model.c", Path(building) / f"model{SUFFIX}"
         text.write_text(source, encoding="utf-8")

@@ -25,7 +25,7 @@ class Library:
     def propagate(self, time, u, p, step, x0, restart=None):
         """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
         n, nx = len(time), len(x0)
-        y, x, where = np.empty((n, self._outputs)), np.empty((n, nx)), np.empty(nx + 1)
+        y, x, where = np.empty((n, self._outputs)), np.full((n, nx), np.nan), np.empty(nx + 1)
         arrays = (x0, restart, y, x, where)
         status = self._propagate(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
         return status, where, y, x

@@ -18,7 +18,7 @@ CHUNK = 100  # substeps per call of the virtual machine
 
 
 class VirtualMachine:
-    """Runs one model with CasADi's interpreter: the answers of the compiled library, several times slower.
+    """Runs one model with CasADi's interpreter: the answers of the compiled library, ten times slower.
 
     Threads may share it, but do not gain from it: the interpreter lock is held.
     """

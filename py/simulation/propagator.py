@@ -84,8 +84,10 @@ class Propagator:
         """
         time, u, p, x0 = self._arrays(time, u, p, x0)
         restart = None if restart is None else _shaped("restart", restart, (len(time), len(x0)), self.flat.name)
-        self._decide(time, u, p, x0)
-        status, where, y, x = self._chosen().propagate(time, u, p, self._longest(), x0, restart)
+        answer = self._decide(time, u, p, x0)
+        if answer is None or restart is not None:
+            answer = self._chosen().propagate(time, u, p, self._longest(), x0, restart)
+        status, where, y, x = answer
         self._stop(status, where, time, u, p)
         return y, x
 
@@ -127,16 +129,22 @@ class Propagator:
         held = all(s.interpolation == "hold" and s.dead_time is None for s in self.flat.inputs)
         return np.inf if self.method == "rosenbrock" and held else self.step
 
-    def _decide(self, time, u, p, x0) -> None:
-        """Settle "auto" on the first run: explicit steps must be stable at the eigenvalues met along it."""
+    def _decide(self, time, u, p, x0):
+        """Settle "auto" by a first explicit run, whose steps must be stable at the eigenvalues met along it.
+
+        Returns that run, as an engine does, when explicit steps will do, else None.
+        """
         if self.method != "auto":
-            return
+            return None
         with self._deciding:
-            if self.method == "auto":
-                stable = stiffness.explicit_is_stable(self.flat, self._engines[False], self.step, time, u, p, x0)
-                if not stable:
-                    self._engines[True] = self._engine(implicit=True)
-                self.method = "explicit" if stable else "rosenbrock"
+            if self.method != "auto":
+                return None
+            answer = self._engines[False].propagate(time, u, p, self.step, x0)
+            stable = stiffness.explicit_is_stable(self.flat, self.step, time, u, p, x0, answer[-1])
+            if not stable:
+                self._engines[True] = self._engine(implicit=True)
+            self.method = "explicit" if stable else "rosenbrock"
+            return answer if stable else None
 
     def _chosen(self):
         implicit = self.method == "rosenbrock"
@@ -212,11 +220,16 @@ def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpret
 def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
     name = "".join(c if c.isalnum() else "_" for c in flat.name)
     optimise = "-O2" if implicit else "-O3"  # the integrator is long: -O3 compiles longer and runs no faster
-    path = compile_library(c_source(flat, to, implicit), name, optimise)
+    source = c_source(flat, to, implicit)
+    path = compile_library(source, name, optimise)
     if path is not None:
-        return Library(path, len(flat.outputs))
+        try:
+            return Library(path, len(flat.outputs))
+        except OSError:  # a damaged file in the cache
+            path.unlink(missing_ok=True)
+            return Library(compile_library(source, name, optimise), len(flat.outputs))
     warnings.warn(
-        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, several times slower. "
+        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, ten times slower. "
         "Install ziglang (pip install ziglang) or set CC.",
         stacklevel=2,
     )

@@ -24,11 +24,10 @@ def growth(z: np.ndarray) -> np.ndarray:
         return np.nan_to_num(np.abs(1 + z * (1 + z / 2 * (1 + z / 3 * (1 + z / 4)))), nan=np.inf)
 
 
-def explicit_is_stable(flat: FlatModel, engine, step: float, time, u, p, x0) -> bool:
-    """Whether the RK4 step damps every decaying mode that the first run meets (up to where it stops)."""
+def explicit_is_stable(flat: FlatModel, step: float, time, u, p, x0, x) -> bool:
+    """Whether the RK4 step damps every decaying mode at the states ``x`` (n, nx) of a first run, as far as it came."""
     if len(time) < 2 or not flat.states:
         return True
-    _, _, _, x = engine.propagate(time, u, p, step, x0)
     x = x0[None, :] if x is None else x
     chosen = np.unique(np.linspace(0, len(x) - 1, min(len(x), LOOKS)).astype(int))
     chosen = chosen[np.isfinite(x[chosen]).all(axis=1)]

@@ -10,6 +10,8 @@ import pytest
 
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import compiler, prepare
+from hydrotwin.simulation.equations import directions
+from hydrotwin.simulation.source import c_source
 from tests.simulation.small_models import lag
 
 TIME = np.linspace(0, 0.3, 31)
@@ -87,3 +89,22 @@ def test_without_any_compiler_the_interpreter_runs_and_says_so(empty_cache, monk
         y = run(model)[1]  # said once
     monkeypatch.undo()
     assert y == pytest.approx(run(lag())[1], rel=1e-14)
+
+
+def test_a_damaged_library_is_compiled_again(empty_cache):
+    model = lag()
+    source = c_source(model, directions(model, (), ()), implicit=False)
+    library = compiler.compile_library(source, "lag")  # built, not loaded
+    library.write_bytes(b"not a library")
+    _, y = run(model)
+    assert y == pytest.approx(run(lag(), method="vm")[1], rel=1e-14)
+    assert [f.name for f in empty_cache.iterdir()] == [library.name] and library.stat().st_size > 1000
+
+
+def test_a_cache_that_cannot_be_written_is_not_needed(tmp_path, monkeypatch):
+    occupied = tmp_path / "a_file"
+    occupied.write_text("")
+    monkeypatch.setenv("HYDROTWIN_CACHE", str(occupied / "cache"))
+    monkeypatch.delenv("CC", raising=False)
+    propagator, _ = run(lag())
+    assert propagator.engine == "c"

@@ -7,7 +7,18 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der, time
-from tests.language.parts import FlowSource, Lag, Oscillator, PressureSource, Restriction, Volume, observed, rates
+from tests.language.parts import (
+    Damper,
+    FlowSource,
+    Friction,
+    Lag,
+    Oscillator,
+    PressureSource,
+    Restriction,
+    Volume,
+    observed,
+    rates,
+)
 
 
 def test_oscillator_is_newtons_law():
@@ -111,3 +122,26 @@ def test_rates_that_appear_together_are_solved_together():
 
     expected = np.linalg.solve([[1, 2], [3, -1]], [0.7, 1.4])
     assert rates(Model(Coupled()), [0, 0]) == pytest.approx(expected, rel=1e-14)
+
+
+class Bristle(Friction):
+    """Friction with memory: a bristle of stiffness k that yields, z' = v - |v| z / z0 (Dahl)."""
+
+    stiffness = Parameter(1e5, "N/m")
+    yielding = Parameter(1e-3, "m")
+    deflection = State(0.0, "m", nominal=1e-4)
+
+    def equations(self):
+        v = der(self.parent.end.s)
+        yield der(self.deflection) == v - ca.fabs(v) * self.deflection / self.yielding
+
+    def force(self, v):
+        return super().force(v) + self.stiffness * self.deflection
+
+
+def test_a_law_may_have_a_memory_of_its_own():
+    model = Model(Oscillator(damper=Damper(friction=Bristle(viscous=5.0))))
+    x, v, z = 0.1, 0.2, 3e-4
+    expected = [v, (3 - 1e4 * x - 5 * v - 1e5 * z) / 2, v - v * z / 1e-3]
+    assert rates(model, [x, v, z], [3.0]) == pytest.approx(expected, rel=1e-13)
+    assert [s.name for s in model.flat.states][-1] == "damper.friction.deflection"

@@ -37,6 +37,7 @@ from tests.language.parts import (
     Restriction,
     Volume,
 )
+from tests.language.test_flattening import Bristle
 
 rumoca = pytest.importorskip("rumoca")
 
@@ -224,6 +225,12 @@ def test_ports_seen_from_inside_keep_their_sign():
 
     drives = {"flow": ("1e-4 + 5e-5*sin(3*time)", lambda t: 1e-4 + 5e-5 * np.sin(3 * t))}
     assert largest_difference(Model(Filled()), drives, 0.5) < 1e-6
+
+
+def test_a_law_with_memory_moves_as_ours():
+    model = Model(Oscillator(damper=Damper(friction=Bristle(viscous=5.0))))
+    assert "model Bristle" in modelica_text(model)
+    assert largest_difference(model, PUSH, 0.3) < 1e-5
 
 
 def test_an_equation_that_reaches_around_its_component_is_written_where_all_is_seen():

@@ -18,7 +18,6 @@ CAUSALITY = {
 }  # fmt: skip
 LOG_CATEGORIES = {
     "logEvents": "Events",
-    "logStatusWarning": "Warnings",
     "logStatusDiscard": "Steps and values that were discarded",
     "logStatusError": "Errors",
 }

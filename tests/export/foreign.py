@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
+import os
+import subprocess
 import zipfile
 from pathlib import Path
+
+import casadi as ca
 
 from hydrotwin.export.archive import write_archive
 from hydrotwin.export.build import compile_for, native_platform
@@ -31,4 +36,35 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
 
 DO_STEP = "    (void)no_return;\n"
 CRASHES = {DO_STEP: DO_STEP + "    abort();\n"}
+SWALLOWS_NAN = {
+    "/* ---- variables: all are Real ---- */": "#include <math.h>\nstatic int poisoned = 0;\n",
+    "return answer(c, ht_set(&((component *)c)->core, vr, n, value));": (
+        "if (n > 0 && value[0] != value[0]) {\n        poisoned = 1;\n        return fmi2OK;\n    }\n"
+        "    return answer(c, ht_set(&((component *)c)->core, vr, n, value));"
+    ),
+    "return answer(c, ht_get(&((component *)c)->core, vr, n, value));": (
+        "if (poisoned) {\n        size_t k;\n        for (k = 0; k < n; k++) value[k] = sqrt(-1.0);\n"
+        "        return fmi2OK;\n    }\n    return answer(c, ht_get(&((component *)c)->core, vr, n, value));"
+    ),
+}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}
+
+
+def fmi3_model_exchange(folder: Path) -> Path:
+    """``x' = u - 2 x, y = x`` as CasADi exports it: FMI 3.0, Model Exchange."""
+    dae = ca.DaeBuilder("lag3")
+    u, x = dae.add("u", "input", {"start": 0.0}), dae.add("x", "local", {"start": 1.0})
+    y = dae.add("y", "output")
+    dae.eq(dae.der(x), u - 2.0 * x)
+    dae.eq(y, x)
+    here = Path.cwd()
+    os.chdir(folder)
+    try:
+        files = {stored.removeprefix("./"): (folder / local).read_bytes() for local, stored in dae.export_fmu().items()}
+    finally:
+        os.chdir(here)
+    headers = Path(importlib.util.find_spec("fmpy").submodule_search_locations[0]) / "c-code"
+    library = folder / "lag3.so"
+    line = ["cc", "-shared", "-fPIC", "-w", f"-I{headers}", "lag3.c", "lag3_wrap.c", "-o", str(library), "-lm"]
+    subprocess.run(line, cwd=folder, check=True)
+    return write_archive(folder / "lag3.fmu", files | {"binaries/x86_64-linux/lag3.so": library.read_bytes()})

@@ -14,7 +14,8 @@ LOGGER = c.CFUNCTYPE(None, c.c_void_p, c.c_char_p, c.c_int, c.c_char_p, c.c_char
 
 class Callbacks(c.Structure):
     _fields_ = [
-        ("logger", LOGGER), ("allocate", c.c_void_p), ("free", c.c_void_p), ("finished", c.c_void_p), ("owner", c.c_void_p)
+        ("logger", LOGGER), ("allocate", c.c_void_p), ("free", c.c_void_p), ("finished", c.c_void_p),
+        ("owner", c.c_void_p),
     ]  # fmt: skip
 
 

@@ -170,7 +170,7 @@ def test_a_saved_state_goes_on_bit_by_bit_even_in_another_instance(library, inst
 def test_a_state_of_another_fmu_is_refused(instance):
     instance.initialise()
     stored = instance.serialized()
-    assert instance.restore(b"{0" + stored[2:]) == ERROR
+    assert instance.restore(b"{x" + stored[2:]) == ERROR
     assert instance.restore(stored[:-8]) == ERROR
 
 

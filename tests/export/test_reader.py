@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 
-import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.export import export_fmu, read_fmu
+from hydrotwin.export import check_fmu, export_fmu, read_fmu
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, UnitError
+from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
-from tests.export.foreign import CRASHES, HANGS, rewritten
+from tests.export.foreign import CRASHES, HANGS, fmi3_model_exchange, rewritten
 from tests.export.systems import arm_record, command_record
 
 
@@ -133,11 +133,11 @@ def test_one_step_equals_ours_when_every_state_has_a_start(systems, tmp_path):
 
 def test_an_fmu_of_fmi_3_for_model_exchange_runs(tmp_path):
     """Made by CasADi's own exporter: another writer, another version, another kind of interface."""
-    dae = ca.DaeBuilder("lag3")
-    dae.add("u", "input", {"start": 0.0})
-    dae.add("x", "state", {"start": 1.0})
-    dae.add("y", "output")
-    dae.eq(dae.der("x"), dae.var("u") - 2.0 * dae.var("x"))
-    dae.eq(dae.var("y"), dae.var("x"))
-    files = dae.export_fmu()
-    assert files
+    block = read_fmu(fmi3_model_exchange(tmp_path), units={"u": "V"}, starts={"x": "y"})
+    t = np.linspace(0.0, 2.0, 101)
+    record = Record(t, {"u": (t >= 1.0).astype(float), "y": np.full(101, 0.7)}, {"u": "V", "y": "1"})
+    held = t - 1.0
+    expected = np.where(t < 1.0, 0.7 * np.exp(-2 * t), 0.5 + (0.7 * np.exp(-2.0) - 0.5) * np.exp(-2 * held))
+    np.testing.assert_allclose(block.free_run(record)["y"], expected, atol=1e-5)
+    assert block.provenance["fmi"].startswith("3")
+    assert check_fmu(block.path)["runs"].passed

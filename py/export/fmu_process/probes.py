@@ -70,7 +70,8 @@ def _nan_input(description: ModelDescription, unzipped: str):
     outputs = [v.name for v in outputs_of(description)]
     try:
         slave.write({inputs[0].name: math.nan})
-        slave.step(STEPS * _step_size(description), _step_size(description))
+        for k in range(STEPS, 2 * STEPS):
+            slave.step(k * _step_size(description), _step_size(description))
     except FMICallException as refused:
         return True, f"NaN at '{inputs[0].name}' is refused (status {refused.status})"
     values = slave.read(outputs)

@@ -13,11 +13,11 @@ typedef struct {
     char *name;
 } component;
 
-/* ---- logging and status ---- */
+/* ---- logging and status: failures are always logged, events when logging is on ---- */
 
 static void say(component *c, fmi2Status status, const char *message) {
-    static const char *const categories[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
-    if (c->callbacks.logger && (c->logging || status >= fmi2Error))
+    static const char *const categories[] = {"logEvents", "logEvents", "logStatusDiscard", "logStatusError"};
+    if (c->callbacks.logger && (c->logging || status != fmi2OK))
         c->callbacks.logger(c->callbacks.componentEnvironment, c->name, status, categories[status], "%s", message);
 }
 
@@ -93,7 +93,9 @@ fmi2Status fmi2EnterInitializationMode(fmi2Component c) {
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
-    return c ? answer(c, ht_exit_initialisation(&((component *)c)->core)) : fmi2Error;
+    fmi2Status status = c ? answer(c, ht_exit_initialisation(&((component *)c)->core)) : fmi2Error;
+    if (status == fmi2OK) say(c, fmi2OK, "the initial states are computed");
+    return status;
 }
 
 fmi2Status fmi2Terminate(fmi2Component c) { return c ? answer(c, ht_terminate(&((component *)c)->core)) : fmi2Error; }

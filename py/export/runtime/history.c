@@ -28,23 +28,30 @@ static double integral(const double *p, double from, double to) {
     return (to - from) * (p[1] + p[2] * (0.5 * (from + to) - p[0]));
 }
 
-/* Halve the resolution of a full history: two neighbouring pieces become one with the same integral.
+/* Make room in a full history: the two neighbours that together are shortest become one piece with their integral.
    The newest piece has no end yet and stays as it is. */
-static void thin(double *history, size_t capacity) {
-    size_t count = (size_t)history[COUNT], first = ((size_t)history[NEWEST] + capacity - (count - 1)) % capacity;
-    size_t index, kept = 0;
-    for (index = 0; index + 2 < count; index += 2) {
-        const double *a = piece(history, capacity, count - 1 - index), *b = piece(history, capacity, count - 2 - index);
-        double from = a[0], middle = b[0], to = piece(history, capacity, count - 3 - index)[0];
-        double mean = (integral(a, from, middle) + integral(b, middle, to)) / (to - from);
-        write_piece(history, (first + kept++) % capacity, from, mean, 0.0);
+static void merge_shortest(double *history, size_t capacity) {
+    size_t count = (size_t)history[COUNT], newest = (size_t)history[NEWEST], age, chosen = 2;
+    double shortest = -1.0, from, middle, to, mean;
+    const double *a, *b;
+    for (age = 2; age < count; age++) {
+        double length = piece(history, capacity, age - 2)[0] - piece(history, capacity, age)[0];
+        if (shortest < 0.0 || length <= shortest) {
+            shortest = length;
+            chosen = age;
+        }
     }
-    for (; index < count; index++) {
-        const double *p = piece(history, capacity, count - 1 - index);
-        write_piece(history, (first + kept++) % capacity, p[0], p[1], p[2]);
+    a = piece(history, capacity, chosen);
+    b = piece(history, capacity, chosen - 1);
+    from = a[0], middle = b[0], to = piece(history, capacity, chosen - 2)[0];
+    mean = (integral(a, from, middle) + integral(b, middle, to)) / (to - from);
+    write_piece(history, (newest + capacity - chosen) % capacity, from, mean, 0.0);
+    for (age = chosen - 1; age > 0; age--) {
+        const double *p = piece(history, capacity, age - 1);
+        write_piece(history, (newest + capacity - age) % capacity, p[0], p[1], p[2]);
     }
-    history[NEWEST] = (double)((first + kept - 1) % capacity);
-    history[COUNT] = (double)kept;
+    history[NEWEST] = (double)((newest + capacity - 1) % capacity);
+    history[COUNT] = (double)(count - 1);
 }
 
 void ht_history_push(double *history, size_t capacity, double time, double value, double slope, double horizon) {
@@ -58,7 +65,7 @@ void ht_history_push(double *history, size_t capacity, double time, double value
         if (slope == 0.0 && newest[2] == 0.0 && newest[1] == value) return;
     }
     if (count == capacity && piece(history, capacity, count - 2)[0] > horizon) {
-        thin(history, capacity);
+        merge_shortest(history, capacity);
         count = (size_t)history[COUNT];
     }
     if (count > 0) history[NEWEST] = (double)(((size_t)history[NEWEST] + 1) % capacity);

@@ -134,6 +134,7 @@ def read_fmu(
         if variable not in known:
             raise DeclarationError(f"{path}: no variable '{variable}'. {nearest(variable, known)}")
     md = description.source
+    _check_settable(path, md, (*starts, *values))
     return FmuBlock(
         name=name or md.modelName, path=str(Path(path).absolute()),
         inputs=tuple(_signal(v, description, interpolation) for v in inputs_of(md)),
@@ -142,6 +143,18 @@ def read_fmu(
         description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
         provenance=_provenance(md, description),
     )  # fmt: skip
+
+
+def _check_settable(path, md, names) -> None:
+    """An FMU may take a value for a calculated variable and ignore it without a word."""
+    for variable in md.modelVariables:
+        settable = variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
+        if variable.name in names and not settable:
+            choice = [v.name for v in md.modelVariables if v.causality == "parameter"]
+            raise DeclarationError(
+                f"{path}: variable '{variable.name}' cannot be set, the FMU calculates it. "
+                f"Set a parameter or an initial value. {nearest(variable.name, choice)}"
+            )
 
 
 def _signal(variable, description: Description, interpolation: str) -> Signal:

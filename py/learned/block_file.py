@@ -19,6 +19,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 import tomlkit
+
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 from hydrotwin.simulation.block import Block, TrainingDomain

@@ -18,12 +18,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+
 from hydrotwin.models.language.errors import SolveError
 
 from .narx import NarxShape
 from .training_data import smoothed
 
-DECAY = 1e-9
 MEMORY = 2.5e7  # numbers held at a time while derivatives are carried along
 REAL = torch.float64
 
@@ -213,17 +213,19 @@ def train(
     seeds: Sequence[int],
     trial: Sequence[Stage],
     final: Sequence[Stage],
+    decay: float,
     budget: float,
     progress: Callable[[TrainingProgress], None] | None = None,
 ) -> Trained:
     """Train from each seed through the ``trial`` stages, the best of them on through the ``final`` ones.
 
     recordings, held_out : normalised (inputs, outputs), held_out with whether it starts as a deployed block does.
+    decay : of the squared weights, in units of the mean squared error.
     Ctrl-C and the end of ``budget`` [s] return the best network so far; Ctrl-C before there is one is raised.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    search = _Search(recordings, held_out, shape, scales, budget, progress)
+    search = _Search(recordings, held_out, shape, scales, decay, budget, progress)
     stopped = ""
     try:
         ends = [search.climb(seed, first_weights(shape, seed), trial) for seed in seeds]
@@ -249,9 +251,9 @@ def train(
 class _Search:
     """The state of one training: the data, the clock and the best network so far."""
 
-    def __init__(self, recordings, held_out, shape, scales, budget, progress):
+    def __init__(self, recordings, held_out, shape, scales, decay, budget, progress):
         self.recordings, self.shape, self.scales = recordings, shape, scales
-        self.budget, self.progress = budget, progress
+        self.decay, self.budget, self.progress = decay, budget, progress
         self.increment = scales.increment.numpy()
         self.held_out = gather([self._cut(u, y, None, rest)[0] for u, y, rest in held_out], len(held_out), 0)
         self.best, self.iterations, self.began = None, 0, time.monotonic()
@@ -299,11 +301,12 @@ class _Search:
     def _normal_equations(self, weights, batches, every):
         sums = [normal_equations(weights, self.shape, self.scales, b, every) for b in batches]
         JJ, Je, ee, count = (sum(part) for part in zip(*sums, strict=True))
-        return JJ / count + DECAY * torch.eye(len(weights), dtype=REAL), Je / count + DECAY * weights, ee, count
+        ridge = self.decay * torch.eye(len(weights), dtype=REAL)
+        return JJ / count + ridge, Je / count + self.decay * weights, ee, count
 
     def _step(self, weights, batches, every, A, g, before, count, damping):
         """The first damped step that lowers the cost: (step, sum of squares after it, damping for the next)."""
-        decay = DECAY * count
+        decay = self.decay * count
         for _ in range(8):
             step = -torch.linalg.solve(A + damping * torch.diag(torch.diagonal(A)), g)
             trial = weights + step

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.flat import Signal, StateVariable
 
 from .block_file import LearnedKind, Shapes, register_kind

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 from importlib import metadata
 
 import numpy as np
+
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, noise_floor
 
 from .block_file import Certificate, LearnedBlock, assemble
 from .narx import NETWORK, NarxShape, network_states
@@ -27,6 +28,8 @@ from .training_data import (
 
 HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
+DECAY_OF_NOISE = 0.03  # weight decay over the noise variance; found by trial on the two machines
+LEAST_DECAY = 1e-9
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
@@ -95,6 +98,7 @@ def train_network(
         seeds=[seed + k for k in range(starts if hidden else 1)],
         trial=_stages(training, effort, (4, 20, 1), (32, 20, 2)),
         final=_stages(training, effort, (256, 20, 4), (1300, 20, 8), (None, 12, 8)),
+        decay=_decay(records, outputs, data.arrays),
         budget=budget,
         progress=progress,
     )
@@ -192,8 +196,9 @@ def _normalise(records, validate, inputs, outputs, period) -> _Normalised:
         )
     judged = [(on_period(r, period, inputs), True) for r in validate]
     if not judged:
-        even, tails = zip(*(split_tail(r, HELD_OUT) for r in even), strict=True)
-        judged = [(tail, False) for tail in tails]
+        whole = even
+        even, tails = zip(*(split_tail(r, HELD_OUT) for r in whole), strict=True)
+        judged = [(tail, False) for tail in tails] + [(r, True) for r in whole]
     u, y = (np.concatenate([r.array([s.name for s in part]) for r in even]) for part in (inputs, outputs))
     arrays = _scales(u, y, [r.array([s.name for s in outputs]) for r in even])
 
@@ -219,6 +224,15 @@ def _scales(u: np.ndarray, y: np.ndarray, runs: Sequence[np.ndarray]) -> dict[st
         "output_lower": y.min(axis=0) - room,
         "output_upper": y.max(axis=0) + room,
     }
+
+
+def _decay(records, outputs, arrays) -> float:
+    """Weight decay: a share of the noise variance (over the outputs' spread), so that noise is not learnt."""
+    floors = [noise_floor(r.select([s.name for s in outputs])) for r in records]
+    noise = [
+        [f[s.name].sigma / scale for s, scale in zip(outputs, arrays["output_scale"], strict=True)] for f in floors
+    ]
+    return max(DECAY_OF_NOISE * float(np.mean(np.square(noise))), LEAST_DECAY)
 
 
 def _shape(data: _Normalised, lags, hidden: int) -> NarxShape:

@@ -9,12 +9,12 @@ x1 "current motor position", x2 "voltage input", x3 "motor velocity". **The pape
 the range of the command. What can be inferred, and what this block assumes:
 
 - x1 is the arm angle in degrees. Only then does the formula rest anywhere near the experiments: at zero input it
-  settles at 32.8 deg. It drifts at rest, from 30 deg to 30.5 deg in 5 s, because its constant terms do not cancel; in radians
-  the same terms would turn the arm at 78 deg/s. The drift is the paper's, and a test keeps it.
+  settles at 32.8 deg. It drifts at rest, from 30 deg to 30.5 deg in 5 s, because its constant terms do not cancel; in
+  radians the same terms would turn the arm at 78 deg/s. The drift is the paper's, and a test keeps it.
 - x3 is in thousands of revolutions per minute. The data sheet's 0.08 m/s are about 600 rad/s; `a x3` then moves the arm
   at 12 deg/s in krpm, but at 194 deg/s in rev/s and 1200 deg/s in rad/s.
-- x2 is in volts, as printed. The voltage terms alone turn the arm at about 12.9 deg/s per volt, so the full speed of
-  the data sheet is reached near 2 V. A rig that needs 5 V for it has another amplifier: set ``voltage_unit``.
+- x2 is in volts, as printed. The voltage terms alone turn the arm at about 12 deg/s per volt, so the full speed of the
+  data sheet is reached at 2 to 3 V. A rig that needs 5 V for it has another amplifier: set ``voltage_unit``.
 
 All three units are parameters of the block. `published_formula(voltage_unit=2.5)` reads x2 in units of 2.5 V.
 The formula takes the *measured* motor speed as an input: it is told the result of the motor's dynamics, where other
@@ -29,6 +29,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
+
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, noise_floor, require
@@ -69,9 +70,7 @@ def training_box(records: Sequence[Record], signals: Sequence[Signal]) -> Traini
 def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tuple[Signal, ...]:
     """Signals by name or as they are; a bare name takes the unit it has in the recording."""
     if isinstance(wanted, (str, Signal)) or not wanted:
-        raise DataError(
-            f"train_network: {role} must be a list of signals (got {wanted!r}). Give at least one in a list."
-        )
+        raise DataError(f"train_network: {role} must be a list of signals (got {wanted!r}). Name at least one.")
     named = []
     for item in wanted:
         if isinstance(item, str):

@@ -30,11 +30,15 @@ REAL = torch.float64
 
 @dataclass(frozen=True)
 class Stage:
-    """Stretches of ``horizon`` samples (None: whole recordings), compared at every ``every``-th sample."""
+    """Stretches of ``horizon`` samples (None: whole recordings), compared at every ``every``-th sample.
+
+    The network is judged on the held-out data every ``judge``-th iteration and at the end.
+    """
 
     horizon: int | None
     iterations: int
     every: int = 1
+    judge: int = 1
 
 
 @dataclass(frozen=True)
@@ -287,14 +291,14 @@ class _Search:
             if step is None:
                 break
             weights, self.iterations = weights + step, self.iterations + 1
-            error = self._judge(seed, weights)
+            settled = before - after < 3e-3 * before or iteration == stage.iterations - 1
+            if settled or iteration % stage.judge == 0:
+                error = self._judge(seed, weights)
             if self.progress:
                 horizon = max(len(b.u) for b in batches)
-                train_error = float(np.sqrt(after / count))
-                self.progress(
-                    TrainingProgress(seed, horizon, iteration, train_error, error, self.best[0], self.seconds)
-                )
-            if before - after < 3e-3 * before:
+                errors = float(np.sqrt(after / count)), error, self.best[0]
+                self.progress(TrainingProgress(seed, horizon, iteration, *errors, self.seconds))
+            if settled:
                 break
         return error, weights
 

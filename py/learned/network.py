@@ -96,8 +96,8 @@ def train_network(
         shape,
         scales,
         seeds=[seed + k for k in range(starts if hidden else 1)],
-        trial=_stages(training, effort, (4, 20, 1), (32, 20, 2)),
-        final=_stages(training, effort, (256, 20, 4), (1300, 20, 8), (None, 12, 8)),
+        trial=_stages(training, effort, (4, 16, 1, 5), (32, 16, 2, 5)),
+        final=_stages(training, effort, (256, 16, 4, 1), (1300, 8, 8, 1), (None, 12, 8, 1)),
         decay=_decay(records, outputs, data.arrays),
         budget=budget,
         progress=progress,
@@ -227,12 +227,11 @@ def _scales(u: np.ndarray, y: np.ndarray, runs: Sequence[np.ndarray]) -> dict[st
 
 
 def _decay(records, outputs, arrays) -> float:
-    """Weight decay: a share of the noise variance (over the outputs' spread), so that noise is not learnt."""
-    floors = [noise_floor(r.select([s.name for s in outputs])) for r in records]
-    noise = [
-        [f[s.name].sigma / scale for s, scale in zip(outputs, arrays["output_scale"], strict=True)] for f in floors
-    ]
-    return max(DECAY_OF_NOISE * float(np.mean(np.square(noise))), LEAST_DECAY)
+    """Weight decay: a share of the noise variance of the cleanest output (over its spread), so that noise is not learnt."""
+    names = [s.name for s in outputs]
+    floors = [noise_floor(r.select(names)) for r in records]
+    noise = np.array([[f[name].sigma for name in names] for f in floors]) / arrays["output_scale"]
+    return max(DECAY_OF_NOISE * float(np.square(noise).mean(axis=0).min()), LEAST_DECAY)
 
 
 def _shape(data: _Normalised, lags, hidden: int) -> NarxShape:
@@ -267,7 +266,7 @@ def _training_scales(training, arrays):
 
 
 def _stages(training, effort: float, *stages):
-    return [training.Stage(horizon, max(1, round(effort * n)), every) for horizon, n, every in stages]
+    return [training.Stage(horizon, max(1, round(effort * n)), *pace) for horizon, n, *pace in stages]
 
 
 def _weights(flat: np.ndarray, shape: NarxShape) -> dict[str, np.ndarray]:

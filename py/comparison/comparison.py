@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.records import Record
 

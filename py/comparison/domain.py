@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+
 from hydrotwin.records import Record
 from hydrotwin.simulation.block import TrainingDomain
 

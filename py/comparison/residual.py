@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from hydrotwin.records import Record
 from scipy.signal import fftconvolve
+
+from hydrotwin.records import Record
 
 MAX_SAMPLES = 20_000
 LAGS = 25

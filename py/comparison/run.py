@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
+
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
@@ -28,6 +29,7 @@ from .comparison import (
 from .contender import Contender
 from .domain import domain_shares
 from .metrics import errors_of
+from .rates import rate_signal, with_rates
 from .residual import Residual, explain
 
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
@@ -39,6 +41,7 @@ def compare(
     *,
     modes: Sequence[str] = MODES,
     outputs: Sequence[str] | None = None,
+    rates: Sequence[str] = (),
     train_records: Sequence[Record] = (),
     title: str = "Comparison of models",
     repeats: int = 3,
@@ -48,6 +51,7 @@ def compare(
 
     modes : "free run" (inputs and start only) and "one step" (each sample from the measurement before it).
     outputs : names to score; by default every output that some contender gives and some recording holds.
+    rates : names of outputs whose slope is scored too, in free run, as output ``<name>.rate``.
     train_records : the recordings the models were made from, for the share of each recording they cover.
     repeats : timed runs per model and recording; fewer when they take longer than TIMING_BUDGET together.
     progress : called with (runs done, runs in all, what is next).
@@ -58,13 +62,18 @@ def compare(
     contenders, records = list(contenders), _distinct(records)
     _check(contenders, records, modes)
     wanted = _wanted(contenders, records, outputs)
+    sloped = _wanted(contenders, records, rates) if rates else []
+    records = [with_rates(r, sloped) for r in records]
     noise = {r.name: {n: f.sigma for n, f in noise_floor(r).items()} for r in records}
+    plan = _Plan(tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), repeats, noise)
     runs = [(c, r, m) for m in modes for c in contenders for r in records]
     found = _Findings([], [], {}, [], [], [])
     for done, (contender, record, mode) in enumerate(runs):
         if progress:
             progress(done, len(runs), f"{contender.name}, {record.name}, {mode}")
-        _one(contender, record, mode, wanted, repeats, found, noise[record.name])
+        prediction = _predict(contender, record, mode, plan, found)
+        if prediction is not None:
+            _score(contender, record, mode, prediction, plan, found)
     if progress:
         progress(len(runs), len(runs), "done")
     scores = relative_scores(found.scores)
@@ -74,7 +83,7 @@ def compare(
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
-        outputs=tuple(wanted),
+        outputs=plan.wanted + plan.rates,
         scores=scores,
         means=mean_scores(scores),
         trajectories=tuple(found.trajectories),
@@ -86,8 +95,21 @@ def compare(
     )
 
 
+@dataclasses.dataclass(frozen=True)
+class _Plan:
+    """What is scored: outputs in every mode, the ``rates`` of the ``sloped`` outputs in free run only."""
+
+    wanted: tuple[Signal, ...]
+    sloped: tuple[Signal, ...]
+    rates: tuple[Signal, ...]
+    repeats: int
+    noise: Mapping[str, Mapping[str, float]]
+
+
 @dataclasses.dataclass
 class _Findings:
+    """What the runs have shown so far."""
+
     scores: list[Score]
     trajectories: list[Trajectory]
     seconds: dict[tuple[str, str], list[float]]
@@ -96,37 +118,43 @@ class _Findings:
     residuals: list[Residual]
 
 
-def _one(contender, record: Record, mode: str, wanted: Sequence[Signal], repeats: int, found: _Findings, noise) -> None:
-    """One contender on one recording in one mode: predict, time, score; failures become rows."""
+def _predict(contender, record: Record, mode: str, plan: _Plan, found: _Findings) -> Record | None:
+    """What one contender predicts for one recording, timed; a failure becomes a row, and the answer None."""
     labels = (contender.name, record.name, mode)
+    run = contender.free_run if mode == FREE_RUN else contender.one_step
     try:
         _require_inputs(contender, record)
-        prediction, seconds = _timed(contender.free_run if mode == FREE_RUN else contender.one_step, record, repeats)
+        prediction, seconds = _timed(run, record, plan.repeats)
         prediction = _on_time_of(record, prediction)
     except Exception as error:
         found.failures.append(Failure(*labels, _sentence(error)))
-        return
-    found.trajectories.append(Trajectory(*labels, prediction))
+        return None
+    if mode == FREE_RUN:
+        prediction = with_rates(prediction, plan.sloped)
     duration = max(record.duration, np.finfo(float).tiny)
     found.seconds.setdefault((contender.name, mode), []).extend(s / duration for s in seconds)
-    for signal in wanted:
-        reason = _not_comparable(contender, record, prediction, signal)
+    found.trajectories.append(Trajectory(*labels, prediction))
+    return prediction
+
+
+def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan, found: _Findings) -> None:
+    """Score every wanted output of one prediction; what cannot be scored becomes a row."""
+    for signal in plan.wanted + (plan.rates if mode == FREE_RUN else ()):
+        name = signal.name
+        reason = _not_comparable(record, prediction, signal)
         if reason:
-            found.unscored.append(Unscored(contender.name, record.name, signal.name, reason))
+            found.unscored.append(Unscored(contender.name, record.name, name, reason))
             continue
         try:
-            errors = errors_of(record[signal.name], prediction[signal.name])
+            errors = errors_of(record[name], prediction[name])
         except DataError as error:
-            found.failures.append(Failure(*labels, f"{signal.name}: {error}"))
+            found.failures.append(Failure(contender.name, record.name, mode, f"{name}: {error}"))
             continue
-        found.scores.append(
-            Score(contender.name, record.name, signal.name, mode, unit=signal.unit, **dataclasses.asdict(errors))
-        )
-        if mode == FREE_RUN:
-            predicted = prediction[signal.name]
-            found.residuals.append(
-                explain(record, signal.name, predicted, model=contender.name, noise=noise[signal.name])
-            )
+        labels = (contender.name, record.name, name, mode)
+        found.scores.append(Score(*labels, unit=signal.unit, **dataclasses.asdict(errors)))
+        if mode == FREE_RUN and signal in plan.wanted:
+            noise = plan.noise[record.name][name]
+            found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=noise))
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:
@@ -153,7 +181,7 @@ def _require_inputs(contender, record: Record) -> None:
             )
 
 
-def _not_comparable(contender, record: Record, prediction: Record, signal: Signal) -> str | None:
+def _not_comparable(record: Record, prediction: Record, signal: Signal) -> str | None:
     """Why an output cannot be scored, or None."""
     if signal.name not in record.signals:
         return "not recorded"

@@ -40,6 +40,7 @@ class Scenario:
     train: tuple[Path, ...] = ()
     modes: tuple[str, ...] = MODES
     outputs: tuple[str, ...] | None = None
+    rates: tuple[str, ...] = ()
     scale: Mapping[str, str] = field(default_factory=dict)
     base: Path = Path(".")
 
@@ -55,6 +56,7 @@ def read_scenario(path: str | Path) -> Scenario:
         train = ["training_1.csv"]                # optional, as all that follow
         modes = ["free run", "one step"]
         outputs = ["arm_angle"]
+        rates = ["arm_angle"]                     # score its slope as well
         scale = {command = "0.05 V/%"}
 
     The model ``hold_last`` is the yardstick that repeats the last sample.
@@ -64,7 +66,7 @@ def read_scenario(path: str | Path) -> Scenario:
     path = Path(path)
     table = _read_toml(path)
     where = path.name
-    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "scale"), where)
+    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale"), where)
     for key in ("models", "validate"):
         if not table.get(key):
             raise DeclarationError(f"{where}: no '{key}'. A scenario lists at least one. Add {key} = [...].")
@@ -79,6 +81,7 @@ def read_scenario(path: str | Path) -> Scenario:
         train=_paths(_strings(table, "train", where), path),
         modes=tuple(modes),
         outputs=_strings(table, "outputs", where) or None,
+        rates=_strings(table, "rates", where),
         scale=_scale(table, where),
         base=path.parent,
     )
@@ -101,6 +104,7 @@ def run_scenario(
         _read(scenario.validate, scenario),
         modes=scenario.modes,
         outputs=scenario.outputs,
+        rates=scenario.rates,
         train_records=_read(scenario.train, scenario),
         title=scenario.title,
         repeats=repeats,

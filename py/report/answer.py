@@ -85,7 +85,7 @@ def _mode_sentence(comparison: Comparison, mode: str, shown: Mapping[str, str]) 
     while rest:
         model = max(comparison.models, key=lambda m: sum(m in level for level in rest.values()))
         covered = [output for output, level in rest.items() if model in level]
-        clauses.append(_clause(model, covered, total, rankings[covered[0]], shown[covered[0]]))
+        clauses.append(_clause(model, covered, total, rankings[covered[0]], shown[covered[0]], comparison.yardsticks))
         rest = {output: level for output, level in rest.items() if output not in covered}
     start = {FREE_RUN: "In free run", ONE_STEP: "One step ahead"}[mode]
     return f"{start}, {'; '.join(clauses)}." if clauses else ""
@@ -97,11 +97,15 @@ def _level(ranking: tuple[Score, ...]) -> set[str]:
     return {s.model for s in ranking if s.recordings == best.recordings and _times(best, s) < LEVEL}
 
 
-def _clause(model: str, covered: list[str], total: int, ranking: tuple[Score, ...], unit: str) -> str:
+def _clause(
+    model: str, covered: list[str], total: int, ranking: tuple[Score, ...], unit: str, yardsticks: frozenset[str]
+) -> str:
+    """One model: on how many outputs it is best, the error on the first, who is level and who comes next."""
     own = next(s for s in ranking if s.model == model)
     rivals = [s for s in ranking if s.model != model and s.recordings == own.recordings]
     level = [s.model for s in rivals if s.model in _level(ranking)]
-    behind = [s for s in rivals if s.model not in _level(ranking)]
+    idle = yardsticks if own.mode == FREE_RUN else frozenset()
+    behind = [s for s in rivals if s.model not in _level(ranking) and s.model not in idle]
     what = own.output
     if len(covered) == total > 1:
         what = f"all {total} outputs: {own.output}"

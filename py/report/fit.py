@@ -52,7 +52,7 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
     """Everything about one fit."""
     rows = parameter_rows(fit)
     parts: list = [parameter_table(rows, f"{id}_parameters"), interval_figure(rows, f"{id}-intervals")]
-    findings = tuple(str(f).removeprefix("identify: ") for f in fit.findings)
+    findings = tuple(_sentence(str(f)) for f in fit.findings)
     if findings:
         parts.append(Note(findings, tone="warning"))
     residuals = getattr(fit, "residuals", ())
@@ -89,32 +89,28 @@ def parameter_table(rows: Sequence[ParameterRow], id: str = "parameters") -> Tab
 
 
 def interval_figure(rows: Sequence[ParameterRow], id: str = "intervals") -> Figure:
-    """Value and 95 % interval of each parameter over its start, in percent."""
-    names = [r.name for r in rows][::-1]
-    scale = [abs(r.start) or 1.0 for r in rows][::-1]
-    shift = [100.0 * r.shift for r in rows][::-1]
-    reach = [100.0 * (r.high - r.value) / s for r, s in zip(rows[::-1], scale, strict=True)]
-    bars = {"type": "data", "array": [v if math.isfinite(v) else 0.0 for v in reach], "thickness": 3, "width": 0}
-    data = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "x": shift,
-            "y": names,
-            "error_x": bars | {"color": PALETTE[0]},
-            "marker": {
-                "size": 10,
-                "color": [PALETTE[1] if r.at_bound else PALETTE[0] for r in rows[::-1]],
-                "symbol": ["x" if r.at_bound else "circle" for r in rows[::-1]],
-            },
-            "hovertemplate": "%{y}: %{x:.3g} % ± %{error_x.array:.2g} %<extra></extra>",
-            "showlegend": False,
-        }
+    """Value and 95 % interval of each parameter over its start, on a logarithmic axis when all of it is positive."""
+    rows = rows[::-1]
+    scale = [r.start or 1.0 for r in rows]
+    ratio = [r.value / s for r, s in zip(rows, scale, strict=True)]
+    reach = [abs((r.high - r.value) / s) for r, s in zip(rows, scale, strict=True)]
+    reach = [v if math.isfinite(v) else 0.0 for v in reach]
+    marker = {
+        "size": 10,
+        "color": [PALETTE[1] if r.at_bound else PALETTE[0] for r in rows],
+        "symbol": ["x" if r.at_bound else "circle" for r in rows],
+    }
+    trace = {"type": "scatter", "mode": "markers", "x": ratio, "y": [r.name for r in rows], "showlegend": False}
+    trace["error_x"] = {"type": "data", "array": reach, "thickness": 3, "width": 0, "color": PALETTE[0]}
+    trace["hovertemplate"] = "%{y}: %{x:.4g} ± %{error_x.array:.2g} of its start<extra></extra>"
+    plan = layout("value over start, with 95 % interval", [""], height=140 + 34 * len(rows))
+    plan |= {"hovermode": "closest", "margin": {"l": 20, "r": 44, "t": 16, "b": 46}}
+    if all(v - w > 0.0 for v, w in zip(ratio, reach, strict=True)):
+        plan["xaxis"] |= {"type": "log", "dtick": "D2"}
+    plan["shapes"] = [
+        {"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": {"color": "#c3c9cf"}}
     ]
-    plan = layout("change against the start [%], with 95 % interval", [""], height=140 + 34 * len(rows))
-    plan["hovermode"] = "closest"
-    plan["margin"] = {"l": 20, "r": 44, "t": 16, "b": 46}
-    return Figure(id, "", {"data": data, "layout": plan})
+    return Figure(id, "", {"data": [trace | {"marker": marker}], "layout": plan})
 
 
 def residual_table(residuals: Sequence, id: str = "residuals") -> Table:
@@ -129,7 +125,7 @@ def residual_table(residuals: Sequence, id: str = "residuals") -> Table:
         )
         return Column(key, title, tuple(cells), numeric=True)
 
-    verdict = ["noise only" if r.explained else "something is left" for r in residuals]
+    verdict = ["noise only" if r.explained else "more than noise" for r in residuals]
     columns = [
         texts("output", "Output", [r.output for r in residuals]),
         texts("record", "Recording", [r.record for r in residuals]),
@@ -158,7 +154,15 @@ def _lead(fit) -> str:
     if per_dof is not None and np.isfinite(per_dof):
         tail = f" Chi-square per degree of freedom is {number_text(float(per_dof))}; 1 means that only noise is left."
     message = getattr(fit, "message", "")
-    return f"{' '.join(words)}.{tail}{' ' + message if message else ''}"
+    return f"{' '.join(words)}.{tail}{' ' + _sentence(message) if message else ''}"
+
+
+def _sentence(text: str) -> str:
+    """A message as a sentence of the page: without the verb in front, with a capital unless it starts with a path."""
+    text = text.removeprefix("identify: ")
+    first = text.split(" ", 1)[0]
+    start = text if "." in first or "_" in first else text[:1].upper() + text[1:]
+    return start if start.endswith((".", "!", "?")) else f"{start}."
 
 
 def _left_over(residuals: Sequence) -> str:

@@ -2,7 +2,18 @@
 
 from .electric import DcMotor, ElectricGround, SpeedControlledMotor, VoltageSource
 from .hydraulic import Cylinder, FlowSource, LineVolume, Orifice, Passage, Plug, PressureSource, Pump, Reservoir
-from .mechanical import Arm, AttachedMass, ForceSource, Freewheel, Ground, LinearLoad, Mass, SpringDamper
+from .mechanical import (
+    Arm,
+    AttachedMass,
+    ForceSource,
+    Freewheel,
+    Ground,
+    LinearLoad,
+    Mass,
+    SpeedSource,
+    SpringDamper,
+    TorqueSource,
+)
 from .sensors import AngleSensor, FlowSensor, ForceSensor, PositionSensor, PressureSensor, SpeedSensor
 from .signals import Constant, Deadband, DeadTime, Difference, FirstOrderLag, Gain, PiController, Saturation
 from .valve import FourEdgeValve, ProportionalSolenoid, Spool
@@ -43,7 +54,9 @@ __all__ = [
     "Saturation",
     "SpeedControlledMotor",
     "SpeedSensor",
+    "SpeedSource",
     "Spool",
     "SpringDamper",
+    "TorqueSource",
     "VoltageSource",
 ]

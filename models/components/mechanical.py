@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from hydrotwin.models.language import Component, Flange, Input, Parameter, Slot, State, Variable, der
+from hydrotwin.models.language import Component, Flange, Input, Parameter, Shaft, Slot, State, Variable, der
 from hydrotwin.models.laws import FrictionLaw, NoFriction
 
 
@@ -144,3 +144,23 @@ class ForceSource(Component):
 
     def equations(self):
         yield self.flange.f == -self.force
+
+
+class SpeedSource(Component):
+    """A prescribed shaft speed, whatever torque it takes: a drive whose speed was measured."""
+
+    shaft = Shaft("driven shaft")
+    speed = Input("rad/s", "speed of the shaft", nominal=100.0)
+
+    def equations(self):
+        yield self.shaft.w == self.speed
+
+
+class TorqueSource(Component):
+    """A prescribed torque on a shaft: the load of a motor."""
+
+    shaft = Shaft("where it acts")
+    torque = Input("N.m", "torque on the shaft", nominal=1.0)
+
+    def equations(self):
+        yield self.shaft.tau == -self.torque

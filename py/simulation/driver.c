@@ -1,11 +1,11 @@
 /* Walks the samples of one recording through one model.
 
    Generated in front of this text: the sizes (NX states, NU inputs, NP parameters, NY outputs, NT sensitivities,
-   LD = NT rounded up), the sparsity tables, and the CasADi functions
+   LD = NT rounded up), the sparse products of the sensitivities as macros, and the CasADi functions
 
      rk4_substep  (t, x, u, p, h) -> x          or  implicit_substep (t, x, u, p, h) -> x
      output       (t, x, u, p) -> y
-     linear_rate  (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros in the order of the tables)
+     linear_rate  (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros only)
      linear_output(t, x, u, p) -> y , dh/dx, dh/dp, dh/du
      implicit_tangent (t, x, u, p, h, dx, du) -> dx             (implicit method only)
 
@@ -204,21 +204,25 @@ static void input_rates_at_sample(Run *run, long long k, double *rate) {
   }
 }
 
-static inline void add_row(double *restrict to, double factor, const double *restrict from) {
-  for (int c = 0; c < LD; c++) to[c] += factor * from[c];
-}
+/* Rows of a sparse matrix times the seeds, and single entries added to them; see source.py. */
+#define SEED(j) dx[(j) * LD + c]
+#define ROW(i, sum) \
+  for (int c = 0; c < LD; c++) rows[(i) * LD + c] = sum;
 
-/* One stage: xdot and d xdot / d theta at (x, dx). */
-static void linear_stage(Run *run, double t, const double *x, const double *u, const double *dx, const double *du,
-                         double *xdot, double *dxdot) {
+/* One stage: xdot and its derivative to theta, rows = d xdot / d theta, at (x, dx). */
+static void linear_stage(Run *run, double t, const double *x, const double *u, const double *restrict dx,
+                         const double *du, double *xdot, double *restrict rows) {
   double fx[FX_NNZ + 1], fp[FP_NNZ + 1], fu[FU_NNZ + 1];
   const double *arg[RATE_ARG] = {&t, x, u, run->p};
   double *res[RATE_RES] = {xdot, fx, fp, fu};
   linear_rate(arg, res, run->integers, run->work, 0);
-  memset(dxdot, 0, sizeof(double) * NX * LD);
-  for (int e = 0; e < FX_NNZ; e++) add_row(dxdot + FX_ROW[e] * LD, fx[e], dx + FX_COL[e] * LD);
-  for (int e = 0; e < FP_NNZ; e++) dxdot[FP_ROW[e] * LD + FP_COL[e]] += fp[e];
-  for (int e = 0; e < FU_NNZ; e++) dxdot[FU_ROW[e] * LD + DEAD_COLUMN[FU_COL[e]]] += fu[e] * du[FU_COL[e]];
+#define ENTRY(e) fx[e]
+#define ADD_P(e, i, j) rows[(i) * LD + (j)] += fp[e];
+#define ADD_U(e, i, j) rows[(i) * LD + DEAD_COLUMN[j]] += fu[e] * du[j];
+  FX_ROWS(ROW) FP_EACH(ADD_P) FU_EACH(ADD_U)
+#undef ENTRY
+#undef ADD_P
+#undef ADD_U
 }
 
 static inline void combine(int n, double *restrict to, const double *restrict from, double factor,
@@ -275,10 +279,10 @@ static int write_linear_output(Run *run, long long k, const double *x, const dou
   inputs_at_sample(run, k, u);
   input_rates_at_sample(run, k, du);
   linear_output(arg, res, run->integers, run->work, 0);
-  memset(rows, 0, sizeof(double) * NY * LD);
-  for (int e = 0; e < HX_NNZ; e++) add_row(rows + HX_ROW[e] * LD, hx[e], dx + HX_COL[e] * LD);
-  for (int e = 0; e < HP_NNZ; e++) rows[HP_ROW[e] * LD + HP_COL[e]] += hp[e];
-  for (int e = 0; e < HU_NNZ; e++) rows[HU_ROW[e] * LD + DEAD_COLUMN[HU_COL[e]]] += hu[e] * du[HU_COL[e]];
+#define ENTRY(e) hx[e]
+#define ADD_P(e, i, j) rows[(i) * LD + (j)] += hp[e];
+#define ADD_U(e, i, j) rows[(i) * LD + DEAD_COLUMN[j]] += hu[e] * du[j];
+  HX_ROWS(ROW) HP_EACH(ADD_P) HU_EACH(ADD_U)
   for (int i = 0; i < NY; i++) memcpy(dy + i * NT, rows + i * LD, NT * sizeof(double));
   return not_finite(y, NY) ? 2 : 0;
 }

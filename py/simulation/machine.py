@@ -113,9 +113,9 @@ class VirtualMachine:
         for m, (j, _) in enumerate(self._to.dead):
             delayed = time - p[self._delays[j]]
             rate[:, m] = -inputs.slope_at(time, u[:, j], delayed, self._linear[j])
-        columns = dx.transpose(1, 0, 2).reshape(x.shape[1], -1)
+        columns = dx.transpose(1, 0, 2).reshape(x.shape[1], len(time) * self._to.count)
         y, dy = self._output_tangent(time[None, :], x.T, self._seen(time, u, p).T, p, columns, rate.T)
-        return y.full().T, dy.full().reshape(y.size1(), len(time), -1).transpose(1, 0, 2).copy()
+        return y.full().T, dy.full().reshape(y.size1(), len(time), self._to.count).transpose(1, 0, 2).copy()
 
     @functools.cached_property
     def _many(self):

@@ -87,7 +87,7 @@ def _filled(record: Record, model) -> None:
 
 def _driven(flat: FlatModel, record: Record, parameters, start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inputs, parameters and start state of a model on a record."""
-    u = require(record, flat.inputs, flat.name).array([s.name for s in flat.inputs])
+    u = _inputs(flat, record)
     p = flat.parameter_vector(parameters)
     given = {s.name: record[s.measured_by][0] for s in flat.states if _measures(record, s.measured_by)}
     given = {name: float(value) for name, value in given.items() if np.isfinite(value)} | dict(start or {})
@@ -96,7 +96,7 @@ def _driven(flat: FlatModel, record: Record, parameters, start) -> tuple[np.ndar
 
 
 def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
-    u = require(record, block.inputs, block.name).array([s.name for s in block.inputs])
+    u = _inputs(block, record)
     grid = sampled.sample_grid(block, record.time)
     u = u if grid is record.time else sampled.sampled_inputs(block, record.time, u, grid)
     p, start = block.parameter_vector(), dict(start or {})
@@ -104,6 +104,20 @@ def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
     _replace(np.empty(len(block.states)), [s.name for s in block.states], start, f"{block.name}: no state")
     y = np.array([record[s.name][0] if _measures(record, s.name) else np.nan for s in block.outputs])
     return _BlockRun(grid, u, p, sampled.start_state(block, u[0], y, p, start))
+
+
+def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
+    """The input columns (n, nu), present, of the right dimension and without gaps."""
+    u = require(record, system.inputs, system.name).array([s.name for s in system.inputs])
+    for signal, column in zip(system.inputs, u.T, strict=True):
+        gaps = ~np.isfinite(column)
+        if gaps.any():
+            raise DataError(
+                f"{record.source or record.name}: input column '{signal.name}' has gaps (got {gaps.sum()} values that "
+                f"are not finite, the first at t = {record.time[np.argmax(gaps)]:g} s). {system.name} needs every "
+                "sample of its inputs. Fill them, or take the part without (Record.window)."
+            )
+    return u
 
 
 def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:

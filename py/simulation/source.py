@@ -1,4 +1,4 @@
-"""The C text of one model: sizes, sparsity tables, CasADi functions, driver."""
+"""The C text of one model: sizes, sparse products, CasADi functions, driver."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
     lines.append(f"#define WORK_REALS {max(f.sz_w() for f in functions.values())}")
     lines.append(f"#define WORK_INTEGERS {max(f.sz_iw() for f in functions.values())}")
     if to.count:
-        lines += _tables("F", functions["RATE"]) + _tables("H", functions["SEEN"])
+        lines += _products("F", functions["RATE"]) + _products("H", functions["SEEN"])
     return "\n".join((_generated(functions), *lines, DRIVER))
 
 
@@ -56,7 +56,7 @@ def _sizes(flat: FlatModel, to: Directions) -> list[str]:
         "NP": len(flat.parameters),
         "NY": len(flat.outputs),
         "NT": to.count,
-        "LD": -(-to.count // 4) * 4,
+        "LD": -(-to.count // 2) * 2,
         "ND": len(to.dead),
     }
     delay = [-1 if d is None else d for d in equations.delays(flat)]
@@ -69,15 +69,21 @@ def _sizes(flat: FlatModel, to: Directions) -> list[str]:
     ]
 
 
-def _tables(prefix: str, linear: ca.Function) -> list[str]:
-    lines = []
-    for name, which in (("X", 1), ("P", 2), ("U", 3)):
-        rows, columns = linear.sparsity_out(which).get_triplet()
-        lines += [
-            f"#define {prefix}{name}_NNZ {len(rows)}",
-            _table(f"{prefix}{name}_ROW", rows),
-            _table(f"{prefix}{name}_COL", columns),
-        ]
+def _products(prefix: str, linear: ca.Function) -> list[str]:
+    """The sparse products of the sensitivities, unrolled into macros:
+
+    ``FX_ROWS(ROW)`` calls ``ROW(i, sum)`` for each row i of df/dx times the seeds, the sum written with ``ENTRY(e)``
+    and ``SEED(j)``; ``FP_EACH(ADD)`` and ``FU_EACH(ADD)`` call ``ADD(e, i, j)`` for each nonzero e at row i, column j.
+    """
+    rows: dict[int, list[str]] = {i: [] for i in range(linear.size1_out(1))}
+    for e, (i, j) in enumerate(zip(*linear.sparsity_out(1).get_triplet(), strict=True)):
+        rows[i].append(f"ENTRY({e}) * SEED({j})")
+    lines = [f"#define {prefix}X_ROWS(ROW) " + " ".join(f"ROW({i}, {' + '.join(r) or '0.0'})" for i, r in rows.items())]
+    lines.append(f"#define {prefix}X_NNZ {linear.nnz_out(1)}")
+    for name, which in (("P", 2), ("U", 3)):
+        entries = enumerate(zip(*linear.sparsity_out(which).get_triplet(), strict=True))
+        each = " ".join(f"ADD({e}, {i}, {j})" for e, (i, j) in entries)
+        lines += [f"#define {prefix}{name}_NNZ {linear.nnz_out(which)}", f"#define {prefix}{name}_EACH(ADD) {each}"]
     return lines
 
 

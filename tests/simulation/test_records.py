@@ -7,7 +7,7 @@ import pytest
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
-from hydrotwin.simulation import predict_one_step, prepare, simulate
+from hydrotwin.simulation import lower, predict_one_step, prepare, simulate
 from tests.simulation.flat_cehA import flat_cehA
 from tests.simulation.small_models import lag
 
@@ -111,3 +111,11 @@ def test_a_gap_in_a_measured_output_falls_back_to_the_free_run():
 def test_an_empty_record_is_refused():
     with pytest.raises(DataError, match="no samples to run lag on"):
         simulate(lag(), Record([], {"u": []}, {"u": "1"}))
+
+
+@pytest.mark.parametrize("system", [lag(), lower(lag(), 0.01)], ids=["model", "block"])
+def test_gaps_in_an_input_are_reported_with_time_and_place(system):
+    u = np.where(np.arange(150) == 40, np.nan, 1.0)
+    record = Record(TIME, {"u": u, "x_seen": u}, {"u": "1", "x_seen": "1"}, name="run_3")
+    with pytest.raises(DataError, match=rf"run_3: input column 'u' has gaps \(got 1 .* t = {TIME[40]:g} s\)"):
+        simulate(system, record)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Residual, Score
+from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Score
 
 from .format import difference_to_shown, margin_text, number_text, with_unit
 
@@ -44,14 +44,24 @@ def answer(comparison: Comparison, shown: Mapping[str, str]) -> str:
 
 
 def facts(comparison: Comparison, shown: Mapping[str, str]) -> tuple[str, ...]:
-    """The same sentence for every further mode, and the fastest model."""
+    """The same sentence for every further mode, who was told more than the others, and the fastest model."""
     sentences = [_mode_sentence(comparison, mode, shown) for mode in comparison.modes[1:]]
+    sentences.append(_told_more(comparison))
     seconds = comparison.seconds_per_simulated_second
     times = {m: s for m, s in seconds.items() if m not in comparison.yardsticks}
     if len(times) > 1:
         fastest = min(times, key=times.__getitem__)
         sentences.append(f"The fastest is {fastest}: {number_text(1.0 / times[fastest], 2)} times real time.")
     return tuple(s for s in sentences if s)
+
+
+def _told_more(comparison: Comparison) -> str:
+    """Which models get inputs that others do without; empty when all get the same."""
+    inputs = {e.name: {s.name: s for s in e.inputs} for e in comparison.entrants if e.name not in comparison.yardsticks}
+    shared = set.intersection(*map(set, inputs.values())) if inputs else set()
+    extra = {name: [n for n in own if n not in shared] for name, own in inputs.items()}
+    told = [f"{name} is given {' and '.join(names)} as well" for name, names in extra.items() if names]
+    return f"Not all models see the same inputs: {', '.join(told)}." if told else ""
 
 
 def _winner(ranking: tuple[Score, ...]) -> Winner:
@@ -122,31 +132,3 @@ def _clause(
 
 def _rmse_text(score: Score, unit: str) -> str:
     return with_unit(number_text(float(difference_to_shown(score.rmse, score.unit, unit))), unit)
-
-
-def verdicts(comparison: Comparison) -> tuple[str, ...]:
-    """For each model what it explains down to the noise, and what not: how large, and what the error follows."""
-    sentences = []
-    for model in comparison.models:
-        rows = [r for r in comparison.residuals if r.model == model]
-        if not rows or model in comparison.yardsticks:
-            continue
-        worst = [max((r for r in rows if r.output == o), key=_size) for o in dict.fromkeys(r.output for r in rows)]
-        left = sorted((r for r in worst if not r.only_noise), key=_size, reverse=True)
-        done = [r.output for r in worst if r.only_noise]
-        parts = [f"explains {', '.join(done)} down to the noise"] if done else []
-        parts += [f"leaves {', '.join(map(_left, left))}"] if left else []
-        sentences.append(f"{model} {', and '.join(parts)}.")
-    return tuple(sentences)
-
-
-def _size(residual: Residual) -> float:
-    return residual.times_noise if residual.times_noise == residual.times_noise else 0.0
-
-
-def _left(residual: Residual) -> str:
-    size = f"error {number_text(residual.times_noise, 2)} times the noise" if _size(residual) else "an error"
-    if not residual.follows:
-        return f"{residual.output} ({size})"
-    strength = number_text(residual.strength, 2)
-    return f"{residual.output} ({size}, follows {residual.follows} with correlation {strength})"

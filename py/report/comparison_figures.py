@@ -63,13 +63,18 @@ def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Map
 def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int) -> Figure:
     predictions = _predictions(comparison, signal, record, mode)
     measured = record[signal.name]
-    data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=2.4, points=points)]
+    data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=3.0, points=points)]
     errors = []
     for name, values in predictions.items():
         style, error = look[name], difference_to_shown(values - measured, signal.unit, unit)
-        drawn = {"dash": style.dash, "points": points, "hidden": mode == FREE_RUN and name in comparison.yardsticks}
+        drawn = {
+            "dash": style.dash,
+            "width": style.width,
+            "points": points,
+            "hidden": mode == FREE_RUN and name in comparison.yardsticks,
+        }
         data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
-        errors.append(line(record.time, error, name, style.colour, width=1.2, row=2, legend=False, **drawn))
+        errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
     data += errors
     label = pretty_unit(unit)
     titles = [f"{signal.name} [{label}]", f"error [{label}]"] if label else [signal.name, "error"]

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from hydrotwin.comparison import FREE_RUN, Comparison, Score
+from hydrotwin.comparison import FREE_RUN, Comparison, Residual, Score
 
 from .figure import Style
-from .format import common_decimals, difference_to_shown
-from .tables import Column, Table, counts, numbers, table, texts, warned
+from .format import NONE, common_decimals, difference_to_shown, number_text
+from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 
 HEADLINE_OUTPUTS = 4
 
@@ -110,6 +110,35 @@ def domain_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | N
     return table("domain", "", columns)
 
 
+def explained_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """One row per model, one column per output: how far above the noise the error is, and what it follows."""
+    rows = [r for r in comparison.residuals if r.model not in comparison.yardsticks]
+    outputs = [s.name for s in comparison.outputs if any(r.output == s.name for r in rows)]
+    models = [m for m in comparison.models if any(r.model == m for r in rows)]
+    if not models:
+        return None
+    columns = [_models(models, look)]
+    for output in outputs:
+        worst = [_worst([r for r in rows if (r.model, r.output) == (m, output)]) for m in models]
+        columns.append(Column(output, output, tuple(_explained(r) for r in worst)))
+    note = "Worst recording of each: RMSE over the noise of the sensor, and the signal the error follows most."
+    return table("explained", "", columns, note)
+
+
+def _worst(rows: Sequence[Residual]) -> Residual | None:
+    return max(rows, key=lambda r: r.times_noise if r.times_noise > 0.0 else 0.0, default=None)
+
+
+def _explained(residual: Residual | None) -> Cell:
+    if residual is None:
+        return Cell(None, NONE)
+    if residual.only_noise:
+        return Cell(residual.times_noise, "only noise", best=True)
+    size = f"{number_text(residual.times_noise, 2)} × noise" if residual.times_noise > 0.0 else "error"
+    follows = f", follows {residual.follows}" if residual.follows else ""
+    return Cell(residual.times_noise, size + follows)
+
+
 def residual_tables(comparison: Comparison, look: Mapping[str, Style]) -> list[Table]:
     """For each output what each model leaves unexplained in free run."""
     found = []
@@ -137,7 +166,7 @@ def residual_tables(comparison: Comparison, look: Mapping[str, Style]) -> list[T
             numbers("strength", "Correlation", [r.strength if r.follows else None for r in rows], digits=2),
             numbers("lag", "After", [r.lag if r.follows else None for r in rows], "s", common=False, digits=2),
         ]
-        found.append(table(f"residuals_{signal.name}", signal.name, columns, folded=bool(found)))
+        found.append(table(f"residuals_{signal.name}", f"{signal.name} in detail", columns, folded=True))
     return found
 
 

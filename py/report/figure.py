@@ -52,12 +52,16 @@ class Style:
 
     colour: str
     dash: str = "solid"
+    width: float = 1.6
 
 
 def styles(names: Sequence[str]) -> dict[str, Style]:
-    """A style for each model in order; past the palette the colours return dashed."""
+    """A style for each model in order; past the palette the colours return dashed.
+
+    Each is a little thinner than the one before, so that curves that coincide all show.
+    """
     return {
-        name: Style(PALETTE[k % len(PALETTE)], _DASHES[(k // len(PALETTE)) % len(_DASHES)])
+        name: Style(PALETTE[k % len(PALETTE)], _DASHES[(k // len(PALETTE)) % len(_DASHES)], max(1.1, 2.3 - 0.35 * k))
         for k, name in enumerate(names)
     }
 

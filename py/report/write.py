@@ -9,10 +9,11 @@ from pathlib import Path
 
 from hydrotwin.comparison import FREE_RUN, Comparison
 
-from .answer import answer, facts, verdicts, winners
+from .answer import answer, facts, winners
 from .comparison_figures import error_bar_groups, overlay_groups, peak, plan
 from .comparison_tables import (
     domain_table,
+    explained_table,
     failure_table,
     headline,
     residual_tables,
@@ -23,7 +24,7 @@ from .comparison_tables import (
 from .figure import styles
 from .fit import fit_section, parameter_rows
 from .format import number_text, shown_unit
-from .page import Note, Page, Section, write_page
+from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section, versions
 
 
@@ -145,11 +146,11 @@ def _scores(comparison: Comparison, shown: Mapping[str, str], look, mode: str) -
 def _left(comparison: Comparison, look) -> Section:
     lead = (
         "Free run. Explained is the share of the measured variance. White noise has about 95\u00a0% of its first "
-        "lags inside the noise band: nothing is left to model. Else the last columns name what it follows."
+        "lags inside the noise band: nothing is left to model. Else the tables name what the error follows."
     )
-    sentences = verdicts(comparison)
-    note = (Note(sentences),) if sentences else ()
-    return Section("residuals", "What is left unexplained", (*note, *residual_tables(comparison, look)), lead)
+    summary = explained_table(comparison, look)
+    parts = (summary, *residual_tables(comparison, look)) if summary else ()
+    return Section("residuals", "What is left unexplained", parts, lead)
 
 
 def _domain(comparison: Comparison, look) -> Section:

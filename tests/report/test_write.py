@@ -11,7 +11,7 @@ import pytest
 
 from hydrotwin.comparison import compare
 from hydrotwin.report import write_report
-from tests.comparison.toys import Toy, recording
+from tests.comparison.toys import COMMAND, SPEED, Toy, recording
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +105,12 @@ def test_the_fit_says_what_is_explained_and_what_not(report):
     assert "\nmotor.gain and pump.displacement cannot be told apart." in text
 
 
-def test_residuals_say_what_each_model_explains(report):
-    text = report["markdown"].read_text(encoding="utf-8")
-    assert re.search(
-        r"catalogue physics leaves .*motor_speed \(error [\d.]+ times the noise, follows motor_speed", text
-    )
-    assert "hold last sample explains" not in text
+def test_residuals_say_what_each_model_explains(data):
+    rows = {r["model"]["value"]: r for r in data["tables"]["explained"]["rows"]}
+    assert rows["identified physics"]["motor_speed"]["shown"] == "only noise"
+    assert re.fullmatch(r"[\d.]+ × noise, follows motor_speed", rows["catalogue physics"]["motor_speed"]["shown"])
+    assert rows["network"]["pressure_cap"]["shown"] == "–"
+    assert "hold last sample" not in rows
 
 
 def test_provenance_names_hashes_versions_command_and_date(data):
@@ -174,6 +174,14 @@ def test_a_comparison_where_everything_failed_is_still_a_report(tmp_path):
     data = json.loads(paths["json"].read_text(encoding="utf-8"))
     assert data["answer"].startswith("No model could be scored")
     assert data["failures"][0]["sentence"].endswith("Try a smaller step.")
+
+
+def test_a_model_that_is_told_more_than_the_others_is_named(tmp_path):
+    informed = Toy("informed", gain=121.0)
+    informed.inputs = (COMMAND, SPEED)
+    paths = write_report(compare([Toy("command only"), informed], [recording(1)]), tmp_path)
+    facts = json.loads(paths["json"].read_text(encoding="utf-8"))["facts"]
+    assert "Not all models see the same inputs: informed is given motor_speed as well." in facts
 
 
 def test_a_single_model_and_recording_needs_no_rival(tmp_path):

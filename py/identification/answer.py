@@ -36,7 +36,7 @@ def answer(
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged, noise)
     findings = [
-        *identifiability(flat, free, known.information, _unrecorded(task, rows), at_bound),
+        *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *bounds_reached(free.names, values, free.lower, free.upper, free.units, at_bound),
         *findings,
     ]
@@ -114,13 +114,13 @@ def _with_results(task: Task, parameters: Sequence[FittedParameter]):
     )  # fmt: skip
 
 
-def _unrecorded(task: Task, rows) -> dict[str, np.ndarray]:
-    """Mean of dy dy^T over all samples for each output without a recording, y in units of its own size."""
+def _unrecorded(task: Task, rows, slope: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean of dy dy^T over all samples for each output without a recording, y in its nominal, p in q."""
     k, mean = len(task.free.names), {}
     for j, signal in enumerate(task.flat.outputs):
         if task.weights[j] > 0:
             continue
-        moved = [dy[:, j, :k] / abs(signal.nominal) for _, _, dy in rows]
+        moved = [dy[:, j, :k] * (slope / abs(signal.nominal)) for _, _, dy in rows]
         mean[signal.name] = sum(m.T @ m for m in moved) / sum(len(m) for m in moved)
     return mean
 

@@ -112,7 +112,7 @@ def horizons(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) ->
     longest = max(r.time[-1] - r.time[0] for r in recordings)
     period = float(np.median(np.concatenate([np.diff(r.time) for r in recordings])))
     outputs = max(np.isfinite(r.y).any(axis=0).sum() for r in recordings)
-    needed = period * (np.ceil(2 * len(flat.states) / outputs) + 4)
+    needed = period * (np.ceil(2 * len(flat.states) / outputs) + 8)
     frequency = fastest_oscillation(flat, recordings, p)
     shortest = max(needed, PERIODS / frequency if frequency else 0.0, 20 * period if not frequency else 0.0)
     lengths = []

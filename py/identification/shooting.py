@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -54,18 +55,18 @@ class StartStates:
         self.held = held
         self.whole = len(self.names) == len(order)
         self.free_index = free_index
-        self._nx = len(order)
+        self.size = len(order)
         if not self.whole:
             self._function = _start_with_jacobians(flat, self.names, free_index)
 
     def __call__(self, u0: np.ndarray, p: np.ndarray, z: np.ndarray):
         """x0 (nx,), dx0/dp of the free parameters (nx, np), dx0/dz (nx, nz)."""
         if self.whole:
-            x0 = np.empty(self._nx)
+            x0 = np.empty(self.size)
             x0[self.columns] = z
-            return x0, np.zeros((self._nx, len(self.free_index))), np.eye(self._nx)[:, self.columns]
+            return x0, np.zeros((self.size, len(self.free_index))), np.eye(self.size)[:, self.columns]
         x0, by_p, by_z = (np.array(m) for m in self._function(u0, p, z))
-        return x0.ravel(), by_p, by_z.reshape(self._nx, -1)
+        return x0.ravel(), by_p, by_z.reshape(self.size, -1)
 
 
 def _start_with_jacobians(flat: FlatModel, names: Sequence[str], free_index: np.ndarray) -> ca.Function:
@@ -116,57 +117,33 @@ class Shooting:
 
     def linearise(self, q: np.ndarray, z: np.ndarray) -> Linearisation:
         """Cost, gradient and Gauss-Newton Hessian at parameters q (np,) and start states z (segments, nz)."""
-        rows = self._over_segments(lambda i: self._expand(i, q, z[i]))
+        at = self._point(q)
+        rows = self._over_segments(lambda i: self._expand(i, at, z[i]))
         costs, diverged, gradient, hessian = (np.array(c) for c in zip(*rows, strict=True))
         return Linearisation(float(costs.sum()), costs, diverged, gradient, hessian)
 
     def cost(self, q: np.ndarray, z: np.ndarray) -> float:
         """Cost alone."""
-        return float(sum(self._over_segments(lambda i: self._cost(i, q, z[i]))))
+        at = self._point(q)
+        return float(sum(self._over_segments(lambda i: self._cost(i, at, z[i]))))
 
     def residuals(self, i: int, q: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Weighted residuals (samples, ny) of segment i, nan where nothing was measured; None when it diverged."""
-        segment, time, u, p = self._inputs(i, q)
-        x0, _, _ = self.start(u[0], p, z * self.start.nominal)
-        y = self._run(time, u, p, x0)
-        return None if y is None else self._weighted(segment, y)
+        return self._residuals(i, self._point(q), z)
 
     def sensitivities(self, i: int, q: np.ndarray, z: np.ndarray):
-        """Weighted residuals (m,), d/dq and d/dz (m, k) over the measured samples; dy of every output (n, ny, k).
+        """Weighted residuals (m,) and d/dq, d/dz (m, k) of measured samples; dy/dp, dy/dz of all outputs (n, ny, k).
 
         None when the segment diverged.
         """
-        segment, time, u, p = self._inputs(i, q)
-        x0, by_p, by_z = self.start(u[0], p, z * self.start.nominal)
-        seeds = np.zeros((len(x0), len(self.free.names) + self.propagator_states))
-        seeds[:, : len(self.free.names)] = by_p
-        if not self.start.held:
-            seeds[:, len(self.free.names) : len(self.free.names) + self.locals] = by_z
-        try:
-            y, dy, _, _ = self.propagator.sensitivity(time, u, p, x0, seeds)
-        except SolveError:
-            return None
-        k = len(self.free.names) + self.locals
-        scale = np.concatenate([self.free.slope(q), self.start.nominal[: self.locals]])
-        dy = dy[:, :, :k] * scale
-        r = self._weighted(segment, y)
-        here = np.isfinite(r)
-        if not np.isfinite(y).all() or not np.isfinite(dy).all():
-            return None
-        rows = (dy[segment.first - segment.begin :] * self.weights[:, None])[here]
-        return r[here], rows, dy
-
-    @property
-    def propagator_states(self) -> int:
-        """Columns the propagator keeps for start states: all of them, whether free here or not."""
-        return len(self.propagator.free_states)
+        return self._sensitivities(i, self._point(q), z)
 
     def trajectories(self, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
         """State trajectories (n, nx) of every recording, put together from its segments; nan where one diverged."""
-        nx = len(self.start.nominal) if self.start.whole else self.start._nx
-        states = [np.full((len(r.time), nx), np.nan) for r in self.recordings]
+        nx = self.start.size
+        states, p = [np.full((len(r.time), nx), np.nan) for r in self.recordings], self.free.vector(q)
         for i, segment in enumerate(self.segments):
-            _, time, u, p = self._inputs(i, q)
+            time, u = self._inputs(segment)
             x0, _, _ = self.start(u[0], p, z[i] * self.start.nominal)
             try:
                 _, x = self.propagator.run(time, u, p, x0)
@@ -175,44 +152,72 @@ class Shooting:
             states[segment.recording][segment.first : segment.last] = x[segment.first - segment.begin :]
         return states
 
-    def with_loss(self, loss: Loss) -> Shooting:
-        """The same segments under another loss."""
-        return replace(self, loss=loss)
+    def _point(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The whole parameter vector and the scale of each derivative column, once for all segments."""
+        return self.free.vector(q), np.concatenate([self.free.slope(q), self.start.nominal[: self.locals]])
 
-    def _inputs(self, i: int, q: np.ndarray):
-        segment = self.segments[i]
+    def _inputs(self, segment: Segment) -> tuple[np.ndarray, np.ndarray]:
         recording = self.recordings[segment.recording]
-        part = slice(segment.begin, segment.last)
-        return segment, recording.time[part], recording.u[part], self.free.vector(q)
+        return recording.time[segment.begin : segment.last], recording.u[segment.begin : segment.last]
 
-    def _run(self, time, u, p, x0):
+    def _residuals(self, i: int, at, z: np.ndarray) -> np.ndarray | None:
+        time, u = self._inputs(self.segments[i])
+        x0, _, _ = self.start(u[0], at[0], z * self.start.nominal)
         try:
-            y, _ = self.propagator.run(time, u, p, x0)
+            y, _ = self.propagator.run(time, u, at[0], x0)
         except SolveError:
             return None
-        return y if np.isfinite(y).all() else None
+        return self._weighted(i, y)
 
-    def _weighted(self, segment: Segment, y: np.ndarray) -> np.ndarray:
+    def _sensitivities(self, i: int, at, z: np.ndarray):
+        p, scale = at
+        time, u = self._inputs(self.segments[i])
+        x0, by_p, by_z = self.start(u[0], p, z * self.start.nominal)
+        shared = len(self.free.names)
+        seeds = np.zeros((len(x0), shared + len(self.propagator.free_states)))
+        seeds[:, :shared] = by_p
+        seeds[:, shared : shared + self.locals] = by_z[:, : self.locals]
+        try:
+            y, dy, _, _ = self.propagator.sensitivity(time, u, p, x0, seeds, with_states=False)
+        except SolveError:
+            return None
+        dy = dy[:, :, : len(scale)]
+        if not np.isfinite(dy.sum()):
+            return None
+        r, here = self._weighted(i, y), self._measured[i]
+        rows = (dy[-len(r) :] * (self.weights[:, None] * scale))[here]
+        return r[here], rows, dy
+
+    def _weighted(self, i: int, y: np.ndarray) -> np.ndarray:
+        segment = self.segments[i]
         measured = self.recordings[segment.recording].y[segment.first : segment.last]
         return (y[segment.first - segment.begin :] - measured) * self.weights
 
-    def _limit(self, i: int) -> float:
-        segment = self.segments[i]
-        measured = self.recordings[segment.recording].y
-        spread = np.nan_to_num(np.nanvar(np.where(self.weights > 0, measured, 0.0), axis=0))
-        samples = segment.last - segment.first
-        return float(DIVERGED * 0.5 * samples * (spread * self.weights**2 + (self.weights > 0)).sum())
+    @cached_property
+    def _measured(self) -> list[np.ndarray]:
+        """Per segment, where an output was measured (samples, ny)."""
+        seen = [np.isfinite(r.y) & (self.weights > 0) for r in self.recordings]
+        return [seen[s.recording][s.first : s.last] for s in self.segments]
 
-    def _cost(self, i: int, q: np.ndarray, z: np.ndarray) -> float:
-        r, limit = self.residuals(i, q, z), self._limit(i)
+    @cached_property
+    def _limits(self) -> list[float]:
+        """Per segment, the cost beyond which it counts as diverged."""
+        spread = []
+        for recording in self.recordings:
+            seen = np.where(np.isfinite(recording.y) & (self.weights > 0), recording.y * self.weights, 0.0)
+            spread.append(float((seen.var(axis=0) + 1.0).sum()))
+        return [DIVERGED * 0.5 * (s.last - s.first) * spread[s.recording] for s in self.segments]
+
+    def _cost(self, i: int, at, z: np.ndarray) -> float:
+        r = self._residuals(i, at, z)
         if r is None:
-            return limit
-        cost = self.loss.cost(r[np.isfinite(r)]) + self._prior(i, z)[0]
-        return cost if cost < limit else limit
+            return self._limits[i]
+        cost = self.loss.cost(r[self._measured[i]]) + self._prior(i, z)[0]
+        return min(cost, self._limits[i]) if np.isfinite(cost) else self._limits[i]
 
-    def _expand(self, i: int, q: np.ndarray, z: np.ndarray):
-        k, limit = len(self.free.names) + self.locals, self._limit(i)
-        found = self.sensitivities(i, q, z)
+    def _expand(self, i: int, at, z: np.ndarray):
+        k, limit = len(at[1]), self._limits[i]
+        found = self._sensitivities(i, at, z)
         prior, by_z, curvature = self._prior(i, z)
         cost = np.inf if found is None else self.loss.cost(found[0]) + prior
         if not cost < limit:
@@ -225,9 +230,13 @@ class Shooting:
         return cost, False, gradient, hessian
 
     def _prior(self, i: int, z: np.ndarray):
-        weight = np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
+        weight = self._prior_weight
         away = z - self.centre[i]
         return 0.5 * float(weight @ away**2), (weight * away), weight
+
+    @cached_property
+    def _prior_weight(self) -> np.ndarray:
+        return np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:
         order = range(len(self.segments))

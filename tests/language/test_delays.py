@@ -130,3 +130,13 @@ def test_a_dead_time_in_metres_is_refused():
 
     with pytest.raises(Exception, match=r"dead_time.*s"):
         Model(Plant(valve=Wrong())).flat  # noqa: B018
+
+
+def test_a_dead_time_bound_to_another_parameter_names_the_one_that_can_be_changed():
+    class Bound(Plant):
+        transport = Parameter(0.03, "s")
+        valve = Valve(dead_time=lambda plant: plant.transport)
+
+    flat = Model(Bound()).flat
+    assert flat.inputs[0].dead_time == "transport"
+    assert "valve.dead_time" not in [p.name for p in flat.parameters]

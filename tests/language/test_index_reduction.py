@@ -178,3 +178,8 @@ def test_two_masses_bolted_together_are_refused_and_both_are_named():
     message = str(refusal.value)
     assert "singular" in message and "left" in message and "right" in message
     assert "merge the masses, or add a stiffness" in message
+
+
+def test_a_crank_at_its_dead_centre_is_solved_without_dividing_by_its_lever():
+    dead_centre = np.pi / 2  # there the load's speed vanishes and only the crank's inertia is left
+    assert rates(Model(CrankedMass()), [dead_centre, 1.7], [4.0])[1] == pytest.approx(4.0 / 1.5, rel=1e-12)

@@ -195,3 +195,20 @@ def test_a_start_may_follow_the_start_of_another_state():
 def test_an_unknown_given_state_asks_for_the_nearest():
     with pytest.raises(DeclarationError, match=r"no state 'angel'\. Did you mean 'angle'\?"):
         Model(Pendulum()).flat.start_given(("angel",))
+
+
+def test_a_fixed_start_may_follow_one_that_equilibrium_finds():
+    class Tied(Component):
+        seconds = Parameter(1.0, "s")
+        level = State(0.0, "1", fixed=False)
+        twin = State(lambda c: 2 * c.level, "1")
+
+        def equations(self):
+            yield self.seconds * der(self.level) == 6 - self.level - self.twin
+            yield self.seconds * der(self.twin) == -self.twin
+
+        def initial_equations(self):
+            yield der(self.level) == 0
+
+    assert start(Model(Tied())) == pytest.approx([2.0, 4.0])
+    assert start(Model(Tied()), (), {"twin": 1.0}) == pytest.approx([5.0, 1.0])

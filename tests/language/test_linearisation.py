@@ -16,6 +16,7 @@ from hydrotwin.models.language import (
     Parameter,
     SolveError,
     State,
+    delay,
     der,
 )
 from hydrotwin.models.language.linearisation import linearise, modes, operating_point
@@ -169,3 +170,16 @@ def test_the_linear_model_follows_the_nonlinear_one_for_a_small_push():
     x0, step = np.array(list(point.states.values())), np.array([1e-5, -2e-5])
     exact = np.array(flat.ode(0, x0 + step, [5.0 + 1e-5], p)[0]).ravel()
     assert system.A @ step + system.B.ravel() * 1e-5 == pytest.approx(exact, abs=1e-9)
+
+
+def test_a_dead_time_that_passes_straight_to_an_output_turns_its_phase_only():
+    class Wire(Component):
+        u = Input("1")
+        y = Output("1")
+        dead_time = Parameter(0.02, "s")
+
+        def equations(self):
+            yield self.y == 3 * delay(self.u, self.dead_time)
+
+    response = Model(Wire()).linearize()(40j)
+    assert response == pytest.approx(3 * np.exp(-0.8j), rel=1e-4)

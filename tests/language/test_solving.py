@@ -185,3 +185,20 @@ def test_a_better_start_value_finds_the_other_root():
 
     assert observed(Model(Square()), ["z"], []) == pytest.approx([2.0])
     assert observed(Model(Negative()), ["z"], []) == pytest.approx([-2.0])
+
+
+def test_a_lever_that_vanishes_is_not_divided_by():
+    class Lever(Component):
+        q = State(0.0, "1")
+        seconds = Parameter(1.0, "s")
+        a = Output("1")
+        b = Output("1")
+
+        def equations(self):
+            yield self.seconds * der(self.q) == 0
+            yield self.q * self.a + self.b == 1
+            yield self.a + 2 * self.b == 3
+
+    assert observed(Model(Lever()), ["a", "b"], [0.0]) == pytest.approx([1.0, 1.0])
+    expected = np.linalg.solve([[0.3, 1], [1, 2]], [1, 3])
+    assert observed(Model(Lever()), ["a", "b"], [0.3]) == pytest.approx(expected, rel=1e-13)

@@ -12,6 +12,7 @@ from hydrotwin.records import Record, read_record
 
 from .comparison import MODES, Comparison
 from .contender import Contender, HoldLast, as_contender
+from .loop import Loop, in_loop, read_loop
 from .run import compare
 
 HOLD_LAST = "hold_last"
@@ -31,7 +32,8 @@ class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
     ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading (see
-    `read_record`), ``base`` the folder that relative paths start from.
+    `read_record`), ``base`` the folder that relative paths start from. With ``loop`` every model runs under the same
+    controller and follows the recorded reference.
     """
 
     title: str
@@ -43,6 +45,7 @@ class Scenario:
     rates: tuple[str, ...] = ()
     scale: Mapping[str, str] = field(default_factory=dict)
     base: Path = Path(".")
+    loop: Loop | None = None
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -59,6 +62,15 @@ def read_scenario(path: str | Path) -> Scenario:
         rates = ["arm_angle"]                     # score its slope as well
         scale = {command = "0.05 V/%"}
 
+        [loop]                                    # closed loop: see `Loop`
+        reference = "reference"
+        measured = "arm_angle"
+        command = "command"
+        period = 0.01
+        numerator = [20.0]
+        denominator = [1.0]
+        limits = [-5, 5]
+
     The model ``hold_last`` is the yardstick that repeats the last sample.
 
     Raises DataError for a file that is missing or no TOML, DeclarationError for keys and modes that do not exist.
@@ -66,7 +78,7 @@ def read_scenario(path: str | Path) -> Scenario:
     path = Path(path)
     table = _read_toml(path)
     where = path.name
-    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale"), where)
+    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale", "loop"), where)
     for key in ("models", "validate"):
         if not table.get(key):
             raise DeclarationError(f"{where}: no '{key}'. A scenario lists at least one. Add {key} = [...].")
@@ -84,6 +96,7 @@ def read_scenario(path: str | Path) -> Scenario:
         rates=_strings(table, "rates", where),
         scale=_scale(table, where),
         base=path.parent,
+        loop=read_loop(table["loop"], where) if "loop" in table else None,
     )
 
 
@@ -117,7 +130,9 @@ def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> lis
     contenders: list[Contender] = []
     for entry in scenario.models:
         if entry.model != HOLD_LAST:
-            contenders.append(as_contender(resolve(entry.model), entry.name))
+            thing = resolve(entry.model)
+            named = in_loop(thing, scenario.loop, entry.name) if scenario.loop else as_contender(thing, entry.name)
+            contenders.append(named)
     for k, entry in enumerate(scenario.models):
         if entry.model == HOLD_LAST:
             outputs = {s.name: s for c in contenders for s in c.outputs}

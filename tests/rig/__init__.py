@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from . import commands
+from .closed_loop import record_closed_loop
 from .effects import EFFECTS
 from .excitation import clean_recordings, drive
 from .files import file_units, read_csv, write_csv
@@ -20,6 +21,7 @@ __all__ = [
     "friction_test",
     "read_csv",
     "record",
+    "record_closed_loop",
     "sensor_noise",
     "write_csv",
 ]

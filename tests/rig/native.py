@@ -75,12 +75,13 @@ def run(machine, times, values, slopes, fields, start, outputs, step, hold_after
 
     On ``[times[i], times[i+1])`` the input is ``values[i] + slopes[i] (t - times[i])``.
 
-    Args: times, values, slopes (n,); fields: mapping of every C field; start: state, SI; step: longest step [s].
+    Args: times, values, slopes (n,); fields: mapping of every C field; start: state, SI (a full state vector is carried
+    on in place); step: longest step [s].
     Returns: outputs at the breakpoints, (n, outputs).
     Raises: RuntimeError when an output is not finite or an oil volume is gone, with the time.
     """
     parameters = np.array([fields[name] for name in field_names(machine)], dtype=float)
-    state = np.zeros(STATES)
+    state = start if isinstance(start, np.ndarray) and len(start) == STATES else np.zeros(STATES)
     state[: len(start)] = start
     answer = np.empty((len(times), outputs))
     arrays = [np.ascontiguousarray(a, dtype=float) for a in (times, values, slopes)]

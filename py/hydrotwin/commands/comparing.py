@@ -81,15 +81,17 @@ def compare(
         print_comparison(comparison)
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if not comparison.scores:
-        raise SolveError(f"compare: no model could be scored. {comparison.failures[0].reason}")
+        raise SolveError(f"compare: no model could be scored. {comparison.failures[0].sentence}")
 
 
 def entry(text: str):
-    """``NAME=MODEL`` or ``MODEL``."""
+    """``NAME=MODEL`` or ``MODEL``; a file without a name of its own goes by its file name."""
     from hydrotwin.comparison import ModelEntry
 
     name, equals, model = text.partition("=")
-    return ModelEntry(model, name) if equals else ModelEntry(text)
+    if equals:
+        return ModelEntry(model, name)
+    return ModelEntry(text, Path(text).name if text.endswith((".toml", ".fmu")) else None)
 
 
 def print_comparison(comparison) -> None:
@@ -105,4 +107,4 @@ def print_comparison(comparison) -> None:
                 table(f"{signal.name}, {mode}", ["model", "RMSE", "MAE (Eq. 18)", "maximum", "fit %", "unit"], rows)
                 out.print()
     for failure in comparison.failures:
-        out.print(f"[yellow]failed[/] {failure.model} on {failure.record}, {failure.mode}: {failure.reason}")
+        out.print(f"[yellow]failed[/] {failure.model} on {failure.record}, {failure.mode}: {failure.sentence}")

@@ -1,0 +1,79 @@
+"""Models under a controller: the loop is a block, and behaves as the rig under the same controller."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import control
+import numpy as np
+import pytest
+
+import hydrotwin
+from hydrotwin.comparison import read_scenario, run_scenario
+from hydrotwin.comparison.loop import Loop, in_loop, read_loop
+from hydrotwin.models.language.errors import DeclarationError, TopologyError
+from hydrotwin.simulation import lower
+from hydrotwin.simulation.closed_loop import close_loop
+from hydrotwin.simulation.control_system import from_control
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "closed_loop"
+PERIOD = 0.01
+GAIN = Loop("reference", "arm_angle", "command", PERIOD, (40.0,), (1.0,), (-5.0, 5.0))
+
+
+def steps(values, columns=("reference",)):
+    time = np.arange(len(values)) * PERIOD
+    signals = {name: np.asarray(values, float) for name in columns}
+    return hydrotwin.Record(time, signals, dict.fromkeys(columns, "rad"), "steps")
+
+
+def test_the_shipped_scenario_agrees_with_the_rig_up_to_the_noise_of_the_sensor():
+    comparison = run_scenario(read_scenario(EXAMPLE / "scenario.toml"), hydrotwin.load, repeats=1)
+    assert not comparison.failures
+    scores = {(s.model, s.output): s for s in comparison.scores}
+    assert scores["cehA", "arm_angle"].rmse < 1.1e-4  # the rig's sensor noise is 1e-4 rad
+    assert scores["cehA", "command"].rmse < 0.01  # V of 5, in spite of the leak that the model lacks
+
+
+def test_a_proportional_loop_reaches_its_reference_without_remaining_error():
+    record = steps(np.where(np.arange(600) < 50, 0.1, 0.3))
+    record = record.with_signals({"arm_angle": np.full(600, 0.1)}, units={"arm_angle": "rad"})
+    run = in_loop(hydrotwin.load("cehA"), GAIN).free_run(record)
+    assert run["arm_angle"][-1] == pytest.approx(0.3, abs=1e-4)
+    assert run["command"].max() == pytest.approx(5.0)  # 40 V/rad times 0.2 rad saturates
+
+
+def test_the_loop_equals_controller_and_machine_stepped_by_hand():
+    plant = lower(hydrotwin.load("cehA"), PERIOD)
+    loop = in_loop(hydrotwin.load("cehA"), GAIN).block
+    x = np.array(plant.start([0.0], [0.1] + [np.nan] * 5, plant.parameter_vector())).ravel()
+    x_loop = np.array(loop.start([0.2], [0.1] + [np.nan] * 6, loop.parameter_vector())).ravel()
+    p = plant.parameter_vector()
+    for _ in range(50):
+        angle = float(plant.step(x, [0.0], p)[1][0])
+        x, y = plant.step(x, [np.clip(40 * (0.2 - angle), -5, 5)], p)
+        x_loop, y_loop = loop.step(x_loop, [0.2], p)
+        np.testing.assert_allclose(np.array(y_loop).ravel()[:6], np.array(y).ravel(), rtol=1e-12)
+
+
+def test_an_output_that_depends_on_the_command_at_once_is_an_algebraic_loop():
+    static = control.ss([[0.0]], [[1.0]], [[0.0]], [[2.0]], PERIOD, inputs=["u"], outputs=["y"], name="static")
+    gain = control.ss([[0.0]], [[0.0]], [[0.0]], [[1.0]], PERIOD, inputs=["e"], outputs=["c"], name="gain")
+    with pytest.raises(TopologyError, match="algebraic loop"):
+        close_loop(from_control(static), from_control(gain), feedback={"e": "y"}, command={"u": "c"})
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"measured": "arm_angel"}, "Did you mean 'arm_angle'"),
+        ({"command": "voltage"}, "no input 'voltage'"),
+        ({"gain": 3}, "unknown key 'gain'"),
+        ({"period": "fast"}, "no number"),
+    ],
+)
+def test_a_wrong_loop_says_what_is_wrong(change, sentence):
+    table = {"reference": "reference", "measured": "arm_angle", "command": "command", "period": PERIOD,
+             "numerator": [40.0], "denominator": [1.0]} | change  # fmt: skip
+    with pytest.raises(DeclarationError, match=sentence):
+        in_loop(hydrotwin.load("cehA"), read_loop(table, "scenario.toml"))

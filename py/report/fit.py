@@ -89,7 +89,7 @@ def parameter_table(rows: Sequence[ParameterRow], id: str = "parameters") -> Tab
 
 
 def interval_figure(rows: Sequence[ParameterRow], id: str = "intervals") -> Figure:
-    """Value and 95 % interval of each parameter over its start, on a logarithmic axis when all of it is positive."""
+    """Value and 95 % interval of each parameter over its start, on a logarithmic axis when it spans much."""
     rows = rows[::-1]
     scale = [r.start or 1.0 for r in rows]
     ratio = [r.value / s for r, s in zip(rows, scale, strict=True)]
@@ -105,8 +105,11 @@ def interval_figure(rows: Sequence[ParameterRow], id: str = "intervals") -> Figu
     trace["hovertemplate"] = "%{y}: %{x:.4g} ± %{error_x.array:.2g} of its start<extra></extra>"
     plan = layout("value over start, with 95 % interval", [""], height=140 + 34 * len(rows))
     plan |= {"hovermode": "closest", "margin": {"l": 20, "r": 44, "t": 16, "b": 46}}
-    if all(v - w > 0.0 for v, w in zip(ratio, reach, strict=True)):
-        plan["xaxis"] |= {"type": "log", "dtick": "D2"}
+    low = min((v - w for v, w in zip(ratio, reach, strict=True)), default=1.0)
+    high = max((v + w for v, w in zip(ratio, reach, strict=True)), default=1.0)
+    if low > 0.0 and high > 4.0 * low:
+        ticks = [m * 10.0**k for k in range(-9, 10) for m in (1, 2, 5) if low / 2 < m * 10.0**k < 2 * high]
+        plan["xaxis"] |= {"type": "log", "tickvals": ticks, "ticktext": [f"{t:g}" for t in ticks]}
     plan["shapes"] = [
         {"type": "line", "x0": 1, "x1": 1, "yref": "paper", "y0": 0, "y1": 1, "line": {"color": "#c3c9cf"}}
     ]

@@ -71,9 +71,9 @@ def write_page(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = {"html": folder / f"{stem}.html", "markdown": folder / f"{stem}.md", "json": folder / data_name}
-    _write(paths["html"], as_html(page))
-    _write(paths["markdown"], as_markdown(page))
-    _write(paths["json"], as_json(page))
+    write_whole(paths["html"], as_html(page))
+    write_whole(paths["markdown"], as_markdown(page))
+    write_whole(paths["json"], as_json(page))
     return paths
 
 
@@ -158,7 +158,7 @@ def _plotly() -> Markup:
     return Markup(get_plotlyjs())
 
 
-def _write(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
     """Write beside, then rename: a failed write leaves the old file whole."""
     handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:

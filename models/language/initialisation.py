@@ -43,7 +43,7 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
         guesses = {i: _followed(name, known[symbols[i].element_hash()], known, "the guess of its start") for i in free}
         for i in free:
             del known[symbols[i].element_hash()]
-        known = {key: replace(value, known) for key, value in known.items()}
+        known = {key: _followed(name, value, known, "its start") for key, value in known.items()}
         if free:
             members = [
                 Unknown(f"start of {states[i].path}", symbols[i], states[i].declaration.nominal, guesses[i])

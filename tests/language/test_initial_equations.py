@@ -202,13 +202,15 @@ def test_a_fixed_start_may_follow_one_that_equilibrium_finds():
         seconds = Parameter(1.0, "s")
         level = State(0.0, "1", fixed=False)
         twin = State(lambda c: 2 * c.level, "1")
+        last = State(lambda c: 3 * c.twin, "1")
 
         def equations(self):
-            yield self.seconds * der(self.level) == 6 - self.level - self.twin
+            yield self.seconds * der(self.level) == 18 - self.level - self.twin - self.last
             yield self.seconds * der(self.twin) == -self.twin
+            yield self.seconds * der(self.last) == -self.last
 
         def initial_equations(self):
             yield der(self.level) == 0
 
-    assert start(Model(Tied())) == pytest.approx([2.0, 4.0])
-    assert start(Model(Tied()), (), {"twin": 1.0}) == pytest.approx([5.0, 1.0])
+    assert start(Model(Tied())) == pytest.approx([2.0, 4.0, 12.0])
+    assert start(Model(Tied()), (), {"twin": 1.0}) == pytest.approx([14.0, 1.0, 3.0])

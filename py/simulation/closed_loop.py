@@ -32,8 +32,8 @@ def close_loop(
         command: plant input -> controller output that sets it.
         limits: plant input -> (lower, upper), SI; the command saturates there.
 
-    Returns: a Block with the remaining inputs of the controller, then those of the plant; the outputs of the plant, then
-    the commands under the names of the plant's inputs.
+    Returns: a Block with the remaining inputs of the controller, then those of the plant; the outputs of the plant,
+    then the commands under the names of the plant's inputs.
 
     Raises:
         DeclarationError: a name that is not known, or different periods.
@@ -104,8 +104,8 @@ def _check(plant: Block, controller: Block, feedback, command) -> None:
                 raise DeclarationError(f"close_loop: {what} '{name}' is not known. {nearest(name, known)}")
     if not math.isclose(plant.period, controller.period, rel_tol=1e-9):
         raise DeclarationError(
-            f"close_loop: {plant.name} steps every {plant.period:g} s, {controller.name} every {controller.period:g} s. "
-            "Give both the same period."
+            f"close_loop: {plant.name} steps every {plant.period:g} s, {controller.name} every {controller.period:g} "
+            "s. Give both the same period."
         )
     through = plant.step.jac_sparsity(1, 1)  # of y with respect to u
     rows, columns = through.get_triplet()

@@ -1,8 +1,8 @@
 """Design a position controller for the C-EHA with python-control and try it on the rig.
 
-``python examples/cehA/closed_loop/design.py`` prints margins and bandwidth, and writes measured.csv beside this file:
-the truth rig (another simulator, with leaking piston and sensor noise) under the same controller. scenario.toml holds
-the controller's coefficients; ``hydrotwin compare examples/cehA/closed_loop/scenario.toml`` compares models in the loop.
+``python examples/cehA/closed_loop/design.py`` prints the margins and writes measured.csv beside this file: the truth
+rig (another simulator, with leaking piston and sensor noise) under the same controller. scenario.toml holds
+the coefficients; ``hydrotwin compare examples/cehA/closed_loop/scenario.toml`` compares models in the loop.
 """
 
 from __future__ import annotations

@@ -28,17 +28,23 @@ def register(app: typer.Typer) -> None:
     app.command(
         epilog=examples(
             "hydrotwin compare scenario.toml --out report",
-            "hydrotwin compare --model model.toml --model network.toml --model eq17 --validate validate_1.csv --out report",
+            "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report",
         )
     )(compare)
 
 
 def compare(
-    scenario: Annotated[Path | None, typer.Argument(metavar="[SCENARIO.toml]", help="models, recordings, modes")] = None,
+    scenario: Annotated[
+        Path | None, typer.Argument(metavar="[SCENARIO.toml]", help="models, recordings, modes")
+    ] = None,
     output: Annotated[Path, typer.Option("--out", metavar="DIR", help="folder of the report")] = Path("comparison"),
-    models: Annotated[list[str] | None, typer.Option("--model", metavar="MODEL", help="NAME=MODEL gives it a name")] = None,
+    models: Annotated[
+        list[str] | None, typer.Option("--model", metavar="MODEL", help="NAME=MODEL gives it a name")
+    ] = None,
     validate: ValidateOption = None,
-    train: Annotated[list[Path] | None, typer.Option("--train", metavar="REC", help="what the models were made from")] = None,
+    train: Annotated[
+        list[Path] | None, typer.Option("--train", metavar="REC", help="what the models were made from")
+    ] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to score")] = None,
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,

@@ -14,7 +14,7 @@ from hydrotwin.models.language.model_file import write_model_file
 
 from ..loading import load
 from .comparing import print_comparison
-from .fitting import fit_provenance, print_fit
+from .fitting import fit_provenance, print_fit, print_friction
 from .shared import check_writable, examples, out, progress_bar, read_all
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
@@ -28,8 +28,12 @@ def register(app: typer.Typer) -> None:
 
 
 def demo(
-    output: Annotated[Path, typer.Option("--out", metavar="DIR", help="where everything is written")] = Path("out/demo"),
-    machines: Annotated[list[str] | None, typer.Option("--machine", help="cehA or spool_valve; both by default")] = None,
+    output: Annotated[Path, typer.Option("--out", metavar="DIR", help="where everything is written")] = Path(
+        "out/demo"
+    ),
+    machines: Annotated[
+        list[str] | None, typer.Option("--machine", help="cehA or spool_valve; both by default")
+    ] = None,
     budget: Annotated[float, typer.Option(help="seconds for each network")] = 40.0,
 ) -> None:
     """Identify, learn, export, check, compare and report, on the recordings that ship with the project."""
@@ -47,14 +51,18 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
     from hydrotwin.comparison import BlockContender, PhysicalContender, as_contender, compare
     from hydrotwin.export import check_fmu, export_fmu, read_fmu
     from hydrotwin.identification import identify
+    from hydrotwin.identification.friction_test import friction_test
     from hydrotwin.learned import train_network, write_block
     from hydrotwin.report import write_report
+    from hydrotwin.report.friction import write_friction_test
 
     recordings = EXAMPLES / machine / "recordings"
     train = read_all(sorted(recordings.glob("train_*.csv")))
     validate = read_all(sorted(recordings.glob("validate_*.csv")))
     if not train or not validate:
-        raise DataError(f"{recordings}: the recordings are missing. Make them with examples/{machine}/make_recordings.py.")
+        raise DataError(
+            f"{recordings}: the recordings are missing. Make them with examples/{machine}/make_recordings.py."
+        )
     folder.mkdir(parents=True, exist_ok=True)
 
     out.rule(f"{machine}: identify")
@@ -62,6 +70,12 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
     fit = identify(model, train, validate=validate, progress=True)
     model_file = write_model_file(folder / "model.toml", machine, fit.flat, fit_provenance(fit, train, validate))
     print_fit(fit, model_file)
+
+    for test in sorted(recordings.glob("friction_test*.csv")):
+        out.rule(f"{machine}: friction test")
+        friction = friction_test(read_all([test]))
+        write_friction_test(friction, folder, recordings=[test.stem])
+        print_friction(friction)
 
     out.rule(f"{machine}: learn")
     column_in, column_out = LEARNED[machine]
@@ -75,7 +89,10 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
     out.print(f"network: {network.description}")
 
     out.rule(f"{machine}: export and check")
-    contenders = [PhysicalContender(model, f"{machine} as given"), PhysicalContender(load(str(model_file)), "identified")]
+    contenders = [
+        PhysicalContender(model, f"{machine} as given"),
+        PhysicalContender(load(str(model_file)), "identified"),
+    ]
     contenders.append(BlockContender(network, kind="network", name="network"))
     contenders += [as_contender(load(spec)) for spec in FORMULA.get(machine, [])]
     for name, thing in (("identified", load(str(model_file))), ("network", network)):
@@ -88,7 +105,9 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
         contenders.append(as_contender(read_fmu(path), f"{name}, as FMU"))
 
     out.rule(f"{machine}: compare")
-    comparison = compare(contenders, validate, train_records=train, title=f"{machine}: physical, learned and exported models")
+    comparison = compare(
+        contenders, validate, train_records=train, title=f"{machine}: physical, learned and exported models"
+    )
     paths = write_report(comparison, folder, fits=[fit])
     print_comparison(comparison)
     out.print(f"written: {', '.join(str(p) for p in paths.values())}")

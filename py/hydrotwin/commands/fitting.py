@@ -37,12 +37,13 @@ KINDS = ("nn",)
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
-    app.command(
-        epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_1.csv --out model.toml")
-    )(identify)
-    app.command(epilog=examples("hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml"))(
-        learn
+    app.command(epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_1.csv --out model.toml"))(
+        identify
     )
+    app.command(
+        epilog=examples("hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml")
+    )(learn)
+    app.command(epilog=examples("hydrotwin friction friction_test.csv --out friction"))(friction)
 
 
 def identify(
@@ -121,7 +122,15 @@ def print_fit(fit, path: Path) -> None:
     ]
     table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
     residuals = [
-        [r.record, r.role, r.output, float(r.rmse), float(r.noise), r.unit, "noise only" if r.explained else "more than noise"]
+        [
+            r.record,
+            r.role,
+            r.output,
+            float(r.rmse),
+            float(r.noise),
+            r.unit,
+            "noise only" if r.explained else "more than noise",
+        ]
         for r in fit.residuals
     ]
     out.print()
@@ -185,3 +194,41 @@ def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal
         if column not in columns:
             raise DeclarationError(f"learn: no column '{column}' in {records[0].name}. {nearest(column, columns)}")
     return list(inputs), list(outputs)
+
+
+def friction(
+    records: RecordsArgument,
+    velocity: Annotated[str, typer.Option(metavar="NAME", help="column of the velocity")] = "velocity",
+    force: Annotated[str, typer.Option(metavar="NAME", help="column of the force")] = "force",
+    output: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="write a page with the curve")] = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fit the Stribeck curve to a friction test at constant speeds (C-EHA paper, Fig. 7 and Table 1)."""
+    from hydrotwin.identification.friction_test import friction_test
+
+    if output:
+        check_writable(output)
+    read = read_all(records, scale)
+    fit = friction_test(read, velocity=velocity, force=force)
+    if output:
+        from hydrotwin.report.friction import write_friction_test
+
+        write_friction_test(fit, output, recordings=[r.name for r in read])
+    if as_json:
+        keys = ("name", "value", "sigma", "interval", "unit")
+        rows = [{key: getattr(c, key) for key in keys} for c in fit.coefficients]
+        print_json({"coefficients": rows, "rmse_n": fit.rmse, "findings": fit.findings})
+        return
+    print_friction(fit)
+    if output:
+        out.print(f"written: {output}/friction.html")
+
+
+def print_friction(fit) -> None:
+    """The coefficients for a reader."""
+    rows = [[c.name, float(c.value), f"{c.interval[0]:.4g} ... {c.interval[1]:.4g}", c.unit] for c in fit.coefficients]
+    title = f"Stribeck curve through {len(fit.velocity)} speeds, RMSE {fit.rmse:.3g} N"
+    table(title, ["coefficient", "value", f"{fit.confidence:.0%} interval", "unit"], rows)
+    for finding in fit.findings:
+        out.print(f"[yellow]note[/] {finding}")

@@ -16,7 +16,8 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record, read_record
 
 ModelArgument = Annotated[
-    str, typer.Argument(metavar="MODEL", help="cehA, spool_valve, a model file, a learned block, an .fmu, file.py:factory")
+    str,
+    typer.Argument(metavar="MODEL", help="cehA, spool_valve, a model file, a learned block, an .fmu, file.py:factory"),
 ]
 RecordsArgument = Annotated[list[Path], typer.Argument(metavar="REC...", help="recordings (CSV, Parquet, MAT, MDF)")]
 ValidateOption = Annotated[
@@ -66,8 +67,8 @@ def check_writable(path: Path) -> Path:
     return path
 
 
-def settings_from(changes: list[str] | None) -> dict[str, float]:
-    """``motor.gain=130`` pairs as a dictionary."""
+def settings_from(changes: list[str] | None, option: str) -> dict[str, float]:
+    """The ``motor.gain=130`` pairs of an option as a dictionary."""
     values = {}
     for change in changes or []:
         path, equals, number = change.partition("=")
@@ -76,7 +77,7 @@ def settings_from(changes: list[str] | None) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals:
-            raise DeclarationError(f"--set {change}: no 'path=number' (SI). Write for example motor.gain=130.")
+            raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
     return values
 
 
@@ -110,6 +111,4 @@ def _plain(value):
 
 def progress_bar() -> Progress:
     """A bar on standard error for anything over a second."""
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=err, transient=True
-    )
+    return Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=err, transient=True)

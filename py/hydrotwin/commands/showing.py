@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_whole
 from hydrotwin.records import write_record
 
@@ -33,7 +32,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command(epilog=examples("hydrotwin simulate cehA --input validate_1.csv --out simulated.csv"))(simulate)
     app.command(epilog=examples("hydrotwin modelica cehA --out cehA.mo"))(modelica)
-    app.command(epilog=examples("hydrotwin linearize cehA --at arm.angle=0.3 --bode bode.html"))(linearize)
+    app.command(epilog=examples("hydrotwin linearize cehA --at arm.angle=0.3 --out linear"))(linearize)
 
 
 def physical(spec: str, command: str):
@@ -47,8 +46,12 @@ def physical(spec: str, command: str):
 def simulate(
     model: ModelArgument,
     input: Annotated[Path, typer.Option("--input", metavar="REC", help="recording with the model's inputs")],
-    output: Annotated[Path | None, typer.Option("--out", metavar="REC", help="write the outputs (CSV, Parquet, MAT)")] = None,
-    changes: Annotated[list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--out", metavar="REC", help="write the outputs (CSV, Parquet, MAT)")
+    ] = None,
+    changes: Annotated[
+        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI")
+    ] = None,
     step: Annotated[float | None, typer.Option(help="integration step [s]")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     scale: ScaleOption = None,
@@ -63,7 +66,7 @@ def simulate(
     (record,) = read_all([input], scale)
     thing = load(model)
     if isinstance(thing, Block) or hasattr(thing, "flat"):
-        result = simulate(thing, record, parameters=settings_from(changes), step=step, method=method)
+        result = simulate(thing, record, parameters=settings_from(changes, "--set"), step=step, method=method)
     else:
         result = as_contender(thing).free_run(record)
     contender = as_contender(thing)
@@ -104,50 +107,48 @@ def modelica(
 def linearize(
     model: ModelArgument,
     at: Annotated[list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="input or state, SI")] = None,
-    output: Annotated[str | None, typer.Option("--output", metavar="NAME", help="output of the Bode figure")] = None,
-    bode: Annotated[Path | None, typer.Option("--bode", metavar="FILE.html", help="write the Bode figure")] = None,
+    steady: Annotated[bool, typer.Option("--steady", help="move the states not given until nothing changes")] = False,
+    output: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="write a page with the Bode figure")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Linearise a physical model: poles, damping, hydraulic natural frequency, Bode figure.
 
-    Where nothing is given, the model rests in the equilibrium of its start.
+    What is not given follows from the static equilibrium of the model's start.
     """
-    from hydrotwin.models.language.linearisation import linearise, modes
+    from hydrotwin.models.language.linearisation import linearise, modes, operating_point
 
+    if output:
+        check_writable(output)
     thing = physical(model, "linearize")
-    flat = thing.flat
-    point = settings_from(at)
-    names = [s.name for s in (*flat.inputs, *flat.states)]
-    for name in point:
-        if name not in names:
-            raise DeclarationError(f"{thing.name}: no input or state '{name}'. {nearest(name, names)}")
-    system = linearise(thing, at=point)
-    found = modes(thing, system)
-    if bode:
-        from hydrotwin.report.bode import write_bode
+    values = settings_from(at, "--at")
+    system, found = linearise(thing, values, steady=steady), modes(thing, values, steady=steady)
+    oil = found.hydraulic
+    if output:
+        from hydrotwin.report.linearisation import write_linearisation
 
-        write_bode(system, bode, title=thing.name, output=output)
-    answer = {
-        "model": thing.name,
-        "inputs": list(system.input_labels),
-        "outputs": list(system.output_labels),
-        "states": list(system.state_labels),
-        "A": np.asarray(system.A),
-        "B": np.asarray(system.B),
-        "C": np.asarray(system.C),
-        "D": np.asarray(system.D),
-        "hydraulic_frequency_hz": found.hydraulic_frequency,
-        "modes": [
-            {"pole": [m.pole.real, m.pole.imag], "frequency_hz": m.frequency, "damping": m.damping, "name": m.name}
-            for m in found.modes
-        ],
-    }
+        flat = thing.flat
+        units = {s.name: s.unit for s in (*flat.inputs, *flat.outputs, *flat.states)}
+        point = operating_point(thing, values, steady=steady)
+        write_linearisation(system, found, output, units=units, point={**point.inputs, **point.states})
     if as_json:
-        print_json(answer)
+        labels = {"inputs": system.input_labels, "outputs": system.output_labels, "states": system.state_labels}
+        rows = [
+            {"pole": [m.pole.real, m.pole.imag], "frequency_hz": m.frequency, "damping": m.damping,
+             "participation": dict(m.participation)}
+            for m in found.modes
+        ]  # fmt: skip
+        matrices = {name: getattr(system, name) for name in "ABCD"}
+        frequency = oil.frequency if oil else None
+        print_json({"model": thing.name, **labels, **matrices, "modes": rows, "hydraulic_frequency_hz": frequency})
         return
-    rows = [[f"{m.pole:.5g}", m.frequency, m.damping, m.name] for m in found.modes]
-    table(f"{thing.name}: poles", ["pole [rad/s]", "frequency [Hz]", "damping", "mostly"], rows)
-    if found.hydraulic_frequency:
-        out.print(f"hydraulic natural frequency: {found.hydraulic_frequency:.4g} Hz")
-    if bode:
-        out.print(f"written: {bode}")
+    rows = [
+        [f"{m.pole:.5g}", float(m.frequency), float(m.damping), max(m.participation, key=m.participation.get)]
+        for m in found.modes
+    ]
+    table(f"{thing.name}: modes", ["pole [rad/s]", "frequency [Hz]", "damping", "mostly"], rows)
+    if oil:
+        out.print(f"hydraulic natural frequency: {oil.frequency:.4g} Hz, damping ratio {oil.damping:.3g}")
+    if output:
+        out.print(f"written: {output}/linearisation.html")

@@ -1,0 +1,75 @@
+"""The page of a constant-speed friction test: the Stribeck curve through the points, as Fig. 7 of the C-EHA paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from .figure import MEASURED, PALETTE, Figure, layout, line
+from .format import number_text
+from .page import Note, Page, Section, write_page
+from .tables import Table, numbers, texts
+
+_MEANING = {
+    "kinetic": "kinetic friction F_k",
+    "static": "static friction F_s",
+    "viscous": "viscous friction F_v",
+    "stribeck_velocity": "Stribeck velocity",
+}
+
+
+def write_friction_test(fit, folder: str | Path, *, recordings: Sequence[str] = ()) -> dict[str, Path]:
+    """Write friction.html, .md and .json of a `FrictionFit`; the paths by "html", "markdown", "json"."""
+    page = Page(
+        title="Friction at constant speed",
+        eyebrow=f"{len(fit.velocity)} speeds · {', '.join(recordings)} · {datetime.now().astimezone():%d %B %Y}",
+        answer=f"The Stribeck curve meets the measured forces to {number_text(fit.rmse)} N.",
+        headline=coefficients(fit),
+        sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit)),
+        data={"values": fit.values, "rmse": fit.rmse, "velocity": fit.velocity, "force": fit.force},
+    )
+    return write_page(page, folder, stem="friction", data_name="friction.json")
+
+
+def _findings(fit) -> tuple[Section, ...]:
+    if not fit.findings:
+        return ()
+    return (Section("findings", "What the test cannot say", (Note(tuple(fit.findings)),)),)
+
+
+def coefficients(fit) -> Table:
+    """One row a coefficient of Eq. 8, with its interval."""
+    rows = fit.coefficients
+    return Table(
+        "coefficients",
+        "",
+        (
+            texts("name", "Coefficient", [_MEANING[c.name] for c in rows]),
+            numbers("value", "Value", [c.value for c in rows]),
+            numbers("lower", f"{fit.confidence:.0%} from", [c.interval[0] for c in rows]),
+            numbers("upper", "to", [c.interval[1] for c in rows]),
+            texts("unit", "Unit", [c.unit for c in rows]),
+        ),
+        note="F(v) = (F_k + (F_s - F_k) exp(-(v/v_s)²)) sign(v) + F_v v",
+    )
+
+
+def _figure(fit) -> Figure:
+    widest = np.abs(fit.velocity).max()
+    side = np.geomspace(1e-4 * widest, 1.05 * widest, 400)
+    v = np.concatenate([-side[::-1], side])
+    points = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": "measured",
+        "x": fit.velocity.tolist(),
+        "y": fit.force.tolist(),
+        "marker": {"color": MEASURED, "size": 7},
+        "hovertemplate": "%{y:.4g} N at %{x:.4g} m/s<extra></extra>",
+    }
+    curve = line(v, fit.curve(v), "Stribeck curve", PALETTE[0], points=len(v))
+    look = layout("velocity [m/s]", ["force [N]"]) | {"hovermode": "closest"}
+    return Figure("stribeck", "force", {"data": [curve, points], "layout": look})

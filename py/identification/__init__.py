@@ -1,6 +1,18 @@
 """Identification: the parameters of a physical model from recordings, how sure they are, what cannot be told."""
 
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
+from .friction_test import FrictionFit, fit_stribeck, friction_test, stribeck
 from .identify import identify
 
-__all__ = ["Finding", "Fit", "FittedParameter", "OutputResidual", "RecordFit", "identify"]
+__all__ = [
+    "Finding",
+    "Fit",
+    "FittedParameter",
+    "FrictionFit",
+    "OutputResidual",
+    "RecordFit",
+    "fit_stribeck",
+    "friction_test",
+    "identify",
+    "stribeck",
+]

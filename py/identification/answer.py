@@ -64,6 +64,18 @@ def answer(
     )
 
 
+def explains(task: Task, found: Minimum) -> bool:
+    """Nothing is left but noise on any output of any training recording."""
+    shooting, _ = whole_runs(task)
+    noise = 1 / np.where(task.weights > 0, task.weights, np.nan)
+    rows = [
+        row
+        for i, recording in enumerate(task.recordings)
+        for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train", noise)
+    ]
+    return found.converged and all(row.explained for row in rows)
+
+
 def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
     """On a bound, with the cost still falling beyond it."""
     lower, upper = free.scaled(free.lower), free.scaled(free.upper)

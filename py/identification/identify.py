@@ -13,7 +13,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, SolveE
 from hydrotwin.simulation import prepare
 
 from . import horizon
-from .answer import answer
+from .answer import answer, explains
 from .descent import Task, descend
 from .fit import Fit
 from .least_squares import Minimum
@@ -23,7 +23,7 @@ from .problem import free_parameters, recordings
 from .progress import reporting
 
 SPREAD = 0.35  # of the other starts, in ln p or relative to p
-CONSISTENT = 1.1  # chi-square per degree of freedom up to which a fit explains its recordings
+AGREEMENT = 1e-4  # of the cost: two starts that end so close have found the same minimum
 
 
 def identify(
@@ -102,7 +102,10 @@ def identify(
 
 
 def _best(task: Task, windows: Sequence[float] | None, starts: int, iterations: int) -> Minimum:
-    """The lowest minimum over the starts; the first that explains the recordings ends the search."""
+    """The lowest minimum over the starts.
+
+    The first that explains the recordings ends the search, and so do two that agree.
+    """
     best, stopped = None, None
     for q in _starts(task, starts):
         lengths = windows
@@ -113,9 +116,10 @@ def _best(task: Task, windows: Sequence[float] | None, starts: int, iterations: 
         except SolveError as error:
             stopped = stopped or error
             continue
+        agree = best is not None and abs(found.cost - best.cost) <= AGREEMENT * best.cost
         if best is None or found.cost < best.cost:
             best = found
-        if best.converged and 2 * best.cost <= CONSISTENT * _samples(task):
+        if agree or explains(task, best):
             break
     if best is None:
         raise stopped
@@ -131,10 +135,6 @@ def _starts(task: Task, starts: int):
         cube = qmc.Sobol(len(q0), seed=0).random_base2(int(np.ceil(np.log2(starts))))
         for point in cube[: starts - 1]:
             yield np.clip(q0 + SPREAD * (2 * point - 1), lower, upper)
-
-
-def _samples(task: Task) -> int:
-    return int(sum(np.isfinite(r.y[:, task.weights > 0]).sum() for r in task.recordings))
 
 
 def _processors() -> int:

@@ -79,7 +79,7 @@ def minimise(
         promise = step.promise(dq, dz)
         if promise <= absolute + relative * at.cost and damping <= 1e-2:
             return Minimum(q, z, at, number - 1, True, "converged")
-        trial_q, trial_z = np.clip(q + dq, lower, upper), shooting.clip(z + dz) if z.size else z
+        trial_q, trial_z = np.clip(q + dq, lower, upper), shooting.clip(z + dz) if shooting.locals else z
         trial = shooting.linearise(trial_q, trial_z) if descending else None
         gain = (at.cost - (trial.cost if trial else shooting.cost(trial_q, trial_z))) / max(promise, 1e-300)
         descending = gain > 1e-4

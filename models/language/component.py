@@ -21,6 +21,7 @@ class Component:
 
     Example
     -------
+    >>> from hydrotwin.models.language import Component, Flange, Parameter
     >>> class Spring(Component):
     ...     end = Flange("free end")
     ...     stiffness = Parameter(1e5, "N/m", "spring rate", bounds=(0, 1e12))

@@ -8,6 +8,7 @@ Source: Modelica Language Specification 3.6.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
@@ -61,10 +62,10 @@ def modelica_main(model: Model) -> str:
 def identifier(name: str) -> str:
     """A name as Modelica takes it.
 
-    >>> identifier("end"), identifier("rod_area")
-    ('end_', 'rod_area')
+    >>> identifier("end"), identifier("rod_area"), identifier("3rd bench-run")
+    ('end_', 'rod_area', '_3rd_bench_run')
     """
-    return f"{name}_" if name in WORDS else name
+    return f"{name}_" if name in WORDS else re.sub(r"\W|^(?=\d)", "_", name, flags=re.ASCII)
 
 
 def modelica_path(path: str) -> str:
@@ -128,10 +129,11 @@ class _PackageWriter:
         """Name of the class of a bound component, written the first time it is met."""
         body = self._body(component)
         kind = type(component).__name__
+        taken = {MAIN, "RealInput", "RealOutput", *(port.__name__ for port in Port.__subclasses__())}
         passive = all(line.startswith("parameter ") for line in body.declarations) and not body.equations
         text = body.text(_quoted(_sentence(component)))
         if (kind, text) not in self.bodies:
-            name = next(n for n in _names(kind) if n not in self.classes and n != MAIN)
+            name = next(n for n in _names(kind) if n not in self.classes and n not in taken)
             word = "record" if passive else "model"
             self.classes[name] = f"{word} {name}{text}\nend {name};"
             self.bodies[kind, text] = name

@@ -338,3 +338,16 @@ def test_a_flange_may_be_used_in_a_second_derivative():
     text = modelica_text(Model(Rig()))
     assert "mass*der(" in text
     assert largest_difference(Model(Rig()), PUSH, 0.3) < 1e-6
+
+
+def test_names_that_modelica_cannot_take_or_has_taken_are_changed():
+    class Main(Mass):
+        pass
+
+    class RealInput(Oscillator):
+        mass = Main()
+
+    model = Model(RealInput(), "3rd bench-run (left)")
+    assert modelica_main(model) == "_3rd_bench_run__left_.Main"
+    assert "model RealInput_2" in modelica_text(model) and "Main_2 mass;" in modelica_text(model)
+    assert largest_difference(model, PUSH, 0.2) < 1e-6

@@ -7,7 +7,7 @@ WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint bench fmus clean
+.PHONY: help demo test lint bench clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
@@ -37,9 +37,6 @@ lint: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/run.py
-
-fmus: $(VENV)/.run
-	$(BIN)/python fmus/build.py
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .import_linter_cache

@@ -23,6 +23,7 @@ class Score:
     """`Errors` of one model on one output of one recording, see there for the metrics.
 
     ``record`` is MEAN for the mean over the recordings; ``recordings`` counts those that went in.
+    ``noise`` is the white noise of the measurement by itself (see `noise_floor`; nan for means and slopes).
     ``relative`` is rmse over the smallest rmse of any model on the same recording, output and mode (1 = best).
     """
 
@@ -42,6 +43,12 @@ class Score:
     highest: float = float("nan")
     samples: int = 0
     recordings: int = 1
+    noise: float = float("nan")
+
+    @property
+    def too_good(self) -> bool:
+        """One step ahead, and closer to the measurement than its noise allows: it may have seen what it predicts."""
+        return self.mode == ONE_STEP and self.rmse < 0.7 * self.noise
 
 
 @dataclass(frozen=True)

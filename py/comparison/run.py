@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import Record, noise_floor
+from hydrotwin.records import NoiseFloor, Record, noise_floor
 
 from .comparison import (
     FREE_RUN,
@@ -63,8 +63,8 @@ def compare(
     _check(contenders, records, modes)
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
+    noise = {r.name: noise_floor(r) for r in records}
     records = [with_rates(r, sloped) for r in records]
-    noise = {r.name: {n: f.sigma for n, f in noise_floor(r).items()} for r in records}
     plan = _Plan(tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), repeats, noise)
     runs = [(c, r, m) for m in modes for c in contenders for r in records]
     found = _Findings([], [], {}, [], [], [])
@@ -103,7 +103,7 @@ class _Plan:
     sloped: tuple[Signal, ...]
     rates: tuple[Signal, ...]
     repeats: int
-    noise: Mapping[str, Mapping[str, float]]
+    noise: Mapping[str, Mapping[str, NoiseFloor]]
 
 
 @dataclasses.dataclass
@@ -151,10 +151,11 @@ def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan
             found.failures.append(Failure(contender.name, record.name, mode, f"{name}: {error}"))
             continue
         labels = (contender.name, record.name, name, mode)
-        found.scores.append(Score(*labels, unit=signal.unit, **dataclasses.asdict(errors)))
-        if mode == FREE_RUN and signal in plan.wanted:
-            noise = plan.noise[record.name][name]
-            found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=noise))
+        floor = plan.noise[record.name].get(name)
+        white = floor.white if floor else np.nan
+        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **dataclasses.asdict(errors)))
+        if mode == FREE_RUN and floor:
+            found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=floor.sigma))
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:

@@ -167,7 +167,7 @@ def _missing(comparison: Comparison, look) -> Section:
 
 
 def _notices(comparison: Comparison) -> tuple[str, ...]:
-    """What failed, each cause once, and holes in the recordings."""
+    """What failed, each cause once, what cannot be believed, and holes in the recordings."""
     causes: dict[tuple[str, str], dict[str, list[str]]] = {}
     for f in comparison.failures:
         modes = causes.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), {})
@@ -178,7 +178,21 @@ def _notices(comparison: Comparison) -> tuple[str, ...]:
         found.append(f"{model} failed {where}: {text}")
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
+    found += _too_good(comparison)
     return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])
+
+
+def _too_good(comparison: Comparison) -> list[str]:
+    """Models whose one-step error is below the noise of the sensor."""
+    outputs: dict[str, list[str]] = {}
+    for s in comparison.scores:
+        if s.too_good and s.output not in outputs.setdefault(s.model, []):
+            outputs[s.model].append(s.output)
+    return [
+        f"{model} is too good to be true one step ahead on {', '.join(names)}: its error is below the noise of the "
+        "measurement, so it may have seen the sample it predicts (or the noise estimate has taken vibration for noise)."
+        for model, names in outputs.items()
+    ]
 
 
 def _eyebrow(comparison: Comparison, date: datetime) -> str:

@@ -58,6 +58,19 @@ def test_one_step_ahead_a_drift_hardly_shows():
     assert step.rmse < 0.02 * free.rmse
 
 
+def test_a_model_that_has_seen_the_sample_it_predicts_is_too_good():
+    class Cheat(Toy):
+        def one_step(self, record):
+            half_way = {
+                n: 0.5 * (record[n] + super(Cheat, self).free_run(record)[n]) for n in ("arm_angle", "motor_speed")
+            }
+            return super().free_run(record).with_signals(half_way)
+
+    comparison = run([TRUE, Cheat("cheat")])
+    suspects = {(s.model, s.output) for s in comparison.scores if s.too_good}
+    assert suspects == {("cheat", "arm_angle"), ("cheat", "motor_speed")}
+
+
 def test_holding_the_last_sample_is_the_yardstick_of_one_step():
     comparison = run([HoldLast(OUTPUTS)])
     record = comparison.records[0]

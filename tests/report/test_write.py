@@ -184,6 +184,14 @@ def test_a_model_that_is_told_more_than_the_others_is_named(tmp_path):
     assert "Not all models see the same inputs: informed is given motor_speed as well." in facts
 
 
+def test_a_model_that_is_too_good_to_be_true_is_a_notice(tmp_path):
+    cheat = Toy("cheat")
+    cheat.one_step = lambda record: cheat._record(record, record.signals)
+    paths = write_report(compare([cheat], [recording(1)]), tmp_path)
+    (notice,) = json.loads(paths["json"].read_text(encoding="utf-8"))["notices"]
+    assert notice.startswith("cheat is too good to be true one step ahead on arm_angle, motor_speed, pressure_cap")
+
+
 def test_a_single_model_and_recording_needs_no_rival(tmp_path):
     paths = write_report(compare([Toy("only")], [recording(1)], modes=["free run"]), tmp_path)
     answer = json.loads(paths["json"].read_text(encoding="utf-8"))["answer"]

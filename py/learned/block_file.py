@@ -94,7 +94,10 @@ def assemble(
     Raises `DataError` when an array is missing, misshapen or not finite.
     """
     where = where or frame["name"]
-    expected = kind.shapes(structure, len(frame["inputs"]), len(frame["outputs"]))
+    try:
+        expected = kind.shapes(structure, len(frame["inputs"]), len(frame["outputs"]))
+    except TypeError:
+        raise DataError(f"{where}: not the counts of a {kind.name} (got {dict(structure)}). Train it again.") from None
     checked = {name: _checked_array(arrays, name, shape, where) for name, shape in expected.items()}
     step, start = kind.functions(checked, structure)
     _check_sizes(step, frame, where)
@@ -212,9 +215,9 @@ def _read_header(path: Path) -> dict:
 
 
 def _known_kind(header: Mapping, path: Path) -> LearnedKind:
-    name, version = header.get("kind"), header.get("version")
+    name, version = str(header.get("kind")), header.get("version")
     if name not in _KINDS:
-        raise DataError(f"{path}: unknown kind of learned block (got {name!r}). {nearest(str(name), _KINDS)}")
+        raise DataError(f"{path}: unknown kind of learned block (got {name!r}). {nearest(name, _KINDS)}")
     if version != _KINDS[name].version:
         raise DataError(
             f"{path}: written in version {version} of '{name}', this hydrotwin reads version {_KINDS[name].version}. "

@@ -78,12 +78,17 @@ class Stretches:
 
 @dataclass(frozen=True)
 class Scales:
-    """What the free run needs besides weights, per output: increment per output unit, and the bounds (normalised)."""
+    """What the free run needs besides weights, normalised.
+
+    Per output: increment per output unit, bounds of increment and output. Per feature: the range seen in training.
+    """
 
     increment: torch.Tensor
     limit: torch.Tensor
     lower: torch.Tensor
     upper: torch.Tensor
+    feature_lower: torch.Tensor
+    feature_upper: torch.Tensor
 
 
 class _OutOfTime(Exception):
@@ -143,12 +148,13 @@ def advance(parts: list[torch.Tensor], scales: Scales, y: torch.Tensor, d: torch
     """One period: next outputs and this period's increments (B, ny), and what the derivatives need."""
     W1, b1, W2, W, b = parts
     z = torch.cat([y, d, u], dim=1)
-    h = torch.tanh(z @ W1.T + b1)
+    seen = torch.clamp(z, scales.feature_lower, scales.feature_upper)
+    h = torch.tanh(seen @ W1.T + b1)
     free = h @ W2.T + z @ W.T + b
     o = torch.clamp(free, -scales.limit, scales.limit)
     y_free = y + scales.increment * o
     y_next = torch.clamp(y_free, scales.lower, scales.upper)
-    return y_next, o, (z, h, o == free, y_next == y_free)
+    return y_next, o, (z, seen, h, o == free, y_next == y_free)
 
 
 def free_run(weights: torch.Tensor, shape: NarxShape, scales: Scales, s: Stretches) -> torch.Tensor:
@@ -171,8 +177,8 @@ def normal_equations(weights: torch.Tensor, shape: NarxShape, scales: Scales, s:
     JJ, Je = torch.zeros(shape.size, shape.size, dtype=REAL), torch.zeros(shape.size, dtype=REAL)
     ee, count, rows, errors = 0.0, 0, [], []
     for k, u in enumerate(s.u):
-        y, o, (z, h, moving, inside) = advance(parts, scales, y, d, u)
-        So = _increment_derivatives(parts, z, h, S, fed_back) * moving.unsqueeze(2)
+        y, o, (z, seen, h, moving, inside) = advance(parts, scales, y, d, u)
+        So = _increment_derivatives(parts, z, seen, h, S) * moving.unsqueeze(2)
         Sy = (S[:, :ny] + scales.increment[:, None] * So) * inside.unsqueeze(2)
         if shape.output_lags:
             d = torch.cat([o, d[:, : fed_back - 2 * ny]], dim=1)
@@ -189,15 +195,15 @@ def normal_equations(weights: torch.Tensor, shape: NarxShape, scales: Scales, s:
     return JJ, Je, ee, count
 
 
-def _increment_derivatives(parts, z, h, S, fed_back: int) -> torch.Tensor:
+def _increment_derivatives(parts, z, seen, h, S) -> torch.Tensor:
     """d(increments)/d(weights) (B, ny, P), through the fed-back features (S) and directly."""
     W1, _, W2, W, _ = parts
-    ny = len(W2)
+    ny, fed_back = len(W2), S.shape[1]
     slope = W2 * (1.0 - h * h).unsqueeze(1)  # (B, ny, hidden)
     eye = torch.eye(ny, dtype=REAL)
     direct = torch.cat(
         [
-            (slope.unsqueeze(3) * z[:, None, None, :]).flatten(2),
+            (slope.unsqueeze(3) * seen[:, None, None, :]).flatten(2),
             slope,
             (eye[None, :, :, None] * h[:, None, None, :]).flatten(2),
             (eye[None, :, :, None] * z[:, None, None, :]).flatten(2),
@@ -205,7 +211,8 @@ def _increment_derivatives(parts, z, h, S, fed_back: int) -> torch.Tensor:
         ],
         dim=2,
     )
-    return torch.baddbmm(direct, slope @ W1[:, :fed_back] + W[:, :fed_back], S)
+    open_ = (seen == z)[:, None, :fed_back]
+    return torch.baddbmm(direct, (slope @ W1[:, :fed_back]) * open_ + W[:, :fed_back], S)
 
 
 def train(

@@ -1,11 +1,12 @@
 """The network's equations: a free-running NARX with integrating outputs, in CasADi; no training library needed.
 
     z[k]   = (y[k], d[k-1] ... d[k-n], u[k] ... u[k-m+1])          normalised
-    d[k]   = clip(W_out tanh(W_in z + b_in) + W_lin z + b_out)     increments, per period
+    d[k]   = clip(W_out tanh(W_in clip(z) + b_in) + W_lin z + b_out)     increments, per period
     y[k+1] = clip(y[k] + d[k])
 
 The increments are states of their own (velocity-like), so that putting a measured y[k] in place of the state gives a
-proper one-step prediction. Both clips lie outside everything seen in training: a free run stays bounded.
+proper one-step prediction. The inner clip is the range seen in training: beyond it the hidden layer keeps its edge
+value and the linear part alone goes on. The outer clips lie outside everything seen: a free run stays bounded.
 """
 
 from __future__ import annotations
@@ -84,6 +85,8 @@ def array_shapes(structure: Mapping[str, int], inputs: int, outputs: int) -> Sha
         "increment_limit": (outputs,),
         "output_lower": (outputs,),
         "output_upper": (outputs,),
+        "feature_lower": (shape.features,),
+        "feature_upper": (shape.features,),
     }
 
 
@@ -106,7 +109,8 @@ def network_functions(
     )
     d = ca.mtimes(a["linear_weights"], z) + a["output_bias"]
     if shape.hidden:
-        d += ca.mtimes(a["output_weights"], ca.tanh(ca.mtimes(a["hidden_weights"], z) + a["hidden_bias"]))
+        seen = ca.fmin(ca.fmax(z, a["feature_lower"]), a["feature_upper"])
+        d += ca.mtimes(a["output_weights"], ca.tanh(ca.mtimes(a["hidden_weights"], seen) + a["hidden_bias"]))
     d = ca.fmin(ca.fmax(d, -a["increment_limit"]), a["increment_limit"]) * a["increment_scale"]
     y_next = ca.fmin(ca.fmax(y + d, a["output_lower"]), a["output_upper"])
 

@@ -30,6 +30,8 @@ HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 DECAY_OF_NOISE = 0.03  # weight decay over the noise variance; found by trial on the two machines
 LEAST_DECAY = 1e-9
+LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
+MARGIN = 0.15  # of the range of an output: how far the hidden layer extrapolates
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
@@ -89,7 +91,10 @@ def train_network(
     data = _normalise(records, validate, inputs, outputs, period)
     shape = _shape(data, lags, hidden)
     _check_size(data, shape)
-    scales = _training_scales(training, data.arrays)
+    arrays = data.arrays | _feature_range(data, shape)
+    scales = _training_scales(training, arrays)
+    final = _stages(training, effort, (256, 16, 4, 1), (1300, 8, 8, 1), (None, 12, 8, 1))
+    longest = max(len(u) for u, _ in data.fit)
     trained = training.train(
         data.fit,
         data.held_out,
@@ -97,15 +102,14 @@ def train_network(
         scales,
         seeds=[seed + k for k in range(starts if hidden else 1)],
         trial=_stages(training, effort, (4, 16, 1, 5), (32, 16, 2, 5)),
-        final=_stages(training, effort, (256, 16, 4, 1), (1300, 8, 8, 1), (None, 12, 8, 1)),
+        final=[s for s in final if s.horizon is None or s.horizon < longest],
         decay=_decay(records, outputs, data.arrays),
         budget=budget,
         progress=progress,
     )
-    arrays = data.arrays | _weights(trained.weights, shape)
     block = assemble(
         NETWORK,
-        arrays,
+        arrays | _weights(trained.weights, shape),
         shape.structure(),
         name=name,
         inputs=inputs,
@@ -220,14 +224,14 @@ def _scales(u: np.ndarray, y: np.ndarray, runs: Sequence[np.ndarray]) -> dict[st
         "output_centre": y.mean(axis=0),
         "output_scale": np.where(y.std(axis=0) > 0, y.std(axis=0), 1.0),
         "increment_scale": increment,
-        "increment_limit": 2.0 * np.abs(steps).max(axis=0) / increment,
+        "increment_limit": LIMIT_OVER_SEEN * np.abs(steps).max(axis=0) / increment,
         "output_lower": y.min(axis=0) - room,
         "output_upper": y.max(axis=0) + room,
     }
 
 
 def _decay(records, outputs, arrays) -> float:
-    """Weight decay: a share of the noise variance of the cleanest output (over its spread), so that noise is not learnt."""
+    """Weight decay: a share of the noise variance of the cleanest output, so that noise is not learnt."""
     names = [s.name for s in outputs]
     floors = [noise_floor(r.select(names)) for r in records]
     noise = np.array([[f[name].sigma for name in names] for f in floors]) / arrays["output_scale"]
@@ -238,6 +242,18 @@ def _shape(data: _Normalised, lags, hidden: int) -> NarxShape:
     u, y = zip(*data.fit, strict=True)
     input_lags = lags[1] or choose_input_lags(u, y, lags[0])
     return NarxShape(u[0].shape[1], y[0].shape[1], int(lags[0]), int(input_lags), int(hidden))
+
+
+def _feature_range(data: _Normalised, shape: NarxShape) -> dict[str, np.ndarray]:
+    """The range of every feature over the training samples, that of the outputs widened by `MARGIN`; normalised."""
+    u, y = (np.concatenate(part) for part in zip(*data.fit, strict=True))
+    y = np.array([y.min(axis=0) - MARGIN * np.ptp(y, axis=0), y.max(axis=0) + MARGIN * np.ptp(y, axis=0)])
+    moved = np.tile(data.arrays["increment_limit"], shape.output_lags) / LIMIT_OVER_SEEN
+    sides = {}
+    for side, extreme, sign in (("lower", np.min, -1), ("upper", np.max, 1)):
+        inputs = np.tile(extreme(u, axis=0), shape.input_lags)
+        sides[f"feature_{side}"] = np.concatenate([extreme(y, axis=0), sign * moved, inputs])
+    return sides
 
 
 def _check_size(data: _Normalised, shape: NarxShape) -> None:
@@ -261,6 +277,8 @@ def _training_scales(training, arrays):
         "limit": arrays["increment_limit"],
         "lower": (arrays["output_lower"] - arrays["output_centre"]) / arrays["output_scale"],
         "upper": (arrays["output_upper"] - arrays["output_centre"]) / arrays["output_scale"],
+        "feature_lower": arrays["feature_lower"],
+        "feature_upper": arrays["feature_upper"],
     }
     return training.Scales(**{name: torch.tensor(value) for name, value in per_output.items()})
 

@@ -1,0 +1,255 @@
+"""The network: its equations in CasADi, and its training on free runs."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.learned import domain_share, read_block, train_network, write_block
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.simulation import predict_one_step, simulate
+from tests.learned.toy_machine import ANGLE, COMMAND, NOISE, PERIOD, SPEED, toy_record, untrained_block
+
+QUICK = {"period": PERIOD, "hidden": 6, "starts": 1, "lags": (2, 4), "effort": 0.5}
+BRIEF = QUICK | {"effort": 0.1}
+
+
+def rmse(prediction, record, name="arm_angle"):
+    return float(np.sqrt(np.mean((prediction[name] - record[name]) ** 2)))
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [toy_record(s) for s in (1, 2, 3)]
+
+
+@pytest.fixture(scope="module")
+def validation():
+    return toy_record(9, name="validation")
+
+
+@pytest.fixture(scope="module")
+def trained(recordings):
+    pytest.importorskip("torch")
+    return train_network(recordings, [COMMAND], [ANGLE], **QUICK)
+
+
+@pytest.mark.parametrize(("output_lags", "hidden"), [(2, 4), (1, 3), (0, 2), (2, 0)])
+def test_the_step_is_the_written_equation(output_lags, hidden):
+    block = untrained_block(hidden=hidden, output_lags=output_lags)
+    a, rng = block.arrays, np.random.default_rng(0)
+    for _ in range(20):
+        y, d, u = rng.normal(size=2), rng.normal(size=2 * output_lags), rng.normal(size=3)
+        z = np.concatenate(
+            [
+                (y - a["output_centre"]) / a["output_scale"],
+                d / np.tile(a["increment_scale"], output_lags),
+                (u - a["input_centre"]) / a["input_scale"],
+            ]
+        )
+        h = np.tanh(a["hidden_weights"] @ np.clip(z, a["feature_lower"], a["feature_upper"]) + a["hidden_bias"])
+        o = a["output_weights"] @ h + a["linear_weights"] @ z + a["output_bias"]
+        o = np.clip(o, -a["increment_limit"], a["increment_limit"]) * a["increment_scale"]
+        expected = [np.clip(y + o, a["output_lower"], a["output_upper"]), np.r_[o, d][: len(d)], u[:2]]
+        x_next, y_now = block.step(np.concatenate([y, d, u[1:]]), u[0], [])
+        assert np.allclose(x_next.full().ravel(), np.concatenate(expected), rtol=1e-13)
+        assert np.array_equal(y_now.full().ravel(), y)
+
+
+def test_a_free_run_stays_in_its_bounds_whatever_the_weights_and_inputs():
+    record = toy_record(1, duration=10.0)
+    wild = record.with_signals({"command": 1e6 * record["command"]})
+    run = simulate(untrained_block(), wild)
+    for name in ("arm_angle", "motor_speed"):
+        assert run[name][1:].min() >= -3.0 and run[name][1:].max() <= 4.0
+
+
+def test_the_start_is_the_first_measured_output_at_rest_with_the_first_input_in_the_line():
+    x = untrained_block().start(0.7, [0.1, 5.0], []).full().ravel()
+    assert np.array_equal(x, [0.1, 5.0, 0, 0, 0, 0, 0.7, 0.7])
+
+
+def test_states_name_the_outputs_that_measure_them():
+    states = untrained_block().states
+    assert [s.measured_by for s in states[:2]] == ["arm_angle", "motor_speed"]
+    assert all(s.measured_by is None for s in states[2:])
+    assert states[2].name == "arm_angle.increment_1" and states[-1].name == "command.lag_2"
+
+
+def test_the_derivatives_carried_along_agree_with_automatic_differentiation():
+    torch = pytest.importorskip("torch")
+    from hydrotwin.learned import free_run_training as training
+    from hydrotwin.learned.narx import NarxShape
+
+    shape = NarxShape(1, 2, 2, 3, 3)
+    bounds = [0.2, 0.3], [2, 2], [-1, -1], [1, 1], [-1.5] * 9, [1.2] * 9
+    scales = training.Scales(*(torch.tensor(v, dtype=torch.float64) for v in bounds))
+    rng = np.random.default_rng(0)
+    u, y = rng.normal(size=(40, 1)), rng.normal(size=(40, 2))
+    pieces = training.cut(u, y, 9, shape, np.array([0.2, 0.3]), rest=False)
+    (stretches,) = training.gather(pieces, 100, 0)
+    weights = 3 * training.first_weights(shape, 1)
+
+    def residuals(w):
+        run = training.free_run(w, shape, scales, stretches)
+        return (run - stretches.target)[1::2].reshape(-1)
+
+    J, e = torch.autograd.functional.jacobian(residuals, weights), residuals(weights)
+    clipped = training.free_run(weights, shape, scales, stretches).abs() == 1
+    assert 0 < clipped.double().mean() < 1
+    JJ, Je, ee, count = training.normal_equations(weights, shape, scales, stretches, 2)
+    assert torch.allclose(JJ, J.T @ J, rtol=1e-10, atol=1e-12) and torch.allclose(Je, J.T @ e, rtol=1e-10, atol=1e-12)
+    assert ee == pytest.approx(float(e @ e)) and count == len(e)
+
+
+def test_the_free_run_of_the_network_follows_an_unseen_recording_within_a_third_of_a_degree(trained, validation):
+    run = simulate(trained, validation)
+    assert run["arm_angle"][0] == validation["arm_angle"][0]
+    assert np.degrees(rmse(run, validation)) < 0.33
+    assert np.degrees(np.std(validation["arm_angle"])) > 5.0
+
+
+def test_the_hidden_layer_halves_the_error_of_the_best_linear_model(trained, recordings, validation):
+    linear = train_network(recordings, [COMMAND], [ANGLE], **QUICK | {"hidden": 0})
+    assert linear.description.startswith("NARX, linear")
+    assert rmse(simulate(linear, validation), validation) > 2 * rmse(simulate(trained, validation), validation)
+
+
+def test_one_step_ahead_the_error_is_near_the_sensor_noise(trained, validation):
+    assert rmse(predict_one_step(trained, validation), validation) < 2 * NOISE
+
+
+def test_the_certificate_holds_and_catches_a_changed_weight(trained):
+    torch = pytest.importorskip("torch")
+    from hydrotwin.learned import free_run_training as training
+    from hydrotwin.learned.narx import NarxShape
+    from hydrotwin.learned.network import _training_scales, certify
+
+    assert trained.certificate.holds and 0 < trained.certificate.difference <= 1e-12
+    shape = NarxShape(1, 1, **trained.structure)
+    weights = torch.cat([torch.tensor(trained.arrays[name]).reshape(-1) for name in shape.weights]).numpy()
+    scales = _training_scales(training, trained.arrays)
+    assert certify(trained, training, weights, shape, scales) == trained.certificate
+    weights[3] += 1e-6
+    assert not certify(trained, training, weights, shape, scales).holds
+
+
+def test_a_trained_network_comes_back_from_its_file(trained, validation, tmp_path):
+    again = read_block(write_block(trained, tmp_path / "arm.toml")[0])
+    assert np.array_equal(simulate(again, validation)["arm_angle"], simulate(trained, validation)["arm_angle"])
+    assert again.certificate == trained.certificate
+
+
+def test_provenance_names_recordings_seed_and_versions(trained, recordings):
+    p = trained.provenance
+    assert [r["sha256"] for r in p["trained_on"]] == [r.digest for r in recordings]
+    assert p["seed"] == 0 and p["stopped"] == "finished" and {"torch", "numpy", "casadi"} <= set(p["versions"])
+
+
+def test_the_domain_is_the_training_range_and_a_stronger_command_leaves_it(trained, recordings, validation):
+    assert domain_share(trained, recordings[0]).inside == 1.0
+    stronger = validation.with_signals({"command": 5 * validation["command"]})
+    assert "command" in domain_share(trained, stronger).beyond
+
+
+def test_the_same_seed_gives_the_same_network_and_another_seed_another(recordings):
+    pytest.importorskip("torch")
+    one, two, other = (train_network(recordings[:1], [COMMAND], [ANGLE], seed=s, **BRIEF) for s in (3, 3, 4))
+    assert all(np.array_equal(one.arrays[k], two.arrays[k]) for k in one.arrays)
+    assert not np.array_equal(one.arrays["hidden_weights"], other.arrays["hidden_weights"])
+
+
+def test_interrupting_keeps_the_best_so_far(recordings):
+    pytest.importorskip("torch")
+    seen = []
+
+    def interrupt(step):
+        seen.append(step)
+        if len(seen) == 10:
+            raise KeyboardInterrupt
+
+    block = train_network(recordings[:1], [COMMAND], [ANGLE], progress=interrupt, **QUICK)
+    assert block.provenance["stopped"] == "interrupted" and block.provenance["iterations"] == 10
+    assert block.provenance["held_out_error"] == min(s.best for s in seen) == seen[-1].best
+    assert block.certificate.holds
+
+
+def test_the_time_budget_ends_the_training_early(recordings):
+    pytest.importorskip("torch")
+    block = train_network(recordings[:1], [COMMAND], [ANGLE], budget=1e-3, **QUICK)
+    assert "time budget" in block.provenance["stopped"] and block.provenance["iterations"] == 1
+
+
+def test_progress_reports_a_falling_best_error_and_growing_stretches(recordings):
+    pytest.importorskip("torch")
+    steps = []
+    train_network(recordings[:1], [COMMAND], [ANGLE], progress=steps.append, **BRIEF)
+    best = [s.best for s in steps]
+    assert best == sorted(best, reverse=True) and best[-1] < 0.5 * best[0]
+    assert [s.horizon for s in steps] == sorted(s.horizon for s in steps) and steps[0].horizon == 4
+
+
+def test_two_outputs_are_learnt_together_and_selection_on_given_recordings_is_recorded(recordings, validation):
+    pytest.importorskip("torch")
+    names = ["arm_angle", "motor_speed"]
+    block = train_network(recordings, ["command"], names, validate=[toy_record(5)], **QUICK | {"effort": 0.3})
+    run = simulate(block, validation)
+    assert np.degrees(rmse(run, validation)) < 1.0
+    assert rmse(run, validation, "motor_speed") < 0.1 * np.std(validation["motor_speed"])
+    assert block.outputs == (Signal("arm_angle", "rad"), Signal("motor_speed", "rad/s"))
+    assert block.provenance["selected_on"][0]["name"] == "toy_5"
+
+
+def test_uneven_fast_recordings_are_brought_onto_a_chosen_period(validation):
+    pytest.importorskip("torch")
+    rng, uneven = np.random.default_rng(0), []
+    for seed in (1, 2):
+        record = toy_record(seed)
+        times = np.sort(rng.choice(len(record), round(0.95 * len(record)), replace=False))
+        uneven.append(record.resample(times=record.time[times], hold=["command"]))
+    options = {key: value for key, value in QUICK.items() if key != "period"}
+    block = train_network(uneven, [COMMAND], [ANGLE], **options | {"effort": 0.2})
+    assert block.period >= PERIOD
+    assert np.degrees(rmse(simulate(block, validation), validation)) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"outputs": ["arm_angel"]}, "Did you mean 'arm_angle'"),
+        ({"outputs": ["command"]}, "named both as input and output"),
+        ({"outputs": "arm_angle"}, "must be a list"),
+        ({"outputs": []}, "must be a list"),
+        ({"hidden": 500}, r"too few samples for \d+ weights"),
+        ({"period": 2.0}, "too few samples to train on"),
+        ({"records": []}, "no recordings"),
+    ],
+)
+def test_what_cannot_be_learnt_from_is_refused_in_a_sentence(recordings, change, sentence):
+    pytest.importorskip("torch")
+    asked = {"records": recordings[:1], "inputs": ["command"], "outputs": ["arm_angle"], **QUICK} | change
+    with pytest.raises(DataError, match=sentence):
+        train_network(asked.pop("records"), asked.pop("inputs"), asked.pop("outputs"), **asked)
+
+
+@pytest.mark.parametrize(
+    "option", [{"hidden": -1}, {"starts": 0}, {"lags": (-1, 2)}, {"effort": 0}, {"period": -0.01}, {"hidden": 2.5}]
+)
+def test_impossible_options_are_refused(recordings, option):
+    pytest.importorskip("torch")
+    with pytest.raises(DeclarationError, match=next(iter(option))):
+        train_network(recordings[:1], ["command"], ["arm_angle"], **QUICK | option)
+
+
+def test_a_block_without_a_domain_has_no_share(trained, validation):
+    with pytest.raises(DataError, match="no training domain"):
+        domain_share(dataclasses.replace(trained, domain=None), validation)
+
+
+def test_the_speed_signal_keeps_its_own_unit_when_named_as_a_signal(recordings):
+    pytest.importorskip("torch")
+    block = train_network(recordings[:1], [COMMAND], [SPEED], **BRIEF | {"hidden": 0})
+    assert block.outputs == (SPEED,) and block.states[0].unit == "rad/s"

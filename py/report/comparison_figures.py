@@ -54,6 +54,9 @@ def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Map
             if bars:
                 names = [r.name for r in comparison.records]
                 spec = error_bars(names, bars, look, pretty_unit(shown[signal.name]))
+                reach = error_range([np.array([b[2:] for b in of if b is not None]) for of in bars.values()])
+                if reach is not None:
+                    spec["layout"]["yaxis"]["range"] = list(reach)
                 figures.append(Figure(f"bars-{mode.replace(' ', '-')}-{signal.name}", signal.name, spec))
         if figures:
             groups.append(FigureGroup(f"bars-{mode.replace(' ', '-')}", mode, tuple(figures)))
@@ -79,23 +82,27 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
     label = pretty_unit(unit)
     titles = [f"{signal.name} [{label}]", f"error [{label}]"] if label else [signal.name, "error"]
     plan = layout("time [s]", titles, shares=(0.62, 0.38), height=520)
-    reach = error_reach([v - measured for v in predictions.values()])
+    hidden = comparison.yardsticks if mode == FREE_RUN else frozenset()
+    reach = error_range([v - measured for name, v in predictions.items() if name not in hidden])
     if reach is not None:
-        limit = 1.1 * float(difference_to_shown(reach, signal.unit, unit))
-        plan["yaxis2"]["range"] = [-limit, limit]
+        plan["yaxis2"]["range"] = difference_to_shown(reach, signal.unit, unit).tolist()
     spec = {"data": data, "layout": plan}
     row = mode if len(comparison.modes) > 1 else ""
     return Figure(f"{signal.name}-{mode.replace(' ', '-')}-{record.name}", record.name, spec, row=row)
 
 
-def error_reach(errors: Sequence[np.ndarray]) -> float | None:
-    """Half the height of an error axis when some errors dwarf the rest, else None: the axis then fits all of them.
+def error_range(errors: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """Range of an error axis when some errors dwarf the rest, else None: the axis then fits all of them.
 
     It fits every error up to FAR times the smallest one, so that a model that ran away hides nothing.
     """
     sizes = [float(np.nanmax(np.abs(e))) for e in errors]
-    near = [s for s in sizes if s <= FAR * min(sizes)]
-    return max(near) if len(near) < len(sizes) and max(near) > 0.0 else None
+    near = [e for e, size in zip(errors, sizes, strict=True) if size <= FAR * min(sizes)]
+    if len(near) == len(errors):
+        return None
+    low, high = min(float(np.nanmin(e)) for e in near), max(float(np.nanmax(e)) for e in near)
+    margin = 0.06 * (high - low)
+    return (low - margin, high + margin) if margin > 0.0 else None
 
 
 def _predictions(comparison: Comparison, signal: Signal, record: Record, mode: str) -> dict[str, np.ndarray]:

@@ -129,7 +129,8 @@ def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
 
 
 def _error_bars(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
-    lead = "Dot: mean error. Thick bar: plus and minus one standard deviation. Thin line: smallest and largest error."
+    lead = "Dot: mean error. Thick bar: plus and minus one standard deviation. Thin line: smallest and largest error. "
+    lead += "Models with errors over ten times the smallest may leave the axis: double-click to see all."
     return Section("error-bars", "Error bars", tuple(error_bar_groups(comparison, shown, look)), lead)
 
 

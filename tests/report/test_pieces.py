@@ -30,7 +30,7 @@ from hydrotwin.report import (
     table,
     texts,
 )
-from hydrotwin.report.comparison_figures import error_reach
+from hydrotwin.report.comparison_figures import error_range
 from hydrotwin.report.format import number_texts
 
 
@@ -127,8 +127,9 @@ def test_error_bars_reach_from_lowest_to_highest():
 
 
 def test_a_model_that_runs_away_does_not_set_the_error_axis():
-    assert error_reach([np.array([0.1]), np.array([0.4]), np.array([60.0])]) == 0.4
-    assert error_reach([np.array([0.1]), np.array([0.4])]) is None
+    low, high = error_range([np.array([0.0, 0.1]), np.array([-0.1, 0.4]), np.array([0.0, 60.0])])
+    assert (low, high) == pytest.approx((-0.13, 0.43))
+    assert error_range([np.array([0.1]), np.array([0.4])]) is None
 
 
 def page():

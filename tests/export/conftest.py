@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.export import export_fmu
 from hydrotwin.simulation import TrainingDomain
 from tests.export.raw import Library
-from tests.export.systems import delayed_mass, lag_block, stiff_oscillator
+from tests.export.systems import delayed_mass, lag_block, network_block, stiff_oscillator
 from tests.simulation.flat_cehA import flat_cehA
 
 BOX = TrainingDomain(("command", "rate"), (-1.0, -0.9), (1.0, 0.9))
@@ -23,6 +23,7 @@ def systems():
         "stiff": stiff_oscillator(),
         "lag": lag_block(),
         "lag in MX": dataclasses.replace(lag_block(ca.MX), name="lag in MX"),
+        "network": network_block(),
         "lag with domain": lag_block(domain=BOX),
     }
 

@@ -75,6 +75,26 @@ def lag_block(symbols=ca.SX, domain: TrainingDomain | None = None) -> Block:
     )
 
 
+def network_block(width: int = 24) -> Block:
+    """A recurrent network of two dense layers as a trainer would write it: constant matrices, MX."""
+    rng = np.random.default_rng(7)
+    x, u, p = ca.MX.sym("x", 3), ca.MX.sym("u", 1), ca.MX.sym("p", 0)
+    first, second = (ca.DM(rng.normal(0.0, 0.3, shape)) for shape in ((width, 4), (width, width)))
+    hidden = ca.tanh(second @ ca.tanh(first @ ca.vertcat(x, u)))
+    y = ca.DM(rng.normal(0.0, 0.2, (1, width))) @ hidden
+    y0 = ca.MX.sym("y", 1)
+    return Block(
+        name="network",
+        inputs=(Signal("command", "V"),),
+        outputs=(Signal("angle", "rad"),),
+        states=tuple(StateVariable(f"angle_{k}", "rad") for k in range(3)),
+        parameters=(),
+        step=ca.Function("step", [x, u, p], [ca.vertcat(y, x[0], x[1]), y], ["x", "u", "p"], ["x_next", "y"]),
+        start=ca.Function("start", [u, y0, p], [ca.repmat(y0, 3, 1)], ["u", "y", "p"], ["x"]),
+        period=0.02,
+    )
+
+
 def arm_record(duration: float = 5.0, period: float = 0.01) -> Record:
     """A smooth command for the C-EHA, and the angle at which its arm starts."""
     t = np.arange(0.0, duration, period)

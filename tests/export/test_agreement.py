@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -114,20 +116,45 @@ def test_the_actuator_gets_the_step_of_simulate(systems):
     assert choose_method(systems["cehA"], "auto", 1e-3)[:2] == ("explicit", 1e-3)
 
 
-def test_a_delayed_linear_input_on_uneven_samples_equals_simulate(fmus, systems):
-    record, flat = mass_record(), systems["delayed mass"]
-    block = read_fmu(fmus["delayed mass"], interpolation="linear")
-    held = [s if s.name == "force" else type(s)(**{**vars(s), "interpolation": "hold"}) for s in block.inputs]
-    object.__setattr__(block, "inputs", tuple(held))
+def with_linear_inputs(system, names):
+    """A model or contender whose inputs move linearly if named, and are held if not."""
+    kinds = {s.name: "linear" if s.name in names else "hold" for s in system.inputs}
+    inputs = tuple(dataclasses.replace(s, interpolation=kinds[s.name]) for s in system.inputs)
+    return dataclasses.replace(system, inputs=inputs)
+
+
+@pytest.mark.parametrize("linear", [["force"], ["extra"], ["force", "extra"], []])
+def test_held_and_linear_inputs_on_uneven_samples_equal_simulate(fmus, systems, linear):
+    record, flat = mass_record(), with_linear_inputs(systems["delayed mass"], linear)
+    block = with_linear_inputs(read_fmu(fmus["delayed mass"]), linear)
     assert largest_difference(block.free_run(record), simulate(flat, record), names_of(flat)) < WITHIN
+
+
+def test_a_linear_input_without_dead_time_has_no_half_sample_delay(fmus, systems):
+    record = arm_record(2.0, 0.02)
+    flat, block = (with_linear_inputs(s, ["command"]) for s in (systems["cehA"], read_fmu(fmus["cehA"])))
+    assert largest_difference(block.free_run(record), simulate(flat, record), ["arm_angle", "motor_speed"]) < WITHIN
+
+
+def test_the_derivative_to_the_dead_time_is_the_slope_of_what_was(libraries):
+    instance = libraries["delayed mass"].instance().initialise()
+    for k in range(10):
+        instance.set("force", 0.3 * k)
+        assert instance.slope("force", 30.0) == OK
+        assert instance.step(k * 0.01, 0.01) == OK
+    seen = []
+    for delay in (0.037 + 1e-5, 0.037 - 1e-5, 0.037):
+        instance.set("force_delay", delay)
+        seen += instance.get("seen_force")
+    assert instance.directional("seen_force", "force_delay") == pytest.approx((seen[0] - seen[1]) / 2e-5, rel=1e-6)
+    assert instance.directional("seen_force", "force") == 0.0
+    instance.free()
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0013, 0.25, 5.0])
 def test_the_dead_time_is_a_parameter_that_works(fmus, systems, delay):
     record, flat = mass_record(1.0), systems["delayed mass"]
-    slow = read_fmu(fmus["delayed mass"], interpolation="linear", values={"force_delay": delay})
-    held = {k: v for k, v in record.signals.items() if k != "extra"} | {"extra": np.full(len(record), 0.4)}
-    record = Record(record.time, held, record.units)
+    slow = with_linear_inputs(read_fmu(fmus["delayed mass"], values={"force_delay": delay}), ["force"])
     expected = simulate(flat, record, parameters={"force_delay": delay})
     found = slow.free_run(record)
     for name in names_of(flat):
@@ -144,11 +171,11 @@ def test_a_short_history_keeps_the_mean_of_the_input(systems, tmp_path):
     assert np.abs(found["place"] - expected["place"]).max() > 0.0
 
 
-@pytest.mark.parametrize("name", ["lag", "lag in MX"])
+@pytest.mark.parametrize("name", ["lag", "lag in MX", "network"])
 def test_a_block_equals_simulate_bit_by_bit(fmus, systems, name):
     record = command_record()
     found, expected = read_fmu(fmus[name]).free_run(record), simulate(systems[name], record)
-    for output in ("angle", "rate"):
+    for output in names_of(systems[name]):
         np.testing.assert_allclose(found[output], expected[output], rtol=1e-14, atol=1e-15)
 
 

@@ -36,7 +36,7 @@ def dependencies(fmu, tag) -> dict[str, set[str]]:
     }
 
 
-@pytest.mark.parametrize("name", ["cehA", "delayed mass", "stiff", "lag", "lag in MX", "lag with domain"])
+@pytest.mark.parametrize("name", ["cehA", "delayed mass", "stiff", "lag", "lag in MX", "network", "lag with domain"])
 def test_fmpy_finds_no_problem(fmus, name):
     assert validate_fmu(str(fmus[name])) == []
 

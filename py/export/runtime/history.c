@@ -75,10 +75,11 @@ void ht_history_push(double *history, size_t capacity, double time, double value
 
 void ht_history_at(const double *history, size_t capacity, double time, double *value, double *slope) {
     size_t count = (size_t)history[COUNT], age;
+    double slack = 1e-12 * (1.0 + (time < 0.0 ? -time : time)); /* rounding: an instant this near is met */
     const double *p = history;
     for (age = 0; age < count; age++) {
         p = piece(history, capacity, age);
-        if (p[0] <= time) {
+        if (p[0] <= time + slack) {
             *value = p[1] + p[2] * (time - p[0]);
             *slope = p[2];
             return;

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import qmc
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
@@ -21,7 +23,9 @@ INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH = 400  # windows in a stage
 WINDOW_STAGE = {"absolute": 0.1, "relative": 1e-5, "most": 12}
 SLOW = 6  # iterations
-SLIDES = 4
+SLIDES = 3
+SCATTER = 0.5  # in q
+SETTLED = 1000.0  # one over the sigma of q, all else known
 SLIDE_LENGTHS = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)  # in q of the parameter that moves most
 
 
@@ -96,7 +100,7 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int) -> M
         stage = f"windows of {seconds:.3g} s"
         task.report(stage, 0, np.nan)
         try:
-            found = _settled(task, shooting, q, z, stage)
+            found = _settled(task, shooting, q, z, stage, first=seconds == lengths[0])
         except SolveError:
             break
         q, states = found.q, shooting.trajectories(found.q, found.z)
@@ -108,41 +112,57 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int) -> M
     return minimise(shooting, q, z, most=most, on_step=task.step_report("free run"))
 
 
-def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str) -> Minimum:
-    """A minimum over windows; one that was slow to find is looked past along the weakest direction."""
-    found = minimise(shooting, q, z, **WINDOW_STAGE, on_step=task.step_report(stage))
+def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str, first: bool) -> Minimum:
+    """A minimum over windows. One that was slow to find is doubted: other points are tried.
+
+    A lightly damped mode sampled near twice its frequency makes the cost rough on a small scale, gives it more than
+    one valley, and makes the valleys long: a descent comes to rest on the way or in the wrong one.
+    """
+    on_step = task.step_report(stage)
+    found = minimise(shooting, q, z, **WINDOW_STAGE, on_step=on_step)
+    if first and found.iterations >= SLOW:
+        task.report(f"{stage}, other valleys", 0, found.cost)
+        found = _best_from(task, shooting, found, _scattered(task, found), 6)
     for _ in range(SLIDES):
         if found.iterations < SLOW:
-            return found
-        further = _slide(task, shooting, found, stage)
-        if further.cost > found.cost - 1.0:
-            return found
-        found = further
+            break
+        task.report(f"{stage}, along the valley", 0, found.cost)
+        best = _best_from(task, shooting, found, _along_valley(found), 3)
+        if best.cost > found.cost - 1.0:
+            break
+        found = minimise(shooting, best.q, best.z, **WINDOW_STAGE, on_step=on_step)
     return found
 
 
-def _slide(task: Task, shooting: Shooting, found: Minimum, stage: str) -> Minimum:
-    """The best minimum reached from points along the direction the windows say least about.
+def _best_from(task: Task, shooting: Shooting, found: Minimum, points: Sequence[np.ndarray], most: int) -> Minimum:
+    """The lowest of ``found`` and a few steps from each of ``points``."""
+    lower, upper = (task.free.scaled(b) for b in (task.free.lower, task.free.upper))
+    best = found
+    for point in points:
+        try:
+            tried = minimise(shooting, np.clip(point, lower, upper), found.z, **{**WINDOW_STAGE, "most": most})
+        except SolveError:
+            continue
+        best = min(best, tried, key=lambda m: m.cost)
+    return best if best is found else dataclasses.replace(best, iterations=SLOW)
 
-    A lightly damped mode sampled near its own frequency makes the cost rough on a small scale and the valley long: a
-    descent comes to rest on the way, while the cost a few tenths further along the valley is lower.
-    """
+
+def _along_valley(found: Minimum) -> list[np.ndarray]:
+    """Points along the direction that the windows say least about."""
     information = found.information()
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     _, vectors = np.linalg.eigh(information / np.outer(size, size))
     weakest = vectors[:, 0] / size
     weakest = weakest / np.abs(weakest).max()
-    lower, upper = (task.free.scaled(b) for b in (task.free.lower, task.free.upper))
-    best = found
-    for length in SLIDE_LENGTHS:
-        q = np.clip(found.q + length * weakest, lower, upper)
-        try:
-            tried = minimise(shooting, q, found.z, **{**WINDOW_STAGE, "most": 3})
-        except SolveError:
-            continue
-        best = min(best, tried, key=lambda m: m.cost)
-    task.report(f"{stage}, along the valley", 0, best.cost)
-    return minimise(shooting, best.q, best.z, **WINDOW_STAGE, on_step=task.step_report(stage))
+    return [found.q + length * weakest for length in SLIDE_LENGTHS]
+
+
+def _scattered(task: Task, found: Minimum) -> list[np.ndarray]:
+    """Points around the start of the task in the parameters that the windows do not settle at once."""
+    settled = np.sqrt(np.maximum(np.diag(found.information()), 0.0)) > SETTLED
+    cube = 2 * qmc.Sobol(len(found.q), seed=0).random_base2(3) - 1
+    start = task.free.scaled(task.free.start)
+    return [np.where(settled, found.q, start + SCATTER * point) for point in cube]
 
 
 def _filled(states: Sequence[np.ndarray], otherwise: Sequence[np.ndarray]) -> list[np.ndarray]:

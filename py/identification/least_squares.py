@@ -12,6 +12,7 @@ step is SciPy's BVLS.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -74,12 +75,14 @@ def minimise(
     descending = True
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
-        step = DampedStep(at, len(q), size, damping)
-        dq, dz = step.towards(at.gradient, lower - q, upper - q)
+        inside = _without_blocked(at, shooting, z)
+        step = DampedStep(inside, len(q), size, damping)
+        dq, dz = step.towards(inside.gradient, lower - q, upper - q)
+        dz = shooting.clip(z + dz) - z if shooting.locals else dz
         promise = step.promise(dq, dz)
         if promise <= absolute + relative * at.cost and damping <= 1e-2:
             return Minimum(q, z, at, number - 1, True, "converged")
-        trial_q, trial_z = np.clip(q + dq, lower, upper), shooting.clip(z + dz) if shooting.locals else z
+        trial_q, trial_z = np.clip(q + dq, lower, upper), z + dz if shooting.locals else z
         trial = shooting.linearise(trial_q, trial_z) if descending else None
         gain = (at.cost - (trial.cost if trial else shooting.cost(trial_q, trial_z))) / max(promise, 1e-300)
         descending = gain > 1e-4
@@ -97,6 +100,22 @@ def minimise(
 def _diagonal(at: Linearisation) -> np.ndarray:
     """Diagonal of the whole Hessian: shared part summed over segments, private parts apart. (segments, k)"""
     return np.einsum("sii->si", at.hessian)
+
+
+def _without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Linearisation:
+    """The expansion for start states that may still move: one on its bound that the gradient pushes outwards stays.
+
+    Clipped afterwards it would take the shared parameters along with a step that it does not make.
+    """
+    if not shooting.locals:
+        return at
+    shared = at.gradient.shape[1] - shooting.locals
+    low, high = (shooting.clip(np.full_like(z, limit)) for limit in (-np.inf, np.inf))
+    push = at.gradient[:, shared:]
+    stays = ((z <= low) & (push > 0)) | ((z >= high) & (push < 0))
+    moves = np.concatenate([np.ones((len(z), shared)), ~stays], axis=1)
+    hessian = at.hessian * moves[:, :, None] * moves[:, None, :] + _diagonal_blocks(1 - moves)
+    return dataclasses.replace(at, gradient=at.gradient * moves, hessian=hessian)
 
 
 class DampedStep:

@@ -149,7 +149,7 @@ def test_an_unmeasured_start_state_is_found_when_all_are_free():
     free = identify(drive(), [record], initial_states="free", starts=1)
     assert free.records[0].start["motor.speed"] == pytest.approx(5.0, abs=0.5)
     auto = identify(drive(), [record], starts=1)
-    assert auto.chi2 > 2 * free.chi2
+    assert auto.chi2 > 1.3 * free.chi2
 
 
 def test_samples_that_are_missing_are_left_out():

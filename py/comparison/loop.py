@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import control
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
-from hydrotwin.simulation.control_system import from_control
 
 from .contender import BlockContender
 
@@ -79,6 +77,10 @@ def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
 
 def controller_block(loop: Loop, plant: Block) -> Block:
     """The controller with inputs ``reference`` (under the loop's name) and ``measured``, output ``command``."""
+    import control  # heavy, and only a scenario with a loop needs it
+
+    from hydrotwin.simulation.control_system import from_control
+
     units = {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
     for wanted, kind in ((loop.measured, "output"), (loop.command, "input")):
         if wanted not in units:

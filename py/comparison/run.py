@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import NoiseFloor, Record, noise_floor
+from hydrotwin.records import NoiseFloor, Record, noise_floor, require
 
 from .comparison import (
     FREE_RUN,
@@ -123,7 +123,7 @@ def _predict(contender, record: Record, mode: str, plan: _Plan, found: _Findings
     labels = (contender.name, record.name, mode)
     run = contender.free_run if mode == FREE_RUN else contender.one_step
     try:
-        _require_inputs(contender, record)
+        require(record, contender.inputs, contender.name)
         prediction, seconds = _timed(run, record, plan.repeats)
         prediction = _on_time_of(record, prediction)
     except Exception as error:
@@ -166,20 +166,6 @@ def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tup
         prediction = run(record)
         seconds.append(time.perf_counter() - begin)
     return prediction, seconds[1:] or seconds
-
-
-def _require_inputs(contender, record: Record) -> None:
-    for signal in contender.inputs:
-        if signal.name not in record.signals:
-            raise DataError(
-                f"{record.name}: no column '{signal.name}' (got {', '.join(record.signals)}). "
-                f"{contender.name} needs it as an input in {signal.unit}. {nearest(signal.name, record.signals)}"
-            )
-        if not compatible(record.units[signal.name], signal.unit):
-            raise DataError(
-                f"{record.name}: column '{signal.name}' has the wrong dimension (got {record.units[signal.name]}). "
-                f"{contender.name} needs {signal.unit}. Read the recording with a scale for this column."
-            )
 
 
 def _not_comparable(record: Record, prediction: Record, signal: Signal) -> str | None:

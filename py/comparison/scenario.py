@@ -151,6 +151,8 @@ def _read_toml(path: Path) -> dict:
         raise DataError(f"{path}: no such scenario. {_nearest_file(path)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a TOML file ({error}). A scenario is plain TOML. Mend that line.") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}). Check the path and its permissions.") from None
 
 
 def _only(table: Mapping, known: Sequence[str], where: str) -> None:

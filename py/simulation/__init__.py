@@ -1,6 +1,7 @@
 """Simulation: lower a model to C, compile it once, run it, with sensitivities to parameters and start states."""
 
 from .block import Block, TrainingDomain
+from .closed_loop import close_loop
 from .lowering import lower
 from .propagator import Diverged, Propagator, prepare
 from .simulate import predict_one_step, simulate
@@ -10,6 +11,7 @@ __all__ = [
     "Diverged",
     "Propagator",
     "TrainingDomain",
+    "close_loop",
     "lower",
     "predict_one_step",
     "prepare",

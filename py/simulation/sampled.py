@@ -59,13 +59,26 @@ def run_block(block: Block, time: np.ndarray, u: np.ndarray, p: np.ndarray, x0: 
     return y, x
 
 
-def predict_block(block: Block, u: np.ndarray, p: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Outputs (n, ny), each one step after the state (n, nx) of the sample before."""
-    first = block.step(x[0], u[0], p)[1].full().T
-    if len(u) == 1:
-        return first
-    following = block.step(x[:-1].T, u[:-1].T, p)[0]
-    return np.vstack([first, block.step(following, u[1:].T, p)[1].full().T])
+def predict_block(
+    block: Block, grid: np.ndarray, time: np.ndarray, u: np.ndarray, p: np.ndarray, corrected: np.ndarray
+) -> np.ndarray:
+    """Outputs (n, ny) on ``grid``, each predicted from the last sample of ``time`` before it.
+
+    ``corrected`` (n, nx) are the states with the measurement in them; they are taken only where a sample was taken. In
+    between the block runs on by itself: a block faster than the recording must not see a measurement that is
+    interpolated towards the next sample.
+    """
+    y = np.empty((len(grid), len(block.outputs)))
+    y[0] = block.step(corrected[0], u[0], p)[1].full().ravel()
+    sampled_at = np.unique(np.clip(np.searchsorted(grid, time - 1e-6 * block.period), 0, len(grid) - 1))
+    until = np.append(sampled_at[1:], len(grid) - 1)
+    state = corrected[sampled_at]
+    for k in range(int((until - sampled_at).max(initial=0))):
+        live = sampled_at + k < until
+        at = sampled_at[live] + k
+        state[live] = block.step(state[live].T, u[at].T, p)[0].full().T
+        y[at + 1] = block.step(state[live].T, u[at + 1].T, p)[1].full().T
+    return y
 
 
 def _stop_if_not_finite(block: Block, time, x, y, upto: int) -> None:

@@ -145,3 +145,17 @@ def test_wrong_names_and_periods_are_refused():
         lower(lag(), 0.0)
     with pytest.raises(DeclarationError, match="no block method 'euler'"):
         lower(lag(), 0.01, "euler")
+
+
+def test_a_block_faster_than_the_recording_predicts_one_step_no_better_than_its_model():
+    """At 10 ms samples a block of 1 ms must not see the measurement on its way to the next sample."""
+    model = flat_cehA()
+    time = np.arange(0, 4, 0.01)
+    command = {"command": 2 * np.sin(2 * np.pi * 0.5 * time), "arm_angle": np.full(len(time), 0.1)}
+    record = Record(time, command, {"command": "V", "arm_angle": "rad"}, "run")
+    angle = simulate(model, record)["arm_angle"] + 1e-4 * np.random.default_rng(1).standard_normal(len(time))
+    record = record.with_signals({"arm_angle": angle}, units={"arm_angle": "rad"})
+    by_model = predict_one_step(model, record)["arm_angle"]
+    by_block = predict_one_step(lower(model, 1e-3), record)["arm_angle"]
+    np.testing.assert_allclose(by_block, by_model, rtol=0, atol=1e-9)
+    assert np.std(by_block - angle) > 0.9e-4  # the noise of the sample that was not yet taken

@@ -45,9 +45,15 @@ def main() -> None:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
+    except OSError as error:
+        file = error.filename2 or error.filename or "a file"
+        reason = error.strerror or type(error).__name__
+        next_step = "Check the path, its permissions and the free space."
+        console.print(f"[bold red]error[/] {_escaped(f'{file}: {reason}. {next_step}')}")
+        sys.exit(2)
 
 
-def _escaped(error: Exception) -> str:
+def _escaped(error: Exception | str) -> str:
     from rich.markup import escape
 
     return escape(str(error))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
+import traceback
+from collections.abc import Callable
 from pathlib import Path
 
 from hydrotwin.models.language import Model
@@ -12,7 +14,14 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, Hydrot
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
 
-SHIPPED = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static", "eq17")
+PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
+SHIPPED = (*PHYSICAL, "eq17")
+
+
+def origin(spec: str) -> str:
+    """The model behind ``spec``, without the values of a model file: what a model file names as its model."""
+    base = str(spec).partition("@")[0]
+    return read_model_file(base).model if base.endswith(".toml") else base
 
 
 def load(spec: str):
@@ -34,6 +43,8 @@ def load(spec: str):
     """
     spec = str(spec)
     base, at, values = spec.partition("@")
+    if at and not values:
+        raise DeclarationError(f"MODEL: no file after '@' (got '{spec}'). Write {base}@model.toml.")
     if at:
         return _with_file(_load_base(base), read_model_file(values))
     if spec.endswith(".toml"):
@@ -65,15 +76,21 @@ def _load_base(spec: str):
 def _from_toml(path: Path):
     """A model file or a learned block; the file says which."""
     content = read_toml(path)
-    if "model" not in content:
+    if "model" not in content and content.get("kind", "model") != "model":
         from hydrotwin.learned import read_block
 
         return read_block(path)
+    if "models" in content and "validate" in content:
+        raise DeclarationError(f"{path}: a scenario, not a model. Run it: hydrotwin compare {path}.")
     file = read_model_file(path)
     if ".py:" in file.model:
         raise DeclarationError(
             f"{path}: its model is Python code ('{file.model}'), which a data file may not start. "
             f"Name the code yourself: {file.model}@{path}."
+        )
+    if file.model not in PHYSICAL:
+        raise DeclarationError(
+            f"{path}: its model is none of hydrotwin's (got '{file.model}'). {nearest(file.model, PHYSICAL)}"
         )
     return _with_file(_load_base(file.model), file)
 
@@ -100,18 +117,25 @@ def _from_python(path: Path, factory: str) -> Model:
     specification = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
-    try:
-        specification.loader.exec_module(module)
-    except HydrotwinError:
-        raise
-    except Exception as error:
-        raise DataError(f"{path}: does not run ({type(error).__name__}: {error}). Correct the file.") from error
+    _ran(path, lambda: specification.loader.exec_module(module))
     functions = [n for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == name]
     if not callable(getattr(module, factory, None)):
         raise DeclarationError(f"{path}: no function '{factory}'. {nearest(factory, functions)}")
-    model = getattr(module, factory)()
+    model = _ran(path, getattr(module, factory))
     if not isinstance(model, Model):
         raise DeclarationError(
             f"{path}:{factory}: returns no Model (got {type(model).__name__}). Return Model(component, 'name')."
         )
     return model
+
+
+def _ran(path: Path, action: Callable):
+    """What a piece of the user's file returns; anything it raises becomes a sentence with the line."""
+    try:
+        return action()
+    except HydrotwinError:
+        raise
+    except (Exception, SystemExit) as error:
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        where = f"{path}: line {lines[-1]}" if lines else str(path)
+        raise DataError(f"{where}: does not run ({type(error).__name__}: {error}). Correct the file.") from error

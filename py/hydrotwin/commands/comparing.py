@@ -8,13 +8,14 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.records import require
 
 from ..loading import load
 from .shared import (
     JsonOption,
     ScaleOption,
     ValidateOption,
-    check_writable,
+    check_folder,
     examples,
     out,
     progress_bar,
@@ -55,11 +56,17 @@ def compare(
     from hydrotwin.comparison import MODES, Scenario, read_scenario, run_scenario
     from hydrotwin.report import write_report
 
-    check_writable(output)
+    check_folder(output)
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
+    said = {"--validate": validate, "--train": train, "--output": outputs, "--mode": modes, "--title": title}
+    doubled = [option for option, value in {**said, "--scale": scale}.items() if value]
+    if scenario is not None and doubled:
+        raise DeclarationError(
+            f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
+        )
     if scenario is not None:
         described = read_scenario(scenario)
     else:
@@ -80,14 +87,22 @@ def compare(
             bar.update(row, completed=done, total=total, description=f"compare: {what}")
 
         comparison = run_scenario(described, load, progress=None if as_json else told)
+    if not comparison.scores:
+        refuse_unscored(comparison)
     paths = write_report(comparison, output)
     if as_json:
         typer.echo(paths["json"].read_text(encoding="utf-8"))
     else:
         print_comparison(comparison)
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
-    if not comparison.scores:
-        raise SolveError(f"compare: no model could be scored. {comparison.failures[0].sentence}")
+
+
+def refuse_unscored(comparison) -> None:
+    """No score, no report: a recording that a model cannot take is unusable input, anything else an honest failure."""
+    for record in comparison.records:
+        for entrant in comparison.entrants:
+            require(record, entrant.inputs, entrant.name)
+    raise SolveError(f"compare: no model could be scored. {comparison.failures[0].sentence}")
 
 
 def entry(text: str):

@@ -15,7 +15,7 @@ from hydrotwin.models.language.model_file import write_model_file
 from ..loading import load
 from .comparing import print_comparison
 from .fitting import fit_provenance, print_fit, print_friction
-from .shared import check_writable, examples, out, progress_bar, read_all
+from .shared import check_folder, examples, out, progress_bar, read_all
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
 LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn
@@ -37,7 +37,7 @@ def demo(
     budget: Annotated[float, typer.Option(help="seconds for each network")] = 40.0,
 ) -> None:
     """Identify, learn, export, check, compare and report, on the recordings that ship with the project."""
-    check_writable(output)
+    check_folder(output)
     began = time.perf_counter()
     for machine in machines or list(LEARNED):
         if machine not in LEARNED:

@@ -11,7 +11,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError
 
 from ..loading import load
-from .shared import JsonOption, ModelArgument, check_writable, examples, out, print_json, read_all, table
+from .shared import JsonOption, ModelArgument, check_file, examples, out, print_json, read_all, table
 
 
 def register(app: typer.Typer) -> None:
@@ -30,7 +30,7 @@ def export(
     """Write a model or a learned block as an FMU that runs without Python."""
     from hydrotwin.export import export_fmu
 
-    check_writable(output)
+    check_file(output, ".fmu")
     thing = load(model)
     if not hasattr(thing, "flat") and not hasattr(thing, "step"):
         raise DeclarationError(f"export: '{model}' is an FMU already. Give a physical model or a learned block.")

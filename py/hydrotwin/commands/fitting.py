@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -12,15 +13,17 @@ from hydrotwin import __version__
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.records import Record
+from hydrotwin.records import Record, require
 
+from ..loading import origin
 from .shared import (
     JsonOption,
     ModelArgument,
     RecordsArgument,
     ScaleOption,
     ValidateOption,
-    check_writable,
+    check_file,
+    check_folder,
     err,
     examples,
     out,
@@ -63,16 +66,21 @@ def identify(
     """Identify the parameters of a physical model by nonlinear least squares."""
     from hydrotwin.identification import identify
 
-    check_writable(output)
+    check_file(output, ".toml", sources=[Path(model.rpartition("@")[2])])
+    if report:
+        check_folder(report)
     thing = physical(model, "identify")
     train, judged = read_all(records, scale), read_all(validate, scale)
     flat = thing.flat
+    fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
+    for record in (*train, *judged):
+        require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
     tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
     fit = identify(
         thing, train, free=free, validate=judged, outputs=fit_outputs, loss=loss, initial_states=initial_states,
         starts=starts, progress=not as_json,
     )  # fmt: skip
-    write_model_file(output, model.partition("@")[0], fit.flat, fit_provenance(fit, train, judged))
+    write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged))
     if report:
         from hydrotwin.comparison import PhysicalContender, compare
         from hydrotwin.report import write_report
@@ -149,7 +157,7 @@ def learn(
     validate: ValidateOption = None,
     hidden: Annotated[int, typer.Option(min=0, help="hidden units; 0: the best linear model")] = 10,
     seed: Annotated[int, typer.Option(help="the same seed gives the same network")] = 0,
-    budget: Annotated[float, typer.Option(help="training time [s] after which the best so far is taken")] = 120.0,
+    budget: Annotated[float, typer.Option(min=0.1, help="training time [s], then the best so far is taken")] = 120.0,
     name: Annotated[str, typer.Option(help="name of the block")] = "network",
     scale: ScaleOption = None,
     as_json: JsonOption = False,
@@ -159,9 +167,9 @@ def learn(
 
     if kind not in KINDS:
         raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
-    check_writable(output)
+    check_file(output, ".toml")
     train, judged = read_all(records, scale), read_all(validate, scale)
-    signals_in, signals_out = learned_signals(train, inputs, outputs)
+    signals_in, signals_out = learned_signals([*train, *judged], inputs, outputs)
     with progress_bar() as bar:
         row = bar.add_task("learn nn", total=None)
 
@@ -172,6 +180,7 @@ def learn(
             train, signals_in, signals_out, validate=judged, hidden=hidden, seed=seed, budget=budget, name=name,
             progress=None if as_json else told,
         )  # fmt: skip
+    output.parent.mkdir(parents=True, exist_ok=True)
     files = write_block(block, output)
     answer = {"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance}
     if as_json:
@@ -190,10 +199,16 @@ def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal
         raise DeclarationError(
             f"learn: which columns are inputs, which outputs? Give --input and --output. Known: {', '.join(columns)}."
         )
-    for column in (*inputs, *outputs):
-        if column not in columns:
-            raise DeclarationError(f"learn: no column '{column}' in {records[0].name}. {nearest(column, columns)}")
+    require_columns(records, (*inputs, *outputs))
     return list(inputs), list(outputs)
+
+
+def require_columns(records: list[Record], columns: Sequence[str], hint: str = "") -> None:
+    """Every record has every column, or the first that lacks one is named."""
+    for record in records:
+        for column in columns:
+            if column not in record:
+                raise DeclarationError(f"{record.source}: no column '{column}'. {nearest(column, record.names)}{hint}")
 
 
 def friction(
@@ -208,8 +223,9 @@ def friction(
     from hydrotwin.identification.friction_test import friction_test
 
     if output:
-        check_writable(output)
+        check_folder(output)
     read = read_all(records, scale)
+    require_columns(read, (velocity, force), " Name the columns with --velocity and --force.")
     fit = friction_test(read, velocity=velocity, force=force)
     if output:
         from hydrotwin.report.friction import write_friction_test

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -55,6 +56,28 @@ def tell_ignored(records: list[Record], used: set[str], model: str) -> None:
         err.print(f"[dim]ignored columns (neither input nor output of {model}): {', '.join(ignored)}[/]")
 
 
+def check_file(path: Path, *suffixes: str, sources: Sequence[Path] = ()) -> Path:
+    """Refuse before a long run a file that could not be written after it, or that would replace one of ``sources``."""
+    if path.is_dir():
+        raise DataError(f"{path}: a folder, not a file. Name a file in it: {path / f'NAME{suffixes[0]}'}.")
+    if path.suffix.lower() not in suffixes:
+        raise DataError(
+            f"{path}: not a name this command can write to (got '{path.suffix}'). It must end in "
+            f"{' or '.join(suffixes)}. Write to {path.with_suffix(suffixes[0])}."
+        )
+    for source in sources:
+        if path.exists() and source.exists() and path.samefile(source):
+            raise DataError(f"{path}: this command reads it, and would replace it. Choose another name.")
+    return check_writable(path)
+
+
+def check_folder(path: Path) -> Path:
+    """Refuse before a long run a folder that could not be written into after it."""
+    if path.exists() and not path.is_dir():
+        raise DataError(f"{path}: a file, where a folder is needed. Name a folder.")
+    return check_writable(path)
+
+
 def check_writable(path: Path) -> Path:
     """Refuse before a long run what could not be written after it."""
     folder = path if path.is_dir() else next((p for p in path.absolute().parents if p.exists()), path)
@@ -76,7 +99,7 @@ def settings_from(changes: list[str] | None, option: str) -> dict[str, float]:
             values[path] = float(number)
         except ValueError:
             equals = ""
-        if not equals:
+        if not equals or not np.isfinite(values[path]):
             raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
     return values
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_whole
+from hydrotwin.models.language.units import compatible
 from hydrotwin.records import write_record
 
 from ..loading import load
@@ -16,7 +18,8 @@ from .shared import (
     JsonOption,
     ModelArgument,
     ScaleOption,
-    check_writable,
+    check_file,
+    check_folder,
     err,
     examples,
     out,
@@ -26,6 +29,8 @@ from .shared import (
     table,
     tell_ignored,
 )
+
+RECORDINGS = (".csv", ".txt", ".parquet", ".mat", ".mf4")
 
 
 def register(app: typer.Typer) -> None:
@@ -62,11 +67,18 @@ def simulate(
     from hydrotwin.simulation import Block, simulate
 
     if output:
-        check_writable(output)
+        check_file(output, *RECORDINGS, sources=[input])
     (record,) = read_all([input], scale)
     thing = load(model)
+    settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
-        result = simulate(thing, record, parameters=settings_from(changes, "--set"), step=step, method=method)
+        tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
+        result = simulate(thing, record, parameters=settings, step=step, method=method)
+    elif settings or step is not None or method != "auto":
+        raise DeclarationError(
+            f"simulate: '{model}' is an FMU, which --set, --step and --method do not reach. "
+            "Leave them out, or export the model anew with other values."
+        )
     else:
         result = as_contender(thing).free_run(record)
     contender = as_contender(thing)
@@ -76,9 +88,11 @@ def simulate(
     for signal in contender.outputs:
         values = result[signal.name]
         row = [signal.name, signal.unit, float(values.min()), float(values.max())]
-        row.append(float(errors_of(record[signal.name], values).rmse) if signal.name in record.signals else "-")
+        comparable = signal.name in record and compatible(record.units[signal.name], signal.unit)
+        row.append(float(errors_of(record[signal.name], values).rmse) if comparable else "-")
         rows.append(row)
     if output:
+        output.parent.mkdir(parents=True, exist_ok=True)
         write_record(result, output)
     if as_json:
         keys = ("output", "unit", "minimum", "maximum", "rmse")
@@ -89,6 +103,17 @@ def simulate(
         out.print(f"written: {output}")
 
 
+def tell_out_of_bounds(parameters, settings: Mapping[str, float]) -> None:
+    """A value outside the bounds of its parameter is run, and told."""
+    for p in parameters:
+        low, high = p.bounds
+        if p.name in settings and not low <= settings[p.name] <= high:
+            err.print(
+                f"[yellow]note[/] --set {p.name}: outside its bounds (got {settings[p.name]:g} {p.unit}). "
+                f"They are {low:g} to {high:g}."
+            )
+
+
 def modelica(
     model: ModelArgument,
     output: Annotated[Path | None, typer.Option("--out", metavar="FILE.mo", help="write to a file")] = None,
@@ -96,6 +121,8 @@ def modelica(
     """Write a physical model as Modelica source."""
     from hydrotwin.models.language.modelica import modelica_text
 
+    if output:
+        check_file(output, ".mo")
     text = modelica_text(physical(model, "modelica"))
     if output:
         write_whole(output, text)
@@ -120,7 +147,7 @@ def linearize(
     from hydrotwin.models.language.linearisation import linearise, modes, operating_point
 
     if output:
-        check_writable(output)
+        check_folder(output)
     thing = physical(model, "linearize")
     values = settings_from(at, "--at")
     system, found = linearise(thing, values, steady=steady), modes(thing, values, steady=steady)

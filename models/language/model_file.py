@@ -15,7 +15,14 @@ from .flat import FlatModel
 from .parameter_file import parameter_settings, read_toml
 
 FORMAT = 1
-_KEYS = ("format", "kind", "model", "parameters", "effects", "provenance")
+_FORMS = (
+    ("format", int, "whole number"),
+    ("count", int, "whole number"),
+    ("parameters", dict, "table"),
+    ("effects", list, "list of tables"),
+    ("provenance", dict, "table"),
+)
+_KEYS = ("kind", "model", *(key for key, _, _ in _FORMS))
 
 
 @dataclass(frozen=True)
@@ -47,9 +54,17 @@ def read_model_file(path: Path | str) -> ModelFile:
             raise DataError(f"{path}: unknown key '{key}'. A model file holds data only. {nearest(key, _KEYS)}")
     if content.get("kind", "model") != "model" or not isinstance(content.get("model"), str):
         raise DataError(f"{path}: no model file (no line model = \"..\"). Write one with 'hydrotwin identify --out'.")
+    for key, kind, form in _FORMS:
+        if not isinstance(content.get(key, kind()), kind):
+            raise DataError(f"{path}: '{key}' is no {form} (got {content[key]!r}). Correct it, or leave it out.")
     if content.get("format", FORMAT) > FORMAT:
         raise DataError(f"{path}: written by a newer version (format {content['format']}). Update hydrotwin.")
     settings = parameter_settings(content.get("parameters", {}), str(path))
+    if len(settings) < content.get("count", 0):
+        raise DataError(
+            f"{path}: it ends too early (got {len(settings)} of {content['count']} parameters). "
+            "It was cut off while it was copied: copy it again. Or take out the line 'count' if that was meant."
+        )
     return ModelFile(
         path, content["model"], settings, tuple(content.get("effects", ())), content.get("provenance", {})
     )
@@ -63,6 +78,7 @@ def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: 
     document["format"] = FORMAT
     document["kind"] = "model"
     document["model"] = model
+    document["count"] = len(flat.parameters)
     parameters = tomlkit.table()
     for p in flat.parameters:
         entry = tomlkit.inline_table()

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -63,6 +64,11 @@ def _setting(entry: Mapping, where: str) -> dict:
     for key in ("value", "sigma"):
         if key in entry and (isinstance(entry[key], bool) or not isinstance(entry[key], (int, float))):
             raise DataError(f"{where}: {key} is no number (got {entry[key]!r}). Give a number.")
+    for key, kind, form in (("free", bool, "true or false"), ("source", str, "text in quotes")):
+        if not isinstance(entry.get(key, kind()), kind):
+            raise DataError(f"{where}: {key} is not {form} (got {entry[key]!r}). Write {form}.")
+    if not math.isfinite(entry["value"]) or not entry.get("sigma", 0.0) >= 0.0:
+        raise DataError(f"{where}: value and sigma must be finite and sigma not negative (got {dict(entry)!r}).")
     if "unit" not in entry:
         raise DataError(f"{where}: no unit. Add unit = \"..\"; a pure number has unit = \"1\".")
     unit = entry["unit"]

@@ -122,7 +122,7 @@ def test_an_input_of_another_dimension_is_refused():
     record = recording(1)
     amps = dataclasses.replace(record, units={**record.units, "command": "A"}, name="amps")
     comparison = run([TRUE], [amps])
-    assert "wrong dimension (got A)" in comparison.failures[0].sentence
+    assert "column 'command' is in A, the model needs V" in comparison.failures[0].sentence
 
 
 def test_outputs_that_were_not_recorded_are_listed_not_scored():

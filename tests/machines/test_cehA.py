@@ -121,6 +121,15 @@ def test_the_third_order_form_runs_like_the_full_model():
             assert np.abs(third[name] - full[name]).max() < 1e-6 * np.ptp(full[name]), name
 
 
+def test_the_third_order_form_takes_the_torque_of_the_full_pump():
+    third, p1, p2 = cehA.third_order(), 5e6, 3e6
+    full = MODEL.observe(["pump.shaft.tau"])(0, [300, p1, p2, 0.1, 0.2], [0], MODEL.flat.parameter_vector())
+    state = [300, p1 * A_CAP - p2 * A_ROD, 0.1, 0.2]
+    short = third.observe(["actuator.shaft.tau"])(0, state, [0], third.flat.parameter_vector())
+    assert float(short) == pytest.approx(float(full), rel=1e-12)
+    assert float(full) == pytest.approx(C_P * (p1 - A_ROD / A_CAP * p2), rel=1e-12)
+
+
 def test_the_third_order_form_has_the_same_values_but_no_pressures():
     full = {p.name: p.value for p in MODEL.flat.parameters}
     renamed = {"displacement": "pump.", "default": "cylinder."}

@@ -19,7 +19,7 @@ class Contender(Protocol):
     """A model in a comparison.
 
     Optional attributes: ``parameters`` (tuple of ParameterValue), ``provenance`` (dict of plain values),
-    ``domain`` (TrainingDomain).
+    ``domain`` (TrainingDomain), ``modes`` (those it can run, all by default).
     """
 
     name: str

@@ -121,6 +121,10 @@ class _Findings:
 def _predict(contender, record: Record, mode: str, plan: _Plan, found: _Findings) -> Record | None:
     """What one contender predicts for one recording, timed; a failure becomes a row, and the answer None."""
     labels = (contender.name, record.name, mode)
+    if mode not in getattr(contender, "modes", MODES):
+        reason = f"no {mode}: its states cannot be set"
+        found.unscored.extend(Unscored(contender.name, record.name, s.name, reason) for s in plan.wanted)
+        return None
     run = contender.free_run if mode == FREE_RUN else contender.one_step
     try:
         require(record, contender.inputs, contender.name)

@@ -49,6 +49,11 @@ class FmuBlock:
         job, arrays = self._job("run", record)
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
+    @property
+    def modes(self) -> tuple[str, ...]:
+        """What this FMU can be asked: one step only where every state can be set at the start."""
+        return ("free run", "one step") if self.description.restarts else ("free run",)
+
     def one_step(self, record: Record) -> Record:
         """Outputs at ``record.time``, each from a restart at the measurement one sample before.
 

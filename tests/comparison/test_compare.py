@@ -233,3 +233,12 @@ def test_anything_that_predicts_is_a_contender_and_can_be_renamed():
 def test_units_come_from_the_models_signals(signal: Signal):
     comparison = run([TRUE])
     assert {s.unit for s in scores(comparison, output=signal.name)} == {signal.unit}
+
+
+def test_a_contender_without_one_step_is_listed_and_no_failure():
+    free_runner = Toy("free runner")
+    free_runner.modes = ("free run",)
+    comparison = run([free_runner])
+    assert not comparison.failures
+    assert {s.mode for s in comparison.scores} == {"free run"}
+    assert comparison.unscored and all("cannot be set" in u.reason for u in comparison.unscored)

@@ -31,7 +31,8 @@ TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 DECAY_OF_NOISE = 0.03  # weight decay over the noise variance; found by trial on the two machines
 LEAST_DECAY = 1e-9
 LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
-MARGIN = 0.15  # of the range of an output: how far the hidden layer extrapolates
+OUTPUT_MARGIN = 0.05  # of the range seen: how far the hidden layer extrapolates in the outputs
+INPUT_MARGIN = 0.5  # of the range seen: the same for inputs and increments
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
@@ -245,14 +246,14 @@ def _shape(data: _Normalised, lags, hidden: int) -> NarxShape:
 
 
 def _feature_range(data: _Normalised, shape: NarxShape) -> dict[str, np.ndarray]:
-    """The range of every feature over the training samples, that of the outputs widened by `MARGIN`; normalised."""
+    """The range of every feature over the training samples, widened; normalised."""
     u, y = (np.concatenate(part) for part in zip(*data.fit, strict=True))
-    y = np.array([y.min(axis=0) - MARGIN * np.ptp(y, axis=0), y.max(axis=0) + MARGIN * np.ptp(y, axis=0)])
     moved = np.tile(data.arrays["increment_limit"], shape.output_lags) / LIMIT_OVER_SEEN
     sides = {}
     for side, extreme, sign in (("lower", np.min, -1), ("upper", np.max, 1)):
-        inputs = np.tile(extreme(u, axis=0), shape.input_lags)
-        sides[f"feature_{side}"] = np.concatenate([extreme(y, axis=0), sign * moved, inputs])
+        outputs = extreme(y, axis=0) + sign * OUTPUT_MARGIN * np.ptp(y, axis=0)
+        inputs = np.tile(extreme(u, axis=0) + sign * INPUT_MARGIN * np.ptp(u, axis=0), shape.input_lags)
+        sides[f"feature_{side}"] = np.concatenate([outputs, sign * (1 + 2 * INPUT_MARGIN) * moved, inputs])
     return sides
 
 

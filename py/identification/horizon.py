@@ -96,8 +96,8 @@ def cut(recordings: Sequence[Recording], seconds: float, delay: float = 0.0) -> 
         edges[0], edges[-1] = 0, n
         edges = np.unique(edges)
         for first, last in itertools.pairwise(edges):
-            begin = int(np.searchsorted(time, time[first] - delay)) if delay > 0 else int(first)
-            segments.append(Segment(r, begin, int(first), int(last)))
+            lead_in = int(np.searchsorted(time, time[first] - delay, side="right")) - 1
+            segments.append(Segment(r, max(lead_in, 0), int(first), int(last)))
     return segments
 
 

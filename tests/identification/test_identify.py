@@ -24,7 +24,8 @@ def test_parameters_come_back_from_the_models_own_simulation():
 
 
 def test_the_fit_knows_where_it_started_what_it_used_and_how_long_it_took():
-    fit = identify(drive(), [recorded(drive(), 1, noise=NOISE)], start=OFF, validate=[recorded(drive(), 2, noise=NOISE)])
+    train, validate = recorded(drive(), 1, noise=NOISE), recorded(drive(), 2, noise=NOISE)
+    fit = identify(drive(), [train], start=OFF, validate=[validate])
     gain = fit.parameter("motor.gain")
     assert gain.start == 13.0
     assert gain.bounds == (1e-3, 1e3)
@@ -115,7 +116,8 @@ def test_a_robust_loss_withstands_outliers(loss):
     spoiled[hit] += 8.0
     record = record.with_signals({"motor_speed": spoiled})
     plain, robust = (
-        identify(drive(), [record], starts=1, loss=kind, noise=NOISE, outputs=["motor_speed"]) for kind in ("linear", loss)
+        identify(drive(), [record], starts=1, loss=kind, noise=NOISE, outputs=["motor_speed"])
+        for kind in ("linear", loss)
     )
     assert abs(plain.values["motor.gain"] - 10.0) > 3 * abs(robust.values["motor.gain"] - 10.0)
     assert robust.values["motor.gain"] == pytest.approx(10.0, rel=0.01)
@@ -163,7 +165,8 @@ def test_samples_that_are_missing_are_left_out():
 
 def test_progress_names_the_stages():
     stages = []
-    identify(drive(), [recorded(drive(), 1, noise=NOISE)], start=OFF, progress=lambda stage, k, cost: stages.append(stage))
+    record = recorded(drive(), 1, noise=NOISE)
+    identify(drive(), [record], start=OFF, progress=lambda stage, k, cost: stages.append(stage))
     assert stages[0] == "compile"
     assert any(s.startswith("windows of") for s in stages)
     assert "free run" in stages
@@ -194,7 +197,7 @@ def test_an_unknown_free_parameter_is_refused_with_the_nearest_name():
 
 
 def test_no_recording_is_refused():
-    with pytest.raises(DataError, match="no recording to fit drive to"):
+    with pytest.raises(DataError, match=r"no recording to fit drive to"):
         identify(drive(), [])
 
 
@@ -207,19 +210,19 @@ def test_a_constant_output_is_refused_unless_its_noise_is_given():
 
 def test_a_missing_input_and_missing_outputs_are_refused():
     record = recorded(drive(), 1)
-    with pytest.raises(DataError, match="input 'command' \\[V\\] of drive is not recorded"):
+    with pytest.raises(DataError, match=r"input 'command' .V. of drive is not recorded"):
         identify(drive(), [record.select(["position"])])
-    with pytest.raises(DataError, match="none of the outputs of drive is recorded"):
+    with pytest.raises(DataError, match=r"none of the outputs of drive is recorded"):
         identify(drive(), [record.select(["command"])])
 
 
 def test_an_unknown_option_is_refused_with_the_choice():
     record = recorded(drive(), 1, noise=NOISE)
-    with pytest.raises(DeclarationError, match="no loss 'soft-l1'. Did you mean 'soft_l1'"):
+    with pytest.raises(DeclarationError, match=r"no loss 'soft-l1'. Did you mean 'soft_l1'"):
         identify(drive(), [record], loss="soft-l1")
-    with pytest.raises(DeclarationError, match="no initial_states 'fixd'. Did you mean 'fixed'"):
+    with pytest.raises(DeclarationError, match=r"no initial_states 'fixd'. Did you mean 'fixed'"):
         identify(drive(), [record], initial_states="fixd")
-    with pytest.raises(DeclarationError, match="drive has no output 'speed'|no output 'speed'"):
+    with pytest.raises(DeclarationError, match=r"drive has no output 'speed'"):
         identify(drive(), [record], noise={"speed": 1.0})
 
 
@@ -238,6 +241,5 @@ def test_a_record_on_a_jittered_clock_is_fitted_as_well_as_an_even_one():
     kept = np.sort(random.choice(len(record.time), int(0.7 * len(record.time)), replace=False))
     kept[0] = 0
     held = Record(record.time[kept], {n: v[kept] for n, v in record.signals.items()}, record.units, name="jittered")
-    held = dataclasses.replace(held, signals={**held.signals})
     fit = identify(drive(), [held], starts=1, noise=NOISE)
-    assert fit.parameter("motor.gain").sigma < 0.5
+    assert fit.values["motor.gain"] == pytest.approx(10.0, rel=0.05)

@@ -136,6 +136,7 @@ def _ran(path: Path, action: Callable):
     except HydrotwinError:
         raise
     except (Exception, SystemExit) as error:
-        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if Path(frame.filename).absolute() == path.absolute()]
         where = f"{path}: line {lines[-1]}" if lines else str(path)
         raise DataError(f"{where}: does not run ({type(error).__name__}: {error}). Correct the file.") from error

@@ -76,10 +76,16 @@ def identify(
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
     tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
-    fit = identify(
-        thing, train, free=free, validate=judged, outputs=fit_outputs, loss=loss, initial_states=initial_states,
-        starts=starts, progress=not as_json,
-    )  # fmt: skip
+    with progress_bar() as bar:
+        row = bar.add_task("identify", total=None)
+
+        def told(stage: str, iteration: int, cost: float) -> None:
+            bar.update(row, description=f"identify {thing.name}: {stage}, iteration {iteration}, cost {cost:.6g}")
+
+        fit = identify(
+            thing, train, free=free, validate=judged, outputs=fit_outputs, loss=loss, initial_states=initial_states,
+            starts=starts, progress=None if as_json else told,
+        )  # fmt: skip
     write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged))
     if report:
         from hydrotwin.comparison import PhysicalContender, compare

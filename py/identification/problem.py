@@ -35,8 +35,9 @@ class FreeParameters:
             return np.where(self.logarithmic, np.log(np.where(self.logarithmic, p, 1.0)), p / self.unit)
 
     def values(self, q: np.ndarray) -> np.ndarray:
-        """Free values p (SI) of q."""
-        return np.where(self.logarithmic, np.exp(np.where(self.logarithmic, q, 0.0)), q * self.unit)
+        """Free values p (SI) of q; exp(ln(bound)) may miss the bound by a digit, p does not."""
+        p = np.where(self.logarithmic, np.exp(np.where(self.logarithmic, q, 0.0)), q * self.unit)
+        return np.clip(p, self.lower, self.upper)
 
     def slope(self, q: np.ndarray) -> np.ndarray:
         """dp/dq."""

@@ -35,7 +35,11 @@ class Contender(Protocol):
 
 
 class PhysicalContender:
-    """A Model or FlatModel. ``start`` fixes start states by name (SI), ``parameters`` changes values by path (SI)."""
+    """A Model or FlatModel.
+
+    ``start`` fixes start states by name (SI), or by recording and name: ``{"load_3": {"load.force": 4500.0}}``.
+    ``parameters`` changes values by path (SI).
+    """
 
     def __init__(
         self,
@@ -43,7 +47,7 @@ class PhysicalContender:
         name: str | None = None,
         *,
         kind: str = "physical",
-        start: Mapping[str, float] | None = None,
+        start: Mapping[str, float] | Mapping[str, Mapping[str, float]] | None = None,
         parameters: Mapping[str, float] | None = None,
         provenance: Mapping | None = None,
     ):
@@ -56,11 +60,15 @@ class PhysicalContender:
 
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
-        return simulate(self.flat, record, start=self.start)
+        return simulate(self.flat, record, start=self._start_of(record))
 
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
-        return predict_one_step(self.flat, record, start=self.start)
+        return predict_one_step(self.flat, record, start=self._start_of(record))
+
+    def _start_of(self, record: Record) -> Mapping[str, float] | None:
+        by_record = any(isinstance(value, Mapping) for value in (self.start or {}).values())
+        return self.start.get(record.name) if by_record else self.start
 
 
 class BlockContender:

@@ -32,6 +32,13 @@ def test_a_model_reproduces_its_own_simulation(record):
         assert score.rmse <= 1e-6 * np.abs(record[score.output]).max(), score
 
 
+def test_a_start_may_belong_to_one_recording(record):
+    raised = PhysicalContender(MODEL, "raised", start={"gentle": {"arm.angle": 0.5}, "other": {"arm.angle": 0.1}})
+    assert raised.free_run(record)["arm_angle"][0] == pytest.approx(0.5)
+    unknown = Record(record.time, record.signals, record.units, "unknown")
+    assert raised.free_run(unknown)["arm_angle"][0] == pytest.approx(0.3)
+
+
 def test_changed_parameters_and_starts_change_the_prediction(record):
     gain = PhysicalContender(MODEL, "more gain", parameters={"motor.gain": 132.0})
     comparison = compare([PhysicalContender(MODEL), gain], [record], modes=["free run"], repeats=1)

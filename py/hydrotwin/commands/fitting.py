@@ -30,6 +30,7 @@ from .shared import (
     print_json,
     progress_bar,
     read_all,
+    settings_from,
     table,
     tell_ignored,
 )
@@ -56,6 +57,10 @@ def identify(
     free: Annotated[list[str] | None, typer.Option("--free", metavar="GLOB", help="parameters to identify")] = None,
     validate: ValidateOption = None,
     fit_outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to fit")] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option("--noise", metavar="OUTPUT=NUMBER", help="what may be left of an output, SI"),
+    ] = None,
     loss: Annotated[str, typer.Option(help="linear, soft_l1 or huber")] = "linear",
     initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
     starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
@@ -83,18 +88,28 @@ def identify(
             bar.update(row, description=f"identify {thing.name}: {stage}, iteration {iteration}, cost {cost:.6g}")
 
         fit = identify(
-            thing, train, free=free, validate=judged, outputs=fit_outputs, loss=loss, initial_states=initial_states,
-            starts=starts, progress=None if as_json else told,
+            thing, train, free=free, validate=judged, outputs=fit_outputs, noise=settings_from(noise, "--noise"),
+            loss=loss, initial_states=initial_states, starts=starts, progress=None if as_json else told,
         )  # fmt: skip
     write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged))
     if report:
         from hydrotwin.comparison import PhysicalContender, compare
         from hydrotwin.report import write_report
 
-        contenders = [PhysicalContender(thing, f"{thing.name} as given"), PhysicalContender(fit.flat, "identified")]
+        start = unmeasured_starts(fit)
+        contenders = [
+            PhysicalContender(thing, f"{thing.name} as given", start=start),
+            PhysicalContender(fit.flat, "identified", start=start),
+        ]
         comparison = compare(contenders, judged or train, train_records=train, title=f"Identification of {thing.name}")
         write_report(comparison, report, fits=[fit])
     print_json(fit_answer(fit)) if as_json else print_fit(fit, output)
+
+
+def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
+    """By recording, the estimated start states that no output measures: nothing else tells them."""
+    hidden = {s.name for s in fit.flat.states if s.measured_by is None}
+    return {r.name: {name: value for name, value in r.start.items() if name in hidden} for r in fit.records}
 
 
 def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:

@@ -47,7 +47,9 @@ def test_the_base_package_imports_without_torch():
 
 def test_the_picture_in_architecture_md_shows_the_floors_that_are_checked():
     lint = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
-    floors = [{r.strip().removeprefix("hydrotwin.") for r in layer.split("|")} for layer in lint["contracts"][0]["layers"]]
+    floors = [
+        {r.strip().removeprefix("hydrotwin.") for r in layer.split("|")} for layer in lint["contracts"][0]["layers"]
+    ]
     picture = (ROOT / "ARCHITECTURE.md").read_text().split("```text")[1].split("```")[0]
     order = [room for floor in floors for room in sorted(floor) if room != "__main__"]
     drawn = {room: picture.find(f" {room} ") for room in order}

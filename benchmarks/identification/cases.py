@@ -21,11 +21,17 @@ def recordings(count: int, duration: float, rate: float, seed: int = 1) -> list[
     """Clean recordings of the C-EHA, all outputs with the usual sensor noise."""
     model = flat_cehA()
     units = {s.name: s.unit for s in (*model.inputs, *model.outputs)}
-    made = rig.clean_recordings("cehA", "train", count, seed=seed, duration=duration, rate=rate)
-    return [
-        Record(c["time"], {n: v for n, v in c.items() if n != "time"}, units, name=f"train_{k + 1}")
-        for k, c in enumerate(made)
-    ]
+    made = []
+    while len(made) < count:
+        seed += 1
+        try:
+            time, command = rig.drive("cehA", duration, rate, seed=seed)
+        except RuntimeError:  # this draw leaves the cylinder's stroke
+            continue
+        columns = rig.record("cehA", command, time, noise=rig.sensor_noise("cehA"), seed=seed)
+        signals = {n: v for n, v in columns.items() if n != "time"}
+        made.append(Record(columns["time"], signals, units, name=f"train_{len(made) + 1}"))
+    return made
 
 
 def off(factors: dict[str, float]) -> dict[str, float]:

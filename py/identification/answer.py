@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from hydrotwin.models.language.errors import SolveError
 
@@ -20,12 +21,15 @@ from .shooting import Shooting
 from .uncertainty import correlation, uncertainty, without_starts
 from .whiteness import SIGNIFICANCE, ljung_box
 
+TROUBLE = 12  # iterations of free runs after which a minimum is not believed without another start
+
 
 def answer(
-    task: Task, best: Minimum, judged: Sequence[Recording], noise: np.ndarray, settings: Mapping, began: float
-) -> Fit:
-    """Everything a Fit knows, from the best minimum of the training runs."""
-    free, flat = task.free, task.flat
+    task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], noise: np.ndarray, settings: Mapping,
+    began: float,
+) -> Fit:  # fmt: skip
+    """Everything a Fit knows, from the minima of the training runs, the lowest first."""
+    free, flat, best = task.free, task.flat, minima[0]
     values = free.values(best.q)
     at_bound = _at_bound(free, best)
     shooting, _ = whole_runs(task)
@@ -33,10 +37,13 @@ def answer(
     known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
+    sandwich, ambiguous = _widened(sandwich, free, minima)
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged, noise)
     findings = [
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
+        *ambiguous,
+        *_rough(best),
         *bounds_reached(free.names, values, free.lower, free.upper, free.units, at_bound),
         *findings,
     ]
@@ -74,6 +81,43 @@ def explains(task: Task, found: Minimum) -> bool:
         for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train", noise)
     ]
     return found.converged and all(row.explained for row in rows)
+
+
+def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Minimum]):
+    """A covariance that reaches the other minima which explain the recordings as well, and a finding that names them.
+
+    As well: within the 99 % region of the likelihood. A curvature at one of several minima says nothing of the rest.
+    """
+    best, margin = minima[0], 0.5 * chi2_distribution.ppf(0.99, len(free.names))
+    others = [m for m in minima[1:] if m.cost - best.cost < margin]
+    if not others:
+        return covariance, []
+    sigma = np.sqrt(np.diag(covariance))
+    values = free.values(best.q)
+    spread = np.max([np.abs(free.values(m.q) - values) for m in others], axis=0)
+    apart = spread > 3 * sigma
+    if not apart.any():
+        return covariance, []
+    grown = np.where(np.isfinite(sigma) & (sigma > 0), np.hypot(1.0, spread / np.where(sigma > 0, sigma, 1.0)), 1.0)
+    names = tuple(n for n, far in zip(free.names, apart, strict=True) if far)
+    rows = zip(free.names, spread, free.units, apart, strict=True)
+    reach = ", ".join(f"{name} by {by:.2g} {unit}" for name, by, unit, far in rows if far)
+    sentence = (
+        f"identify: {len(others) + 1} different minima explain the recordings equally well ({reach}). The sigmas are "
+        "widened to reach them. Record another output, or excite faster."
+    )
+    return covariance * np.outer(grown, grown), [Finding("ambiguous", names, sentence)]
+
+
+def _rough(best: Minimum) -> list[Finding]:
+    """A warning when the free runs settled so slowly that the cost must have many small valleys."""
+    if best.iterations < TROUBLE:
+        return []
+    sentence = (
+        f"identify: the free runs settled slowly (got {best.iterations} iterations). The cost has many small valleys "
+        "here, and the sigmas describe the one that was reached. Record another output, or free fewer parameters."
+    )
+    return [Finding("rough", (), sentence)]
 
 
 def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:

@@ -20,7 +20,7 @@ from .problem import FreeParameters, Recording
 from .shooting import Shooting, StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
-ENOUGH = 400  # windows in a stage
+ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage
 WINDOW_STAGE = {"absolute": 0.1, "relative": 1e-5, "most": 12}
 SLOW = 6  # iterations
 SLIDES = 3
@@ -78,12 +78,14 @@ def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tup
 def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarray]) -> tuple[Shooting, np.ndarray]:
     """Windows of ``seconds`` with all start states free, and their scaled start states from known trajectories.
 
-    At most ENOUGH of them, evenly spread: the early stages need a direction, not the last digit.
+    Only as many as give a direction, evenly spread: the last digits come from the whole recordings.
     """
     start = StartStates(task.flat, [s.name for s in task.flat.states], task.free.index)
     delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
     segments = horizon.cut(task.recordings, seconds, delay)
-    segments = segments[:: int(np.ceil(len(segments) / ENOUGH))]
+    samples = sum(s.last - s.begin for s in segments)
+    stride = int(np.ceil(max(len(segments) / ENOUGH_WINDOWS, samples / ENOUGH_SAMPLES)))
+    segments = segments[:: min(stride, max(1, len(segments) // FEWEST_WINDOWS))]
     z = horizon.window_starts(segments, states, start)
     shooting = Shooting(
         task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads

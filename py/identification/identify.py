@@ -13,7 +13,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, SolveE
 from hydrotwin.simulation import prepare
 
 from . import horizon
-from .answer import answer, explains
+from .answer import TROUBLE, answer, explains
 from .descent import Task, descend
 from .fit import Fit
 from .least_squares import Minimum
@@ -23,7 +23,8 @@ from .problem import free_parameters, recordings
 from .progress import reporting
 
 SPREAD = 0.35  # of the other starts, in ln p or relative to p
-AGREEMENT = 1e-4  # of the cost: two starts that end so close have found the same minimum
+AGREEMENT = 1e-4  # of the cost ...
+SAME = 0.01  # ... and in q: two starts that end so close have found the same minimum
 
 
 def identify(
@@ -92,38 +93,41 @@ def identify(
             flat, parameters, propagator, train, weights(sigma), Loss(loss, loss_scale), initial_states,
             threads or _processors(), report,
         )  # fmt: skip
-        best = _best(task, windows, starts, iterations)
-        report("uncertainty", 0, best.cost)
+        minima = _minima(task, windows, starts, iterations)
+        report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
             "method": method,
         }  # fmt: skip
-        return answer(task, best, judged, sigma, settings, began)
+        return answer(task, minima, judged, sigma, settings, began)
 
 
-def _best(task: Task, windows: Sequence[float] | None, starts: int, iterations: int) -> Minimum:
-    """The lowest minimum over the starts.
+def _minima(task: Task, windows: Sequence[float] | None, starts: int, iterations: int) -> list[Minimum]:
+    """The minima that the starts lead to, the lowest first.
 
-    The first that explains the recordings ends the search, and so do two that agree.
+    The first that was reached without trouble and explains the recordings ends the search, and so do two that agree.
     """
-    best, stopped = None, None
+    found, stopped = [], None
     for q in _starts(task, starts):
         lengths = windows
         if lengths is None:
             lengths = horizon.horizons(task.flat, task.recordings, task.free.vector(q))
         try:
-            found = descend(task, q, lengths, iterations)
+            latest = descend(task, q, lengths, iterations)
         except SolveError as error:
             stopped = stopped or error
             continue
-        agree = best is not None and abs(found.cost - best.cost) <= AGREEMENT * best.cost
-        if best is None or found.cost < best.cost:
-            best = found
-        if agree or explains(task, best):
+        agree = bool(found) and _agree(latest, found[0])
+        found = sorted([*found, latest], key=lambda m: m.cost)
+        if agree or (latest.iterations < TROUBLE and explains(task, latest)):
             break
-    if best is None:
+    if not found:
         raise stopped
-    return best
+    return found
+
+
+def _agree(one: Minimum, other: Minimum) -> bool:
+    return abs(one.cost - other.cost) < AGREEMENT * other.cost and bool(np.all(np.abs(one.q - other.q) < SAME))
 
 
 def _starts(task: Task, starts: int):

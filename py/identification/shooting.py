@@ -182,7 +182,7 @@ class Shooting:
         except SolveError:
             return None
         dy = dy[:, :, : len(scale)]
-        if not np.isfinite(dy.sum()):
+        if not np.isfinite(dy).all():
             return None
         r, here = self._weighted(i, y), self._measured[i]
         rows = (dy[-len(r) :] * (self.weights[:, None] * scale))[here]
@@ -212,18 +212,23 @@ class Shooting:
         r = self._residuals(i, at, z)
         if r is None:
             return self._limits[i]
-        cost = self.loss.cost(r[self._measured[i]]) + self._prior(i, z)[0]
+        with np.errstate(all="ignore"):  # a run on its way out may overflow: it then counts as diverged
+            cost = self.loss.cost(r[self._measured[i]]) + self._prior(i, z)[0]
         return min(cost, self._limits[i]) if np.isfinite(cost) else self._limits[i]
 
     def _expand(self, i: int, at, z: np.ndarray):
         k, limit = len(at[1]), self._limits[i]
-        found = self._sensitivities(i, at, z)
-        prior, by_z, curvature = self._prior(i, z)
-        cost = np.inf if found is None else self.loss.cost(found[0]) + prior
-        if not cost < limit:
-            return limit, True, np.zeros(k), np.zeros((k, k))
-        r, J = self.loss.linearised(found[0], found[1])
-        gradient, hessian = J.T @ r, J.T @ J
+        diverged = limit, True, np.zeros(k), np.zeros((k, k))
+        with np.errstate(all="ignore"):
+            found = self._sensitivities(i, at, z)
+            prior, by_z, curvature = self._prior(i, z)
+            cost = np.inf if found is None else self.loss.cost(found[0]) + prior
+            if not cost < limit:
+                return diverged
+            r, J = self.loss.linearised(found[0], found[1])
+            gradient, hessian = J.T @ r, J.T @ J
+        if not np.isfinite(hessian).all():
+            return diverged
         if self.locals:
             gradient[-self.locals :] += by_z
             hessian[-self.locals :, -self.locals :] += np.diag(curvature)

@@ -73,16 +73,11 @@ class Model:
     def _solved(self) -> Solved:
         elaboration, _ = elaborate(self.root, self.name, tuple(self.settings))
         known = {p.path: p.unit for p in elaboration.parameters}
-        for path, setting in self.settings.items():
+        for path in self.settings:
             if path not in known:
                 owner, _, leaf = path.rpartition(".")
                 where = f"{self.name}.{owner}" if owner else self.name
                 raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(path, known)}")
-            if not compatible(setting.get("unit", known[path]), known[path]):
-                raise UnitError(
-                    f"{self.name}.{path}: the value is in {setting['unit']}, the model needs {known[path]}. "
-                    "Correct the unit or the value."
-                )
         return solve(elaboration)
 
     @cached_property
@@ -153,6 +148,11 @@ class Model:
 
     def _parameter(self, entry) -> ParameterValue:
         d, change = entry.declaration, self.settings.get(entry.path, {})
+        if not compatible(change.get("unit", entry.unit), entry.unit):
+            raise UnitError(
+                f"{self.name}.{entry.path}: the value is in {change['unit']}, the model needs {entry.unit}. "
+                "Correct the unit or the value."
+            )
         value = change.get("value", None if callable(d.value) else d.value)
         if value is None:
             raise DeclarationError(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 
 import typer
 from rich.console import Console
@@ -32,7 +33,10 @@ def main() -> None:
     """Run the command line."""
     console = Console(stderr=True, soft_wrap=True, highlight=False)
     try:
-        app()
+        with warnings.catch_warnings():
+            warnings.filterwarnings("default", category=UserWarning)
+            warnings.showwarning = lambda message, *_, **__: console.print(f"[yellow]note[/] {_escaped(message)}")
+            app()
     except SolveError as error:
         console.print(f"[bold red]failed[/] {_escaped(error)}")
         sys.exit(1)
@@ -53,7 +57,7 @@ def main() -> None:
         sys.exit(2)
 
 
-def _escaped(error: Exception | str) -> str:
+def _escaped(message: Exception | str) -> str:
     from rich.markup import escape
 
-    return escape(str(error))
+    return escape(str(message))

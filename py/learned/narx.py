@@ -5,8 +5,8 @@
     y[k+1] = clip(y[k] + d[k])
 
 The increments are states of their own (velocity-like), so that putting a measured y[k] in place of the state gives a
-proper one-step prediction. The inner clip is the range seen in training: beyond it the hidden layer keeps its edge
-value and the linear part alone goes on. The outer clips lie outside everything seen: a free run stays bounded.
+proper one-step prediction. The inner clip is the range seen in training and some more: beyond it the hidden layer keeps
+its edge value and the linear part alone goes on. The outer clips lie outside everything seen: a free run stays bounded.
 """
 
 from __future__ import annotations

@@ -31,8 +31,7 @@ TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 DECAY_OF_NOISE = 0.03  # weight decay over the noise variance; found by trial on the two machines
 LEAST_DECAY = 1e-9
 LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
-OUTPUT_MARGIN = 0.05  # of the range seen: how far the hidden layer extrapolates in the outputs
-INPUT_MARGIN = 0.5  # of the range seen: the same for inputs and increments
+MARGIN = 0.3  # of the range seen in training: how far the hidden layer extrapolates
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
@@ -251,9 +250,9 @@ def _feature_range(data: _Normalised, shape: NarxShape) -> dict[str, np.ndarray]
     moved = np.tile(data.arrays["increment_limit"], shape.output_lags) / LIMIT_OVER_SEEN
     sides = {}
     for side, extreme, sign in (("lower", np.min, -1), ("upper", np.max, 1)):
-        outputs = extreme(y, axis=0) + sign * OUTPUT_MARGIN * np.ptp(y, axis=0)
-        inputs = np.tile(extreme(u, axis=0) + sign * INPUT_MARGIN * np.ptp(u, axis=0), shape.input_lags)
-        sides[f"feature_{side}"] = np.concatenate([outputs, sign * (1 + 2 * INPUT_MARGIN) * moved, inputs])
+        outputs = extreme(y, axis=0) + sign * MARGIN * np.ptp(y, axis=0)
+        inputs = np.tile(extreme(u, axis=0) + sign * MARGIN * np.ptp(u, axis=0), shape.input_lags)
+        sides[f"feature_{side}"] = np.concatenate([outputs, sign * (1 + 2 * MARGIN) * moved, inputs])
     return sides
 
 

@@ -126,7 +126,7 @@ def choose_period(records: Sequence[Record]) -> float:
         if not all(_resolved(r, factor * recorded) for r in records):
             break
         chosen = factor * recorded
-    return float(chosen)
+    return float(f"{chosen:.9g}")  # the median of printed times carries rounding
 
 
 def _resolved(record: Record, period: float) -> bool:

@@ -195,7 +195,7 @@ def test_progress_reports_a_falling_best_error_and_growing_stretches(recordings)
 def test_two_outputs_are_learnt_together_and_selection_on_given_recordings_is_recorded(recordings, validation):
     pytest.importorskip("torch")
     names = ["arm_angle", "motor_speed"]
-    block = train_network(recordings, ["command"], names, validate=[toy_record(5)], **QUICK | {"effort": 0.3})
+    block = train_network(recordings, ["command"], names, validate=[toy_record(5)], **QUICK)
     run = simulate(block, validation)
     assert np.degrees(rmse(run, validation)) < 1.0
     assert rmse(run, validation, "motor_speed") < 0.1 * np.std(validation["motor_speed"])

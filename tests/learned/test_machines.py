@@ -22,9 +22,7 @@ def recordings(machine: str, part: str) -> list[Record]:
     ("machine", "command", "output", "bound"),
     [("cehA", "command", "arm_angle", np.radians(0.25)), ("spool_valve", "current", "position", 2e-3)],
 )
-def test_the_network_runs_free_with_half_the_error_of_the_best_linear_model(
-    machine, command, output, bound
-):
+def test_the_network_runs_free_with_half_the_error_of_the_best_linear_model(machine, command, output, bound):
     pytest.importorskip("torch")
     train, validate = recordings(machine, "train"), recordings(machine, "validate")
     options = {"period": 0.02, "lags": (2, 4), "starts": 1, "effort": 0.5}

@@ -45,7 +45,7 @@ def next_position(x1, x2, x3, coefficients=COEFFICIENTS):
     """Eq. 17 as printed, in the paper's units; numbers or CasADi expressions.
 
     >>> round(float(next_position(30.0, 0.0, 0.0)), 6)
-    30.000119
+    30.00012
     """
     a, b, c, e, shift = coefficients
     return (

@@ -1,0 +1,122 @@
+"""The demo on a few seconds of the shipped recordings: every file is there, whole, and agrees with the others."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.commands import demonstrating
+from tests.face.command_line import SHIPPED, contents, hydrotwin, short
+
+FILES = [
+    "cehA_identified.fmu",
+    "cehA_network.fmu",
+    "compare.json",
+    "friction.html",
+    "friction.json",
+    "friction.md",
+    "model.toml",
+    "network.npz",
+    "network.toml",
+    "report.html",
+    "report.md",
+]
+CONTENDERS = [
+    "cehA as given",
+    "identified",
+    "network",
+    "published_formula",
+    "identified, as FMU",
+    "network, as FMU",
+]
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """The folder of the C-EHA after ``hydrotwin demo`` on 6 s of each recording, and what the demo said."""
+    examples, out = tmp_path_factory.mktemp("examples"), tmp_path_factory.mktemp("out")
+    for source in sorted((SHIPPED / "cehA/recordings").glob("*.csv")):
+        short(source, examples / "cehA/recordings" / source.name, 60.0 if "friction" in source.name else 6.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(demonstrating, "EXAMPLES", examples)
+        answer = hydrotwin("demo", "--machine", "cehA", "--budget", "2", "--out", out)
+    return out / "cehA", answer
+
+
+@pytest.fixture(scope="module")
+def data(demo):
+    return json.loads((demo[0] / "compare.json").read_text(encoding="utf-8"))
+
+
+def rmse(data: dict, model: str, output: str, mode: str = "free run") -> float:
+    (mean,) = (m for m in data["means"] if (m["model"], m["output"], m["mode"]) == (model, output, mode))
+    return mean["rmse"]
+
+
+def test_the_demo_writes_every_file_and_no_other(demo):
+    folder, answer = demo
+    assert answer.code == 0, answer.said
+    assert list(contents(folder)) == FILES
+
+
+def test_the_demo_tells_every_stage(demo):
+    said = demo[1].said
+    for words in ("cehA: identify", "friction test", "learn", "export and check", "compare", "done in"):
+        assert words in said
+    assert said.count("all checks passed") == 2 and "FAILED" not in said
+
+
+def test_all_six_contenders_ran_without_a_failure(data):
+    assert [m["name"] for m in data["models"]] == CONTENDERS
+    assert data["failures"] == []
+    assert {s["model"] for s in data["scores"]} == set(CONTENDERS)
+    assert len(data["fits"]) == 1
+
+
+def test_identification_brings_the_model_nearer_to_the_machine(data):
+    assert rmse(data, "identified", "pressure_cap") < rmse(data, "cehA as given", "pressure_cap")
+
+
+def test_the_fmu_of_the_model_scores_like_the_model(data):
+    for output in ("arm_angle", "motor_speed"):  # pressures start elsewhere: the FMU takes only angles from a recording
+        assert rmse(data, "identified, as FMU", output) == pytest.approx(rmse(data, "identified", output), rel=0.1)
+
+
+def test_the_fmu_of_the_network_is_the_network_at_its_sampling_instants(demo):
+    folder, _ = demo
+    record = ht.read_record(SHIPPED / "cehA/recordings/validate_1.csv").window(0.0, 4.0)
+    network, fmu = ht.load(folder / "network.toml"), ht.load(folder / "cehA_network.fmu")
+    shared = np.isclose(np.remainder(record.time + 1e-9, network.period), 0.0, atol=1e-6)
+    assert shared.sum() > 40
+    angles = [run["arm_angle"][shared] for run in (ht.simulate(network, record), fmu.free_run(record))]
+    assert angles[1] == pytest.approx(angles[0], abs=1e-9)
+
+
+def test_what_the_demo_wrote_loads_and_runs(demo):
+    folder, _ = demo
+    record = ht.read_record(SHIPPED / "cehA/recordings/validate_1.csv").window(0.0, 4.0)
+    for name in ("model.toml", "network.toml"):
+        angle = ht.simulate(ht.load(folder / name), record)["arm_angle"]
+        assert np.isfinite(angle).all()
+    assert "<html" in (folder / "report.html").read_text(encoding="utf-8")
+    assert "cehA: physical, learned and exported models" in (folder / "report.md").read_text(encoding="utf-8")
+
+
+def test_the_demo_without_its_recordings_says_how_to_make_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(demonstrating, "EXAMPLES", tmp_path / "nothing")
+    answer = hydrotwin("demo", "--machine", "spool_valve", "--out", tmp_path / "out")
+    assert answer.code == 2
+    assert "examples/spool_valve/make_recordings.py" in answer.said
+    assert not (tmp_path / "out/spool_valve").exists()
+
+
+def test_the_recordings_and_the_machines_of_the_demo_ship_together():
+    for machine, (column_in, column_out) in demonstrating.LEARNED.items():
+        folder = demonstrating.EXAMPLES / machine / "recordings"
+        for pattern in ("train_*.csv", "validate_*.csv"):
+            first = ht.read_record(min(folder.glob(pattern)))
+            assert column_in in first and column_out in first
+        assert (folder.parent / "make_recordings.py").is_file()

@@ -21,8 +21,8 @@ from .shooting import Shooting, StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage
-WINDOW_STAGE = {"absolute": 0.1, "relative": 1e-5, "most": 12}
-SLOW = 6  # iterations
+WINDOW_STAGE = {"absolute": 0.2, "relative": 1e-5, "most": 10}
+SLOW = 7  # iterations
 SLIDES = 3
 SCATTER = 0.5  # in q
 SETTLED = 1000.0  # one over the sigma of q, all else known
@@ -115,18 +115,18 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int) -> M
 
 
 def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str, first: bool) -> Minimum:
-    """A minimum over windows. One that was slow to find is doubted: other points are tried.
+    """A minimum over windows. One that is not found in a few steps is doubted: other points are tried.
 
     A lightly damped mode sampled near twice its frequency makes the cost rough on a small scale, gives it more than
     one valley, and makes the valleys long: a descent comes to rest on the way or in the wrong one.
     """
     on_step = task.step_report(stage)
     found = minimise(shooting, q, z, **WINDOW_STAGE, on_step=on_step)
-    if first and found.iterations >= SLOW:
+    if first and (not found.converged or found.iterations >= SLOW):
         task.report(f"{stage}, other valleys", 0, found.cost)
         found = _best_from(task, shooting, found, _scattered(task, found), 6)
     for _ in range(SLIDES):
-        if found.iterations < SLOW:
+        if found.converged:
             break
         task.report(f"{stage}, along the valley", 0, found.cost)
         best = _best_from(task, shooting, found, _along_valley(found), 3)
@@ -146,7 +146,7 @@ def _best_from(task: Task, shooting: Shooting, found: Minimum, points: Sequence[
         except SolveError:
             continue
         best = min(best, tried, key=lambda m: m.cost)
-    return best if best is found else dataclasses.replace(best, iterations=SLOW)
+    return best if best is found else dataclasses.replace(best, converged=False)
 
 
 def _along_valley(found: Minimum) -> list[np.ndarray]:

@@ -180,7 +180,7 @@ def test_a_fit_that_rests_on_a_bound_reads_back(here, tmp_path):
     words = ["train_1.csv", "--free", "motor.gain", "--starts", "1", "--out", tmp_path / "fitted.toml"]
     answer = hydrotwin("identify", tmp_path / "given.toml", *words)
     assert answer.code == 0, answer.err
-    assert "motor.gain rests on its lower bound" in answer.said
+    assert f"motor.gain rests on its lower bound ({bound:g} rad/(s.V)). The recordings ask for less" in answer.said
     assert ht.load(tmp_path / "fitted.toml").flat.parameter_vector()[1] == bound
 
 
@@ -293,6 +293,17 @@ def test_linearize_gives_matrices_that_fit_together(here):
     assert told == pytest.approx(poles, rel=1e-6, abs=1e-3)
     assert 1.0 < data["hydraulic_frequency_hz"] < 100.0
     assert Path("linear/linearisation.html").exists()
+
+
+def test_units_in_brackets_and_odd_folders_are_printed_as_they_are(here, tmp_path):
+    assert "pole [rad/s]" in hydrotwin("linearize", "cehA").out
+    path = tmp_path / "run [a] [/b]" / "out.csv"
+    answer = hydrotwin("simulate", "cehA", "--input", "validate_1.csv", "--out", path)
+    assert answer.code == 0
+    assert f"written: {path}" in answer.out and path.exists()
+    copy = path.with_name("[red]validate.csv")
+    shutil.copy("validate_1.csv", copy)
+    assert "cehA on [red]validate" in hydrotwin("simulate", "cehA", "--input", copy).out
 
 
 def test_friction_finds_the_curve_of_the_paper(here, tmp_path):

@@ -61,6 +61,7 @@ def test_the_slide_of_the_readme_is_identified_and_runs_with_its_values(workshop
     monkeypatch.chdir(workshop)
     answer = hydrotwin("identify", "slide.py:slide", "train.csv", "--free", "load.*", "--out", "slide.toml")
     assert answer.code == 0, answer.err
+    assert "slide.py:slide@slide.toml" in answer.out, "it tells how the file is used"
     plain = hydrotwin("simulate", "slide.py:slide", "--input", "train.csv", "--out", "plain.csv")
     fitted = hydrotwin("simulate", "slide.py:slide@slide.toml", "--input", "train.csv", "--out", "fitted.csv")
     assert plain.code == fitted.code == 0, plain.err + fitted.err

@@ -17,6 +17,7 @@ from .shared import (
     ValidateOption,
     check_folder,
     examples,
+    mark,
     out,
     progress_bar,
     read_all,
@@ -128,4 +129,4 @@ def print_comparison(comparison) -> None:
                 table(f"{signal.name}, {mode}", ["model", "RMSE", "MAE (Eq. 18)", "maximum", "fit %", "unit"], rows)
                 out.print()
     for failure in comparison.failures:
-        out.print(f"[yellow]failed[/] {failure.model} on {failure.record}, {failure.mode}: {failure.sentence}")
+        mark(out, "failed", f"{failure.model} on {failure.record}, {failure.mode}: {failure.sentence}")

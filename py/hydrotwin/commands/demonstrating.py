@@ -15,7 +15,7 @@ from hydrotwin.models.language.model_file import write_model_file
 from ..loading import load
 from .comparing import print_comparison
 from .fitting import fit_provenance, print_fit, print_friction
-from .shared import check_folder, examples, out, progress_bar, read_all
+from .shared import check_folder, examples, mark, out, progress_bar, read_all
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
 LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn
@@ -43,7 +43,7 @@ def demo(
         if machine not in LEARNED:
             raise DataError(f"demo: no recordings of '{machine}'. There are {' and '.join(LEARNED)}.")
         run_machine(machine, output / machine, budget)
-    out.print(f"[bold]done[/] in {time.perf_counter() - began:.0f} s. Open {output}/*/report.html in a browser.")
+    mark(out, "done", f"in {time.perf_counter() - began:.0f} s. Open {output}/*/report.html in a browser.", "bold")
 
 
 def run_machine(machine: str, folder: Path, budget: float) -> None:

@@ -26,6 +26,7 @@ from .shared import (
     check_folder,
     err,
     examples,
+    mark,
     out,
     print_json,
     progress_bar,
@@ -103,7 +104,12 @@ def identify(
         ]
         comparison = compare(contenders, judged or train, train_records=train, title=f"Identification of {thing.name}")
         write_report(comparison, report, fits=[fit])
-    print_json(fit_answer(fit)) if as_json else print_fit(fit, output)
+    if as_json:
+        print_json(fit_answer(fit))
+        return
+    print_fit(fit, output)
+    if ".py:" in model:
+        out.print(f"Use it with its code: {origin(model)}@{output}")
 
 
 def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
@@ -165,7 +171,7 @@ def print_fit(fit, path: Path) -> None:
     out.print()
     table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", ""], residuals)
     for finding in fit.findings:
-        out.print(f"[yellow]note[/] {finding}")
+        mark(out, "note", str(finding))
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
 
 
@@ -215,7 +221,7 @@ def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal
     columns = list(records[0].signals)
     if not inputs and not outputs and len(columns) == 2:
         inputs, outputs = columns[:1], columns[1:]
-        err.print(f"[dim]learning {outputs[0]} from {inputs[0]}[/]")
+        err.print(f"learning {outputs[0]} from {inputs[0]}", style="dim")
     if not inputs or not outputs:
         raise DeclarationError(
             f"learn: which columns are inputs, which outputs? Give --input and --output. Known: {', '.join(columns)}."
@@ -268,4 +274,4 @@ def print_friction(fit) -> None:
     title = f"Stribeck curve through {len(fit.velocity)} speeds, RMSE {fit.rmse:.3g} N"
     table(title, ["coefficient", "value", f"{fit.confidence:.0%} interval", "unit"], rows)
     for finding in fit.findings:
-        out.print(f"[yellow]note[/] {finding}")
+        mark(out, "note", str(finding))

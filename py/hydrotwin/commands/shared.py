@@ -12,6 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record, read_record
@@ -29,13 +30,18 @@ ScaleOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+out = Console(soft_wrap=True, highlight=False, markup=False)  # no markup: names and units may stand in [brackets]
+err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
 
 def examples(*lines: str) -> str:
     """The closing lines of a help text."""
     return "[bold]Example[/]\n\n" + "\n\n".join(f"  {line}" for line in lines)
+
+
+def mark(console: Console, word: str, text: str, style: str = "yellow") -> None:
+    """A line that begins with a coloured word: note, failed, done."""
+    console.print(Text.assemble((word, style), f" {text}"))
 
 
 def read_all(paths: list[Path] | None, scale: list[str] | None = None) -> list[Record]:
@@ -44,7 +50,7 @@ def read_all(paths: list[Path] | None, scale: list[str] | None = None) -> list[R
     for path in paths or []:
         record = read_record(path, scale=scale)
         for gap in record.gaps:
-            err.print(f"[yellow]note[/] {path}: {gap}")
+            mark(err, "note", f"{path}: {gap}")
         records.append(record)
     return records
 
@@ -53,7 +59,7 @@ def tell_ignored(records: list[Record], used: set[str], model: str) -> None:
     """Columns that the model does not know are named once."""
     ignored = sorted({name for r in records for name in r.signals} - used)
     if ignored:
-        err.print(f"[dim]ignored columns (neither input nor output of {model}): {', '.join(ignored)}[/]")
+        err.print(f"ignored columns (neither input nor output of {model}): {', '.join(ignored)}", style="dim")
 
 
 def check_file(path: Path, *suffixes: str, sources: Sequence[Path] = ()) -> Path:
@@ -134,4 +140,5 @@ def _plain(value):
 
 def progress_bar() -> Progress:
     """A bar on standard error for anything over a second."""
-    return Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=err, transient=True)
+    text = TextColumn("{task.description}", markup=False)
+    return Progress(text, BarColumn(), TimeElapsedColumn(), console=err, transient=True)

@@ -22,6 +22,7 @@ from .shared import (
     check_folder,
     err,
     examples,
+    mark,
     out,
     print_json,
     read_all,
@@ -108,10 +109,8 @@ def tell_out_of_bounds(parameters, settings: Mapping[str, float]) -> None:
     for p in parameters:
         low, high = p.bounds
         if p.name in settings and not low <= settings[p.name] <= high:
-            err.print(
-                f"[yellow]note[/] --set {p.name}: outside its bounds (got {settings[p.name]:g} {p.unit}). "
-                f"They are {low:g} to {high:g}."
-            )
+            got = f"(got {settings[p.name]:g} {p.unit})"
+            mark(err, "note", f"--set {p.name}: outside its bounds {got}. They are {low:g} to {high:g}.")
 
 
 def modelica(

@@ -87,9 +87,10 @@ def bounds_reached(names: Sequence[str], values, lower, upper, units, at_bound) 
     findings = []
     for name, value, low, high, unit, hit in zip(names, values, lower, upper, units, at_bound, strict=True):
         if hit:
-            side, bound = ("lower", low) if value - low <= high - value else ("upper", high)
+            lowest = value - low <= high - value
+            side, bound, wish = ("lower", low, "less") if lowest else ("upper", high, "more")
             findings.append(Finding("at_bound", (name,), (
-                f"identify: {name} rests on its {side} bound ({bound:g} {unit}). The recordings ask for more. "
+                f"identify: {name} rests on its {side} bound ({bound:g} {unit}). The recordings ask for {wish}. "
                 "Widen the bound if physics allows, or look for an effect the model lacks."
             )))  # fmt: skip
     return findings

@@ -132,39 +132,39 @@ class EhaBench(Component):
         yield self.pressure_b == self.cylinder.rod_pressure
 
 
-BASE = (
-    "pump.loss.efficiency",
-    "valve.orifice.flow_coefficient",
-    "accumulator.pressure",
-    "load.coulomb",
-    "load.viscous",
-)
+ALWAYS_FREE = ("valve.orifice.flow_coefficient", "accumulator.pressure", "load.coulomb", "load.viscous")
+STIFFNESS = "cylinder.oil.bulk_modulus"
+SLIP = "pump.loss.slip_conductance"
 
 
-def _freed(bench: EhaBench, name: str, free: tuple[str, ...]) -> Model:
+def _freed(bench: EhaBench, name: str, *free: str) -> Model:
     return Model(bench, name, settings={path: {"free": True} for path in free}, step=5e-4)
 
 
 def model() -> Model:
     """The plain bench: stiff oil, a pump without slip, nominal sizes."""
-    return _freed(EhaBench(), "eha_bench", BASE)
+    return _freed(EhaBench(), "eha_bench", "pump.loss.efficiency", *ALWAYS_FREE)
 
 
 def soft() -> Model:
-    """The bench with the stiffness of the oil free."""
-    return _freed(EhaBench(), "eha_bench_soft", (*BASE, "cylinder.oil.bulk_modulus"))
+    """The bench with the stiffness of oil and hoses free, started low."""
+    return _freed(EhaBench(cylinder=_soft()), "eha_bench_soft", "pump.loss.efficiency", STIFFNESS, *ALWAYS_FREE)
 
 
 def leaking() -> Model:
     """The bench whose pump slips with pressure instead of losing a constant share."""
-    return _freed(EhaBench(pump=_slipping_pump()), "eha_bench_leaking", ("pump.loss.slip_conductance", *BASE[1:]))
+    return _freed(EhaBench(pump=_slipping()), "eha_bench_leaking", SLIP, *ALWAYS_FREE)
 
 
 def soft_and_leaking() -> Model:
     """Both at once."""
-    free = ("pump.loss.slip_conductance", "cylinder.oil.bulk_modulus", *BASE[1:])
-    return _freed(EhaBench(pump=_slipping_pump()), "eha_bench_soft_and_leaking", free)
+    bench = EhaBench(cylinder=_soft(), pump=_slipping())
+    return _freed(bench, "eha_bench_soft_and_leaking", SLIP, STIFFNESS, *ALWAYS_FREE)
 
 
-def _slipping_pump() -> Pump:
-    return Pump(displacement=1.6 * CM3_PER_REV, loss=PumpSlip(slip_conductance=5e-13))
+def _soft() -> Cylinder:
+    return EhaBench.cylinder.but(oil=ConstantBulkModulus(bulk_modulus=5e7))
+
+
+def _slipping() -> Pump:
+    return EhaBench.pump.but(loss=PumpSlip(slip_conductance=1e-12))

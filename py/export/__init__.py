@@ -2,6 +2,7 @@
 
 from .check import Check, CheckRow, check_fmu
 from .reader import FmuBlock, read_fmu
+from .reference import reference_run
 from .writer import export_fmu
 
-__all__ = ["Check", "CheckRow", "FmuBlock", "check_fmu", "export_fmu", "read_fmu"]
+__all__ = ["Check", "CheckRow", "FmuBlock", "check_fmu", "export_fmu", "read_fmu", "reference_run"]

@@ -117,7 +117,11 @@ def _from_python(path: Path, factory: str) -> Model:
     specification = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
-    _ran(path, lambda: specification.loader.exec_module(module))
+    sys.path.insert(0, str(path.parent.resolve()))  # so that it may import what lies beside it
+    try:
+        _ran(path, lambda: specification.loader.exec_module(module))
+    finally:
+        sys.path.pop(0)
     functions = [n for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == name]
     if not callable(getattr(module, factory, None)):
         raise DeclarationError(f"{path}: no function '{factory}'. {nearest(factory, functions)}")

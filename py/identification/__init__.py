@@ -1,7 +1,7 @@
 """Identification: the parameters of a physical model from recordings, how sure they are, what cannot be told."""
 
+from .constant_speed import FrictionFit, fit_stribeck, friction_test, stribeck
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
-from .friction_test import FrictionFit, fit_stribeck, friction_test, stribeck
 from .identify import identify
 
 __all__ = [

@@ -81,8 +81,8 @@ def test_identification_brings_the_model_nearer_to_the_machine(data):
 
 
 def test_the_fmu_of_the_model_scores_like_the_model(data):
-    for output in ("arm_angle", "motor_speed"):  # pressures start elsewhere: the FMU takes only angles from a recording
-        assert rmse(data, "identified, as FMU", output) == pytest.approx(rmse(data, "identified", output), rel=0.1)
+    for output in ("arm_angle", "motor_speed", "pressure_cap", "pressure_rod"):
+        assert rmse(data, "identified, as FMU", output) == pytest.approx(rmse(data, "identified", output), rel=1e-6)
 
 
 def test_the_fmu_of_the_network_is_the_network_at_its_sampling_instants(demo):

@@ -11,6 +11,7 @@ import typer
 import hydrotwin.models
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.records import Record
 
 from ..loading import load
 from .comparing import print_comparison
@@ -48,14 +49,6 @@ def demo(
 
 def run_machine(machine: str, folder: Path, budget: float) -> None:
     """Recordings in; identified model, network, FMUs and report out."""
-    from hydrotwin.comparison import BlockContender, PhysicalContender, as_contender, compare
-    from hydrotwin.export import check_fmu, export_fmu, read_fmu
-    from hydrotwin.identification import identify
-    from hydrotwin.identification.friction_test import friction_test
-    from hydrotwin.learned import train_network, write_block
-    from hydrotwin.report import write_report
-    from hydrotwin.report.friction import write_friction_test
-
     recordings = EXAMPLES / machine / "recordings"
     train = read_all(sorted(recordings.glob("train_*.csv")))
     validate = read_all(sorted(recordings.glob("validate_*.csv")))
@@ -64,18 +57,39 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
             f"{recordings}: the recordings are missing. Make them with examples/{machine}/make_recordings.py."
         )
     folder.mkdir(parents=True, exist_ok=True)
+    fit, identified = identify_machine(machine, folder, train, validate)
+    for test in sorted(recordings.glob("friction_test*.csv")):
+        fit_friction(machine, folder, test)
+    network = learn_machine(machine, folder, train, budget)
+    fmus = export_machine(machine, folder, identified, network)
+    compare_all(machine, folder, (identified, network, fmus), fit, train, validate)
+
+
+def identify_machine(machine: str, folder: Path, train: list[Record], validate: list[Record]):
+    """The fit, and the model as its file gives it back."""
+    from hydrotwin.identification import identify
 
     out.rule(f"{machine}: identify")
-    model = load(machine)
-    fit = identify(model, train, validate=validate, progress=True)
-    model_file = write_model_file(folder / "model.toml", machine, fit.flat, fit_provenance(fit, train, validate))
-    print_fit(fit, model_file)
+    fit = identify(load(machine), train, validate=validate, progress=True)
+    path = write_model_file(folder / "model.toml", machine, fit.flat, fit_provenance(fit, train, validate))
+    print_fit(fit, path)
+    return fit, load(str(path))
 
-    for test in sorted(recordings.glob("friction_test*.csv")):
-        out.rule(f"{machine}: friction test")
-        friction = friction_test(read_all([test]))
-        write_friction_test(friction, folder, recordings=[test.stem])
-        print_friction(friction)
+
+def fit_friction(machine: str, folder: Path, recording: Path) -> None:
+    """The Stribeck curve of the constant-speed test."""
+    from hydrotwin.identification.constant_speed import friction_test
+    from hydrotwin.report.friction import write_friction_test
+
+    out.rule(f"{machine}: friction test")
+    fit = friction_test(read_all([recording]))
+    write_friction_test(fit, folder, recordings=[recording.stem])
+    print_friction(fit)
+
+
+def learn_machine(machine: str, folder: Path, train: list[Record], budget: float):
+    """A network from the same recordings."""
+    from hydrotwin.learned import train_network, write_block
 
     out.rule(f"{machine}: learn")
     column_in, column_out = LEARNED[machine]
@@ -87,27 +101,44 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
         )  # fmt: skip
     write_block(network, folder / "network.toml")
     out.print(f"network: {network.description}")
+    return network
+
+
+def export_machine(machine: str, folder: Path, identified, network) -> list:
+    """FMUs of both, checked and read back."""
+    from hydrotwin.comparison import as_contender
+    from hydrotwin.export import check_fmu, export_fmu, read_fmu, reference_run
 
     out.rule(f"{machine}: export and check")
-    contenders = [
-        PhysicalContender(model, f"{machine} as given"),
-        PhysicalContender(load(str(model_file)), "identified"),
-    ]
-    contenders.append(BlockContender(network, kind="network", name="network"))
-    contenders += [as_contender(load(spec)) for spec in FORMULA.get(machine, [])]
-    for name, thing in (("identified", load(str(model_file))), ("network", network)):
+    measured = [s.name for s in identified.flat.states if s.measured_by]  # start where a recording starts
+    answers = []
+    for name, thing, given in (("identified", identified, measured), ("network", network, None)):
         path = folder / f"{machine}_{name}.fmu"
-        export_fmu(thing, path)
+        export_fmu(thing, path, given=given, reference=reference_run(thing))
         answer = check_fmu(path)
-        failed = [r.name for r in answer.rows if r.passed is False]
-        verdict = "all checks passed" if answer.passed else f"FAILED: {', '.join(failed)}"
+        failed = ", ".join(r.name for r in answer.rows if r.passed is False)
+        verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"
         out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {verdict}")
-        contenders.append(as_contender(read_fmu(path), f"{name}, as FMU"))
+        answers.append(as_contender(read_fmu(path), f"{name}, as FMU"))
+    return answers
+
+
+def compare_all(machine: str, folder: Path, models, fit, train: list[Record], validate: list[Record]) -> None:
+    """Everything side by side on the validation recordings, and the report."""
+    from hydrotwin.comparison import BlockContender, PhysicalContender, as_contender, compare
+    from hydrotwin.report import write_report
 
     out.rule(f"{machine}: compare")
-    comparison = compare(
-        contenders, validate, train_records=train, title=f"{machine}: physical, learned and exported models"
-    )
+    identified, network, fmus = models
+    contenders = [
+        PhysicalContender(load(machine), f"{machine} as given"),
+        PhysicalContender(identified, "identified"),
+        BlockContender(network, kind="network", name="network"),
+        *(as_contender(load(spec)) for spec in FORMULA.get(machine, [])),
+        *fmus,
+    ]
+    title = f"{machine}: physical, learned and exported models"
+    comparison = compare(contenders, validate, train_records=train, title=title)
     paths = write_report(comparison, folder, fits=[fit])
     print_comparison(comparison)
     out.print(f"written: {', '.join(str(p) for p in paths.values())}")

@@ -247,7 +247,7 @@ def friction(
     as_json: JsonOption = False,
 ) -> None:
     """Fit the Stribeck curve to a friction test at constant speeds (C-EHA paper, Fig. 7 and Table 1)."""
-    from hydrotwin.identification.friction_test import friction_test
+    from hydrotwin.identification.constant_speed import friction_test
 
     if output:
         check_folder(output)

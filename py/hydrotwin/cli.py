@@ -16,6 +16,8 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
 from .commands import comparing, demonstrating, exporting, fitting, showing
 
+SEVERAL = ("--validate", "--train")  # options that take every file up to the next option
+
 app = typer.Typer(
     name="hydrotwin",
     help="Identify, learn, compare and export models of hydraulic actuators.",
@@ -36,7 +38,7 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.filterwarnings("default", category=UserWarning)
             warnings.showwarning = lambda message, *_, **__: console.print(f"[yellow]note[/] {_escaped(message)}")
-            app()
+            app(args=spread(sys.argv[1:]))
     except SolveError as error:
         console.print(f"[bold red]failed[/] {_escaped(error)}")
         sys.exit(1)
@@ -55,6 +57,28 @@ def main() -> None:
         next_step = "Check the path, its permissions and the free space."
         console.print(f"[bold red]error[/] {_escaped(f'{file}: {reason}. {next_step}')}")
         sys.exit(2)
+
+
+def spread(arguments: list[str]) -> list[str]:
+    """``--validate a.csv b.csv`` as ``--validate a.csv --validate b.csv``: what a shell makes of ``--validate v_*.csv``.
+
+    Everything up to the next option belongs to it, so recordings to fit to stand before.
+
+    >>> spread(["identify", "cehA", "t.csv", "--validate", "a.csv", "b.csv", "--out", "m.toml"])[3:-2]
+    ['--validate', 'a.csv', '--validate', 'b.csv']
+    """
+    answer: list[str] = []
+    several = None
+    for argument in arguments:
+        if argument.startswith("-"):
+            several = argument if argument in SEVERAL else None
+            first = True
+        elif several and not first:
+            answer.append(several)
+        else:
+            first = False
+        answer.append(argument)
+    return answer
 
 
 def _escaped(message: Exception | str) -> str:

@@ -151,7 +151,8 @@ def test_the_model_file_holds_values_and_where_they_came_from(here):
     gain = file["parameters"]["motor"]["gain"]
     assert gain["unit"] == "rad/(s.V)" and 0 < gain["sigma"] < 1 and gain["value"] == pytest.approx(120, rel=0.05)
     named = {(r["name"], r["role"]): r["sha256"] for r in file["provenance"]["recordings"]}
-    assert list(named) == [(f"train_{k}", "train") for k in (1, 2, 3)] + [("validate_1", "validate")]
+    judged = [(f"validate_{k}", "validate") for k in (1, 2)]
+    assert list(named) == [(f"train_{k}", "train") for k in (1, 2, 3)] + judged
     assert named["train_2", "train"] == contents(here)["train_2.csv"]
     assert file["provenance"]["made_by"] == f"hydrotwin {ht.__version__}"
     assert file["provenance"]["noise"]["arm_angle"] > 0
@@ -342,3 +343,14 @@ def test_every_command_that_answers_with_numbers_has_json():
     for command in app.registered_commands:
         names = command.callback.__annotations__
         assert ("as_json" in names) == (command.callback.__name__ not in numberless), command.callback.__name__
+
+
+def test_a_shells_list_of_validation_recordings_belongs_to_its_option():
+    from hydrotwin.cli import spread
+
+    given = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "v2.csv", "--out", "m.toml"]
+    wanted = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "--validate", "v2.csv", "--out", "m.toml"]
+    assert spread(given) == wanted
+    assert spread(["compare", "--model", "a", "--validate", "v.csv", "--json"]) == [
+        "compare", "--model", "a", "--validate", "v.csv", "--json",
+    ]  # fmt: skip

@@ -42,7 +42,7 @@ KINDS = ("nn",)
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
-    app.command(epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_1.csv --out model.toml"))(
+    app.command(epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_*.csv --out model.toml"))(
         identify
     )
     app.command(

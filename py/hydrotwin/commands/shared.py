@@ -23,7 +23,7 @@ ModelArgument = Annotated[
 ]
 RecordsArgument = Annotated[list[Path], typer.Argument(metavar="REC...", help="recordings (CSV, Parquet, MAT, MDF)")]
 ValidateOption = Annotated[
-    list[Path] | None, typer.Option("--validate", metavar="REC", help="recordings to judge by, not to fit to")
+    list[Path] | None, typer.Option("--validate", metavar="REC...", help="recordings to judge by, not to fit to")
 ]
 ScaleOption = Annotated[
     list[str] | None, typer.Option("--scale", metavar="COLUMN='V U/W'", help="scale a column: command='0.05 V/%'")

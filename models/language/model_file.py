@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +12,7 @@ import tomlkit
 from .errors import DataError, nearest
 from .flat import FlatModel
 from .parameter_file import parameter_settings, read_toml
+from .writing import write_whole
 
 FORMAT = 1
 _FORMS = (
@@ -97,18 +97,6 @@ def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: 
         document["provenance"] = _plain(provenance)
     write_whole(path, tomlkit.dumps(document))
     return path
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write beside, then rename: a failed write leaves the old file as it was."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text, encoding="utf-8")
-        os.replace(beside, path)
-    except OSError as error:
-        beside.unlink(missing_ok=True) if beside.parent.is_dir() else None
-        raise DataError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to.") from None
 
 
 def _plain(value):

@@ -60,7 +60,7 @@ def main() -> None:
 
 
 def spread(arguments: list[str]) -> list[str]:
-    """``--validate a.csv b.csv`` as ``--validate a.csv --validate b.csv``: what a shell makes of ``--validate v_*.csv``.
+    """``--validate a.csv b.csv`` (what a shell makes of ``--validate *.csv``) with the option before each file.
 
     Everything up to the next option belongs to it, so recordings to fit to stand before.
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
-import tempfile
 import tomllib
 import zipfile
 from collections.abc import Callable, Mapping
@@ -22,6 +20,7 @@ import tomlkit
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
+from hydrotwin.models.language.writing import write_whole
 from hydrotwin.simulation.block import Block, TrainingDomain
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -121,8 +120,8 @@ def write_block(block: LearnedBlock, path: str | Path) -> tuple[Path, Path]:
     np.savez(packed, **block.arrays)
     arrays_path = path.with_suffix(".npz")
     header = tomlkit.dumps(_header(block, arrays_path.name, packed.getvalue()))
-    _replace(arrays_path, packed.getvalue())
-    _replace(path, header.encode())
+    write_whole(arrays_path, packed.getvalue())
+    write_whole(path, header)
     return path, arrays_path
 
 
@@ -269,16 +268,3 @@ def _check_sizes(step: ca.Function, frame: Mapping, where: str) -> None:
                 f"{where}: {len(frame[part])} {part} in the header, {step.size1_in(position)} in the arrays. "
                 "Write the block again with write_block."
             )
-
-
-def _replace(path: Path, content: bytes) -> None:
-    """Write beside, then rename, so that a failed write leaves the old file whole."""
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException:
-        os.unlink(beside)
-        raise

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DataError, nearest
 from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.writing import replacing
 
 from .binary_files import read_mdf, read_parquet, write_mdf, write_parquet
 from .csv_file import read_csv, write_csv
@@ -67,28 +67,9 @@ def write_record(
         record[name]
     columns = [record.time, *(convert(record[n], record.units[n], shown[n]) for n in record)]
     headers = ["time [s]", *(f"{n} [{shown[n]}]" for n in record)]
-    _replace_whole(path, lambda beside: write(headers, columns, record, beside))
+    with replacing(path) as beside:
+        write(headers, columns, record, beside)
     return path
-
-
-def _replace_whole(path: Path, write) -> None:
-    """Write beside, then rename."""
-    if not path.parent.is_dir():
-        raise DataError(f"{path}: the folder '{path.parent}' does not exist. Make it first.")
-    handle, beside = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    try:
-        write(Path(beside))
-        os.chmod(beside, 0o666 & ~_umask())
-        os.replace(beside, path)
-    finally:
-        Path(beside).unlink(missing_ok=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _format_of(path: Path):

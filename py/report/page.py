@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, is_dataclass
 from functools import cache
@@ -14,6 +12,8 @@ from pathlib import Path
 import jinja2
 import numpy as np
 from markupsafe import Markup
+
+from hydrotwin.models.language.writing import write_whole
 
 from .figure import Figure, FigureGroup
 from .tables import Table
@@ -156,16 +156,3 @@ def _plotly() -> Markup:
     from plotly.offline import get_plotlyjs
 
     return Markup(get_plotlyjs())
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write beside, then rename: a failed write leaves the old file whole."""
-    handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        os.chmod(beside, 0o644)
-        os.replace(beside, path)
-    except BaseException:
-        Path(beside).unlink(missing_ok=True)
-        raise

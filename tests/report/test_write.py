@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import compare
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.report import write_report
 from tests.comparison.toys import COMMAND, SPEED, Toy, recording
 
@@ -162,7 +163,7 @@ def test_a_failed_write_leaves_the_old_file_whole(comparison, tmp_path, monkeypa
         raise OSError("no space left on device")
 
     monkeypatch.setattr("os.replace", no_space)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(DataError, match="no space"):
         write_report(comparison, tmp_path)
     assert paths["json"].read_bytes() == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["compare.json", "report.html", "report.md"]

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.models.language.model_file import write_whole
 from hydrotwin.models.language.units import compatible
+from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import write_record
 
 from ..loading import load

@@ -38,6 +38,7 @@ class Header:
     tolerance: float
     sources: tuple[str, ...]
     restarts: bool = False
+    period: float = 0.0
     author: str = ""
     licence: str = ""
     version: str = ""
@@ -53,7 +54,7 @@ def model_description(header: Header, variables: Sequence[Variable]) -> str:
         ET.SubElement(categories, "Category", name=name, description=text)
     experiment = {"startTime": "0.0", "stopTime": repr(header.stop_time), "stepSize": repr(header.step_size)}
     ET.SubElement(root, "DefaultExperiment", experiment | {"tolerance": repr(header.tolerance)})
-    root.append(_annotations(variables, header.restarts))
+    root.append(_annotations(variables, header))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
         listed.append(_scalar_variable(reference, variable, header.sampled))
@@ -87,14 +88,16 @@ def _co_simulation(header: Header) -> ET.Element:
     return element
 
 
-def _annotations(variables: Sequence[Variable], complete: bool) -> ET.Element:
+def _annotations(variables: Sequence[Variable], header: Header) -> ET.Element:
     """Which output measures what a start parameter sets: a reader can then start where a recording starts.
 
-    ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere.
+    ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere. ``period``:
+    how often a sampled block moves [s].
     """
     element = ET.Element("VendorAnnotations")
     tool = ET.SubElement(element, "Tool", name="hydrotwin")
-    starts = ET.SubElement(tool, "Starts", complete="true" if complete else "false")
+    sampled = {"period": repr(header.period)} if header.sampled else {}
+    starts = ET.SubElement(tool, "Starts", complete="true" if header.restarts else "false", **sampled)
     for variable in variables:
         if variable.kind == "start":
             measured = {"output": variable.measured_by} if variable.measured_by else {}

@@ -23,6 +23,7 @@ class Description:
     starts : start parameter -> record name of the output that measures it.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
     any_step : whether it takes communication steps of any size.
+    period : s between the moves of a sampled block of hydrotwin, None for everything else.
     """
 
     source: ModelDescription
@@ -35,6 +36,7 @@ class Description:
     starts: Mapping[str, str]
     states: tuple[str, ...]
     restarts: bool
+    period: float | None = None
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -50,7 +52,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
             f"{path}: it offers neither Co-Simulation nor Model Exchange. Ask its maker for one of the two."
         )
     meanings = {v.name: _meaning(v, md, units.get(v.name)) for v in md.modelVariables}
-    starts, complete = _annotated_starts(path)
+    starts, complete, period = _annotated(path)
     plain = [p.removesuffix(".start") for p in starts] if complete else []
     states = tuple(n if n in meanings and not _is_output(md, n) else f"state.{n}" for n in plain)
     return Description(
@@ -64,6 +66,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         starts={p: names.get(o, o) for p, o in starts.items() if o},
         states=states,
         restarts=complete and md.coSimulation is not None,
+        period=period,
     )
 
 
@@ -120,8 +123,8 @@ def _si_text(base: BaseUnit) -> str:
     return parse_unit(f"{text}/({'.'.join(below)})" if below else text).si
 
 
-def _annotated_starts(path: Path) -> tuple[dict[str, str], bool]:
-    """The start parameters an FMU of hydrotwin lists, and whether they determine the whole state."""
+def _annotated(path: Path) -> tuple[dict[str, str], bool, float | None]:
+    """What an FMU of hydrotwin says of itself: start parameters, whether they are all there is, its period."""
     try:
         if path.is_dir():
             root = ET.parse(path / "modelDescription.xml").getroot()
@@ -129,9 +132,10 @@ def _annotated_starts(path: Path) -> tuple[dict[str, str], bool]:
             with zipfile.ZipFile(path) as archive:
                 root = ET.fromstring(archive.read("modelDescription.xml"))
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
-        return {}, False
+        return {}, False, None
     listed = root.find("./VendorAnnotations/Tool[@name='hydrotwin']/Starts")
     if listed is None:
-        return {}, False
+        return {}, False, None
     starts = {e.get("parameter"): e.get("output") or "" for e in listed.findall("Start")}
-    return starts, listed.get("complete") == "true"
+    period = listed.get("period")
+    return starts, listed.get("complete") == "true", float(period) if period else None

@@ -44,9 +44,23 @@ class FmuBlock:
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
+        A sampled block of hydrotwin runs at its own period, its outputs lie on the line between its samples: as
+        `simulate` runs a Block.
+
         Raises DataError or UnitError when the record lacks an input, SolveError when the FMU fails, crashes or hangs.
         """
-        job, arrays = self._job("run", record)
+        period = self.description.period
+        if period is None or len(record) < 2 or np.ptp(record.time) < period:
+            return self._run(record)
+        grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
+        held = [s.name for s in self.inputs if s.interpolation == "hold"]
+        run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)
+        signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
+        return Record(record.time, signals, dict(run.units), self.name)
+
+    def _run(self, record: Record, first: Record | None = None) -> Record:
+        """One free run; ``first`` holds the measured outputs to start from, when ``record`` has inputs only."""
+        job, arrays = self._job("run", record, first or record)
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
     @property
@@ -64,20 +78,20 @@ class FmuBlock:
                 f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
-        job, arrays = self._job("restart", record)
+        job, arrays = self._job("restart", record, record)
         pairs = {p: o for p, o in self.starts.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self._to_fmu(p, record[o]) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
-    def _job(self, task: str, record: Record) -> tuple[dict, dict[str, np.ndarray]]:
+    def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
             raise DataError(f"{record.name}: an FMU needs two samples or more (got {len(record)}).")
         self._check_time_axis(record)
         require(record, self.inputs, self.name)
         of = self.description.fmu_names
-        starts = {p: float(self._to_fmu(p, record[o][:1])[0]) for p, o in self.starts.items() if o in record}
+        starts = {p: float(self._to_fmu(p, first[o][:1])[0]) for p, o in self.starts.items() if o in first}
         columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
         job = {
             "task": task,

@@ -80,7 +80,7 @@ def export_fmu(
     header = Header(
         lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
         lowered.sampled, float(stop_time), float(size), float(tolerance),
-        tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, author, licence,
+        tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, float(lowered.step), author, licence,
     )  # fmt: skip
     xml = model_description(header, variables)
     guid = _guid_of(xml, sources)

@@ -85,13 +85,12 @@ def test_the_fmu_of_the_model_scores_like_the_model(data):
         assert rmse(data, "identified, as FMU", output) == pytest.approx(rmse(data, "identified", output), rel=1e-6)
 
 
-def test_the_fmu_of_the_network_is_the_network_at_its_sampling_instants(demo):
+def test_the_fmu_of_the_network_is_the_network(demo):
     folder, _ = demo
     record = ht.read_record(SHIPPED / "cehA/recordings/validate_1.csv").window(0.0, 4.0)
     network, fmu = ht.load(folder / "network.toml"), ht.load(folder / "cehA_network.fmu")
-    shared = np.isclose(np.remainder(record.time + 1e-9, network.period), 0.0, atol=1e-6)
-    assert shared.sum() > 40
-    angles = [run["arm_angle"][shared] for run in (ht.simulate(network, record), fmu.free_run(record))]
+    assert network.period > record.period
+    angles = [run["arm_angle"] for run in (ht.simulate(network, record), fmu.free_run(record))]
     assert angles[1] == pytest.approx(angles[0], abs=1e-9)
 
 

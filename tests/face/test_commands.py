@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 
 import hydrotwin as ht
 from hydrotwin.cli import app
@@ -80,6 +81,15 @@ def test_help_names_every_command():
     answer = hydrotwin("--help")
     assert answer.code == 0
     assert all(f" {command} " in answer.out for command in COMMANDS)
+
+
+def test_no_help_text_loses_a_unit_in_brackets():
+    group = typer.main.get_command(app)
+    texts = {
+        f"{c.name} {p.name}": p.help or "" for c in group.commands.values() for p in c.params if hasattr(p, "help")
+    }
+    assert len(texts) > 40
+    assert [name for name, text in texts.items() if "[" in text] == []  # rich takes it for markup and drops it
 
 
 def test_the_shell_finds_the_command():
@@ -247,6 +257,14 @@ def test_a_scenario_gives_the_same_scores_as_the_options(here, tmp_path):
         (now,) = (s for s in data["scores"] if s["model"] == name)
         same = [s for s in earlier if all(s[k] == now[k] for k in ("model", "output", "mode"))]
         assert now["rmse"] == pytest.approx(same[0]["rmse"], rel=1e-12)
+
+
+def test_a_comparison_scores_the_slope_of_an_output(here, tmp_path):
+    words = ("--model", "cehA", "--validate", "validate_1.csv", "--output", "arm_angle", "--mode", "free run")
+    answer = hydrotwin("compare", *words, "--rate", "arm_angle", "--out", tmp_path, "--json")
+    assert answer.code == 0, answer.err
+    units = {s["output"]: s["unit"] for s in json.loads(answer.out)["scores"]}
+    assert units == {"arm_angle": "rad", "arm_angle.rate": "rad/s"}
 
 
 # -- export and check ------------------------------------------------------------------------------------------

@@ -80,6 +80,12 @@ def test_identification_brings_the_model_nearer_to_the_machine(data):
     assert rmse(data, "identified", "pressure_cap") < rmse(data, "cehA as given", "pressure_cap")
 
 
+def test_the_demo_scores_the_speed_of_the_arm_for_all_contenders(data):
+    scored = {m["model"] for m in data["means"] if m["output"] == "arm_angle.rate"}
+    assert scored == set(CONTENDERS)
+    assert {m["unit"] for m in data["means"] if m["output"] == "arm_angle.rate"} == {"rad/s"}
+
+
 def test_the_fmu_of_the_model_scores_like_the_model(data):
     for output in ("arm_angle", "motor_speed", "pressure_cap", "pressure_rod"):
         assert rmse(data, "identified, as FMU", output) == pytest.approx(rmse(data, "identified", output), rel=1e-6)

@@ -48,6 +48,9 @@ def compare(
         list[Path] | None, typer.Option("--train", metavar="REC", help="what the models were made from")
     ] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to score")] = None,
+    rates: Annotated[
+        list[str] | None, typer.Option("--rate", metavar="NAME", help="outputs to score the slope of as well")
+    ] = None,
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     scale: ScaleOption = None,
@@ -62,8 +65,8 @@ def compare(
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
-    said = {"--validate": validate, "--train": train, "--output": outputs, "--mode": modes, "--title": title}
-    doubled = [option for option, value in {**said, "--scale": scale}.items() if value]
+    said = {"--validate": validate, "--train": train, "--output": outputs, "--rate": rates, "--mode": modes}
+    doubled = [option for option, value in {**said, "--title": title, "--scale": scale}.items() if value]
     if scenario is not None and doubled:
         raise DeclarationError(
             f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
@@ -79,6 +82,7 @@ def compare(
             train=tuple(train or ()),
             modes=tuple(modes or MODES),
             outputs=tuple(outputs) if outputs else None,
+            rates=tuple(rates or ()),
             scale=dict(s.split("=", 1) for s in scale or []),
         )
     with progress_bar() as bar:

@@ -21,6 +21,7 @@ from .shared import check_folder, examples, mark, out, progress_bar, read_all
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
 LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn
 FORMULA = {"cehA": ["eq17"]}  # published formulas to put beside
+RATES = {"cehA": ["arm_angle"], "spool_valve": ["position"]}  # scored with their slope, as Fig. 12 of the C-EHA paper
 
 
 def register(app: typer.Typer) -> None:
@@ -138,7 +139,7 @@ def compare_all(machine: str, folder: Path, models, fit, train: list[Record], va
         *fmus,
     ]
     title = f"{machine}: physical, learned and exported models"
-    comparison = compare(contenders, validate, train_records=train, title=title)
+    comparison = compare(contenders, validate, train_records=train, rates=RATES[machine], title=title)
     paths = write_report(comparison, folder, fits=[fit])
     print_comparison(comparison)
     out.print(f"written: {', '.join(str(p) for p in paths.values())}")

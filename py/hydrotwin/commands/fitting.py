@@ -184,7 +184,7 @@ def learn(
     validate: ValidateOption = None,
     hidden: Annotated[int, typer.Option(min=0, help="hidden units; 0: the best linear model")] = 10,
     seed: Annotated[int, typer.Option(help="the same seed gives the same network")] = 0,
-    budget: Annotated[float, typer.Option(min=0.1, help="training time [s], then the best so far is taken")] = 120.0,
+    budget: Annotated[float, typer.Option(min=0.1, help="seconds of training, then the best so far is taken")] = 120.0,
     name: Annotated[str, typer.Option(help="name of the block")] = "network",
     scale: ScaleOption = None,
     as_json: JsonOption = False,

@@ -58,7 +58,7 @@ def simulate(
     changes: Annotated[
         list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI")
     ] = None,
-    step: Annotated[float | None, typer.Option(help="integration step [s]")] = None,
+    step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     scale: ScaleOption = None,
     as_json: JsonOption = False,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Score
 
+from .copies import copies
 from .format import difference_to_shown, margin_text, number_text, with_unit
 
 LEVEL = 1.02  # two models whose errors differ by less are level
@@ -28,10 +29,10 @@ class Winner:
 
 def winners(comparison: Comparison) -> tuple[Winner, ...]:
     """The best model on each output in each mode, by mean RMSE over the recordings."""
-    found = []
+    found, told = [], _told(comparison)
     for mode in comparison.modes:
         for signal in comparison.outputs:
-            ranking = comparison.ranking(signal.name, mode)
+            ranking = _among(comparison.ranking(signal.name, mode), told)
             if ranking:
                 found.append(_winner(ranking))
     return tuple(found)
@@ -46,6 +47,7 @@ def answer(comparison: Comparison, shown: Mapping[str, str]) -> str:
 def facts(comparison: Comparison, shown: Mapping[str, str]) -> tuple[str, ...]:
     """The same sentence for every further mode, who was told more than the others, and the fastest model."""
     sentences = [_mode_sentence(comparison, mode, shown) for mode in comparison.modes[1:]]
+    sentences += [c.sentence for c in copies(comparison)]
     sentences.append(_told_more(comparison))
     seconds = comparison.seconds_per_simulated_second
     times = {m: s for m, s in seconds.items() if m not in comparison.yardsticks}
@@ -88,17 +90,31 @@ def _times(best: Score, other: Score) -> float:
 
 
 def _mode_sentence(comparison: Comparison, mode: str, shown: Mapping[str, str]) -> str:
-    """Few clauses that cover all outputs: again and again the model that is best, or level, on most of the rest."""
-    rankings = {s.name: comparison.ranking(s.name, mode) for s in comparison.outputs}
+    """Few clauses that cover all outputs: again and again the model that is best, or level, on most of the rest.
+
+    The clause with the first output comes first: the outputs stand in the order in which they matter.
+    """
+    told = _told(comparison)
+    rankings = {s.name: _among(comparison.ranking(s.name, mode), told) for s in comparison.outputs}
     rest = {output: _level(r) for output, r in rankings.items() if r}
     total, clauses = len(rest), []
     while rest:
         model = max(comparison.models, key=lambda m: sum(m in level for level in rest.values()))
         covered = [output for output, level in rest.items() if model in level]
-        clauses.append(_clause(model, covered, total, rankings[covered[0]], shown[covered[0]], comparison.yardsticks))
+        text = _clause(model, covered, total, rankings[covered[0]], shown[covered[0]], comparison.yardsticks)
+        clauses.append((list(rankings).index(covered[0]), text))
         rest = {output: level for output, level in rest.items() if output not in covered}
     start = {FREE_RUN: "In free run", ONE_STEP: "One step ahead"}[mode]
-    return f"{start}, {'; '.join(clauses)}." if clauses else ""
+    return f"{start}, {'; '.join(text for _, text in sorted(clauses))}." if clauses else ""
+
+
+def _told(comparison: Comparison) -> set[str]:
+    """Models that the sentences speak of; an exported copy is no rival of its model."""
+    return set(comparison.models) - {c.fmu for c in copies(comparison)}
+
+
+def _among(ranking: tuple[Score, ...], models: set[str]) -> tuple[Score, ...]:
+    return tuple(s for s in ranking if s.model in models)
 
 
 def _level(ranking: tuple[Score, ...]) -> set[str]:

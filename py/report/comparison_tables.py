@@ -185,15 +185,20 @@ def failure_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | 
 
 
 def unscored_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
-    """Outputs that could not be compared, and why, or None."""
-    rows = comparison.unscored
+    """Outputs that could not be compared, and why, one row for each cause; or None."""
+    where: dict[tuple[str, str, str], dict[str, None]] = {}
+    for u in comparison.unscored:
+        where.setdefault((u.model, u.record, u.reason), {})[u.output] = None
+    rows: dict[tuple[str, tuple[str, ...], str], list[str]] = {}
+    for (model, record, reason), outputs in where.items():
+        rows.setdefault((model, tuple(outputs), reason), []).append(record)
     if not rows:
         return None
     columns = [
-        _models([u.model for u in rows], look),
-        texts("record", "Recording", [u.record for u in rows]),
-        texts("output", "Output", [u.output for u in rows]),
-        texts("reason", "Not scored, because", [u.reason for u in rows]),
+        _models([model for model, _, _ in rows], look),
+        texts("record", "Recording", [", ".join(records) for records in rows.values()]),
+        texts("output", "Output", [", ".join(outputs) for _, outputs, _ in rows]),
+        texts("reason", "Not scored, because", [reason for _, _, reason in rows]),
     ]
     return table("unscored", "Not scored", columns, folded=True)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import platform
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from hydrotwin.records import Record
 
+from .format import number_text
 from .page import Section
 from .tables import Table, counts, numbers, table, texts
 
@@ -30,8 +31,11 @@ def versions() -> dict[str, str]:
 
 
 def command_line() -> str:
-    """The command that is running, the program without its folder."""
-    return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]) if sys.argv and sys.argv[0] else ""
+    """The command that is running, the program without its folder; ``python -m hydrotwin`` is ``hydrotwin``."""
+    if not sys.argv or not sys.argv[0]:
+        return ""
+    program = Path(sys.argv[0])
+    return shlex.join([program.parent.name if program.name == "__main__.py" else program.name, *sys.argv[1:]])
 
 
 def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Table:
@@ -51,12 +55,34 @@ def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Tabl
 
 def model_table(entrants: Sequence) -> Table | None:
     """What each model says about its own origin, or None when none says anything."""
-    rows = [(e.name, str(k), str(v)) for e in entrants for k, v in e.provenance.items()]
+    rows = [(e.name, *item) for e in entrants for k, v in e.provenance.items() for item in _items(str(k), v)]
     if not rows:
         return None
     model, key, value = zip(*rows, strict=True)
     columns = [texts("model", "Model", model), texts("key", "Item", key), texts("value", "Value", value)]
     return table("model_provenance", "Models", columns, folded=True)
+
+
+def _items(key: str, value) -> Iterator[tuple[str, str]]:
+    """Rows of the table for one entry: a tree opens into dotted keys, a list of files into one row for each."""
+    if isinstance(value, Mapping) and any(isinstance(v, Mapping) for v in value.values()):
+        for name, part in value.items():
+            yield from _items(f"{key}.{name}", part)
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            yield key, _text(part)
+    else:
+        yield key, _text(value)
+
+
+def _text(value) -> str:
+    """One value for a reader: files by name and digest, numbers with four digits."""
+    if isinstance(value, Mapping):
+        shown = {k: v for k, v in value.items() if k != "source"}  # the folder on somebody's machine
+        return ", ".join(_text(v) if k in ("name", "role") else f"{k} {_text(v)}" for k, v in shown.items())
+    if isinstance(value, float):
+        return number_text(value, 4)
+    return str(value)
 
 
 def provenance_section(comparison, command: str, date: datetime) -> Section:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ import pytest
 from hydrotwin.comparison import compare
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.report import write_report
-from tests.comparison.toys import COMMAND, SPEED, Toy, recording
+from hydrotwin.report.provenance import command_line
+from tests.comparison.toys import ANGLE, COMMAND, SPEED, Toy, recording
 
 
 @pytest.fixture(scope="module")
@@ -197,3 +199,54 @@ def test_a_single_model_and_recording_needs_no_rival(tmp_path):
     paths = write_report(compare([Toy("only")], [recording(1)], modes=["free run"]), tmp_path)
     answer = json.loads(paths["json"].read_text(encoding="utf-8"))["answer"]
     assert re.fullmatch(r"In free run, only is best on all 3 outputs: arm_angle RMSE 0\.\d+°\.", answer)
+
+
+def facts_of(contenders, folder):
+    data = json.loads(write_report(compare(contenders, [recording(1)]), folder)["json"].read_text(encoding="utf-8"))
+    return data, " ".join([data["answer"], *data["facts"]])
+
+
+def test_an_exported_copy_is_no_rival_of_its_model(tmp_path):
+    data, said = facts_of(
+        [Toy("mine", gain=121.0), Toy("catalogue", gain=126.0), Toy("exported", "fmu", gain=121.0)], tmp_path
+    )
+    assert "mine is best on all 3 outputs" in data["answer"] and "that of catalogue" in data["answer"]
+    assert "exported gives exactly the outputs of mine." in said
+    assert {w["model"] for w in data["best"]} == {"mine"} and {w["next"] for w in data["best"]} == {"catalogue"}
+
+
+def test_an_fmu_that_runs_otherwise_is_a_rival_like_any(tmp_path):
+    _, said = facts_of([Toy("mine", gain=121.0), Toy("exported", "fmu", gain=121.1)], tmp_path)
+    assert "gives the outputs of" not in said and "that of exported" in said
+
+
+def test_the_first_output_comes_first_in_the_answer(tmp_path):
+    angle = Toy("angle", outputs=(ANGLE,), gain=120.0)
+    data, _ = facts_of([Toy("all", gain=126.0, drift=1e-3), angle], tmp_path)
+    assert data["answer"].startswith("In free run, angle is best on arm_angle")
+    assert "; all is best on 2 of 3 outputs: motor_speed" in data["answer"]
+
+
+def test_outputs_not_scored_for_one_cause_share_a_row(tmp_path):
+    records = [recording(k) for k in (1, 2)]
+    comparison = compare([Toy("all"), Toy("angle", outputs=(ANGLE,))], records)
+    data = json.loads(write_report(comparison, tmp_path)["json"].read_text(encoding="utf-8"))
+    (row,) = data["tables"]["unscored"]["rows"]
+    assert row["record"]["value"] == "validation_1, validation_2"
+    assert row["output"]["value"] == "motor_speed, pressure_cap"
+    assert len(data["unscored"]) == 4
+
+
+def test_the_origin_of_a_model_is_told_in_rows_for_people(tmp_path):
+    toy = Toy("fitted")
+    files = [{"name": "a", "role": "train", "sha256": "12ab", "source": "/home/somebody/a.csv"}]
+    toy.provenance = {"recordings": files, "rmse": {"train": {"angle": 1.23456e-3}}, "seed": 3}
+    paths = write_report(compare([toy], [recording(1)]), tmp_path)
+    rows = json.loads(paths["json"].read_text(encoding="utf-8"))["tables"]["model_provenance"]["rows"]
+    told = [(r["key"]["value"], r["value"]["value"]) for r in rows]
+    assert told == [("recordings", "a, train, sha256 12ab"), ("rmse.train", "angle 0.001235"), ("seed", "3")]
+
+
+def test_python_m_hydrotwin_is_told_as_hydrotwin(monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["/somewhere/hydrotwin/__main__.py", "demo", "--out", "my demo"])
+    assert command_line() == "hydrotwin demo --out 'my demo'"

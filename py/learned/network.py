@@ -299,7 +299,7 @@ def _describe(shape: NarxShape) -> str:
 
 def _provenance(records, validate, trained) -> dict:
     def named(part):
-        return [{"name": r.name, "source": r.source, "sha256": r.digest, "samples": len(r)} for r in part]
+        return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in part]
 
     return {
         "kind": "network",

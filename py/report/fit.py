@@ -57,7 +57,7 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
         parts.append(Note(findings, tone="warning"))
     residuals = getattr(fit, "residuals", ())
     if residuals:
-        parts += [residual_table(residuals, f"{id}_residuals"), Note((_left_over(residuals),))]
+        parts += [residual_table(residuals, f"{id}_residuals", _start_note(fit)), Note((_left_over(residuals),))]
     return Section(id, f"Fit of {name or fit.name}", tuple(parts), _lead(fit))
 
 
@@ -116,7 +116,7 @@ def interval_figure(rows: Sequence[ParameterRow], id: str = "intervals") -> Figu
     return Figure(id, "", {"data": [trace | {"marker": marker}], "layout": plan})
 
 
-def residual_table(residuals: Sequence, id: str = "residuals") -> Table:
+def residual_table(residuals: Sequence, id: str = "residuals", note: str = "") -> Table:
     """RMSE against noise for each output and recording, and whether what is left is white."""
     ratio = [math.sqrt(r.chi2_per_sample) for r in residuals]
     shown = [shown_unit(r.unit, peak=100.0 * r.rmse) for r in residuals]
@@ -142,7 +142,7 @@ def residual_table(residuals: Sequence, id: str = "residuals") -> Table:
         warned(texts("verdict", "What is left", verdict), [not r.explained for r in residuals]),
         counts("samples", "Samples", [r.samples for r in residuals]),
     ]
-    return table(id, "What the fit explains", columns)
+    return table(id, "What the fit explains", columns, note)
 
 
 def _lead(fit) -> str:
@@ -158,6 +158,17 @@ def _lead(fit) -> str:
         tail = f" Chi-square per degree of freedom is {number_text(float(per_dof))}; 1 means that only noise is left."
     message = getattr(fit, "message", "")
     return f"{' '.join(words)}.{tail}{' ' + _sentence(message) if message else ''}"
+
+
+def _start_note(fit) -> str:
+    """Why these errors are not those of the scores, when the fit estimated start states."""
+    starts = list(dict.fromkeys(name for r in getattr(fit, "records", ()) for name in r.start))
+    if not starts:
+        return ""
+    return (
+        f"Free runs from the start that the fit estimates for each recording ({', '.join(starts)}). The scores above "
+        "start from the first sample as it was measured, noise and all: their errors are other, often larger, numbers."
+    )
 
 
 def _sentence(text: str) -> str:

@@ -6,6 +6,7 @@ import html
 import json
 import re
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from hydrotwin.comparison import compare
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.report import write_report
+from hydrotwin.report.fit import fit_section
 from hydrotwin.report.provenance import command_line
 from tests.comparison.toys import ANGLE, COMMAND, SPEED, Toy, recording
 
@@ -106,6 +108,14 @@ def test_the_fit_says_what_is_explained_and_what_not(report):
     assert "Explained down to the noise: arm_angle. Not explained: pressure_cap." in text
     assert "3.0 times its noise: 88.9 % of the error's power is not sensor noise" in text
     assert "\nmotor.gain and pump.displacement cannot be told apart." in text
+
+
+def test_a_fit_that_estimates_starts_says_why_its_errors_differ_from_the_scores(fit):
+    estimated = SimpleNamespace(role="train", start={"arm.angle": 0.1})
+    section = fit_section(SimpleNamespace(**vars(fit), records=(estimated,)))
+    (left,) = (p for p in section.parts if getattr(p, "title", "") == "What the fit explains")
+    assert "estimates for each recording (arm.angle)" in left.note
+    assert not any("estimates" in getattr(p, "note", "") for p in fit_section(fit).parts)
 
 
 def test_residuals_say_what_each_model_explains(data):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -156,20 +157,12 @@ def print_fit(fit, path: Path) -> None:
         for p in fit.parameters
     ]
     table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
-    residuals = [
-        [
-            r.record,
-            r.role,
-            r.output,
-            float(r.rmse),
-            float(r.noise),
-            r.unit,
-            "noise only" if r.explained else "more than noise",
-        ]
+    left = [
+        [r.record, r.role, r.output, float(r.rmse), float(r.noise), r.unit, math.sqrt(r.chi2_per_sample)]
         for r in fit.residuals
     ]
     out.print()
-    table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", ""], residuals)
+    table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", "ratio"], left)
     for finding in fit.findings:
         mark(out, "note", str(finding))
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")

@@ -8,6 +8,7 @@ import os
 import re
 import shlex
 import shutil
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -372,3 +373,11 @@ def test_a_shells_list_of_validation_recordings_belongs_to_its_option():
     assert spread(["compare", "--model", "a", "--validate", "v.csv", "--json"]) == [
         "compare", "--model", "a", "--validate", "v.csv", "--json",
     ]  # fmt: skip
+
+
+def test_a_table_in_a_pipe_breaks_no_name(here):
+    words = [sys.executable, "-m", "hydrotwin", "check", "cehA.fmu"]
+    answer = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "COLUMNS": "80"}, check=False)
+    assert answer.returncode == 0, answer.stderr
+    (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass  second instance"))
+    assert line.rstrip().endswith("bit by bit")

@@ -30,6 +30,8 @@ ScaleOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 
+WIDE = 160  # columns of a table that goes into a file or a pipe
+
 out = Console(soft_wrap=True, highlight=False, markup=False)  # no markup: names and units may stand in [brackets]
 err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
 
@@ -118,7 +120,8 @@ def table(title: str, columns: list[str], rows: list[list]) -> None:
         shown.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         shown.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell) for cell in row))
-    out.print(shown)
+    wide = Console(file=out.file, width=max(out.width, WIDE), highlight=False, markup=False)
+    (out if out.is_terminal else wide).print(shown)
 
 
 def print_json(answer) -> None:

@@ -196,6 +196,7 @@ COMMANDS = {
     "export old.fmu --out old.fmu": ["'old.fmu' is an FMU already", "Give a physical model or a learned block"],
     "export cehA --fmi 9 --out old.fmu": ["FMI 9", "Use fmi=2"],
     "export cehA --kind cosim --out old.fmu": ["cosim", "kind='cs'"],
+    "export cehA --start warm --out old.fmu": ["no start 'warm'", "positions"],
     "export cehA --out report": ["report: a folder, not a file"],
     "export cehA --out old.zip": ["old.zip: not a name this command can write to", "Write to old.fmu"],
     "check odl.fmu": ["odl.fmu: no such file"],

@@ -285,6 +285,16 @@ def merged(outputs: str) -> Path:
     return path
 
 
+def test_an_fmu_that_starts_as_measured_repeats_simulate_on_a_recording(here, tmp_path):
+    assert hydrotwin("export", "cehA", "--start", "measured", "--out", tmp_path / "m.fmu").code == 0
+    assert hydrotwin("export", "cehA", "--out", tmp_path / "p.fmu").code == 0
+    record = ht.read_record("validate_1.csv")
+    expected = ht.simulate(ht.load("cehA"), record)["pressure_cap"]
+    measured, balanced = (ht.load(tmp_path / name).free_run(record)["pressure_cap"] for name in ("m.fmu", "p.fmu"))
+    assert np.abs(measured - expected).max() < 1e-6 * np.ptp(expected)
+    assert np.abs(balanced - expected).max() > 1e-3 * np.ptp(expected)
+
+
 def test_a_check_against_another_machine_fails_with_exit_code_one(here):
     changed = ["--set", "cylinder.cap_area=9e-4", "--set", "motor.gain=100"]
     assert hydrotwin("simulate", "cehA", "--input", "validate_1.csv", *changed, "--out", "other.csv").code == 0

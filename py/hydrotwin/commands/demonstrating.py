@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 
 from ..loading import load
 from .comparing import print_comparison
+from .exporting import given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .shared import check_folder, examples, mark, out, progress_bar, read_all
 
@@ -111,11 +112,10 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
     from hydrotwin.export import check_fmu, export_fmu, read_fmu, reference_run
 
     out.rule(f"{machine}: export and check")
-    measured = [s.name for s in identified.flat.states if s.measured_by]  # start where a recording starts
     answers = []
-    for name, thing, given in (("identified", identified, measured), ("network", network, None)):
+    for name, thing in (("identified", identified), ("network", network)):
         path = folder / f"{machine}_{name}.fmu"
-        export_fmu(thing, path, given=given, reference=reference_run(thing))
+        export_fmu(thing, path, given=given_starts(thing, "measured"), reference=reference_run(thing))
         answer = check_fmu(path)
         failed = ", ".join(r.name for r in answer.rows if r.passed is False)
         verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"

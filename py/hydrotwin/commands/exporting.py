@@ -8,10 +8,12 @@ from typing import Annotated
 
 import typer
 
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, nearest
 
 from ..loading import load
 from .shared import JsonOption, ModelArgument, check_file, examples, out, print_json, read_all, table
+
+STARTS = ("positions", "measured")
 
 
 def register(app: typer.Typer) -> None:
@@ -24,7 +26,11 @@ def export(
     model: ModelArgument,
     output: Annotated[Path, typer.Option("--out", metavar="X.fmu", help="the FMU to write")],
     fmi: Annotated[int, typer.Option(help="version of the FMI standard: 2")] = 2,
-    kind: Annotated[str, typer.Option(help="cs (Co-Simulation)")] = "cs",
+    kind: Annotated[str, typer.Option(help="cs (Co-Simulation), me (Model Exchange) or both")] = "cs",
+    start: Annotated[
+        str,
+        typer.Option(help="start values to set: positions (the rest in equilibrium), or measured (as simulate starts)"),
+    ] = "positions",
     as_json: JsonOption = False,
 ) -> None:
     """Write a model or a learned block as an FMU that runs without Python.
@@ -37,12 +43,33 @@ def export(
     thing = load(model)
     if not hasattr(thing, "flat") and not hasattr(thing, "step"):
         raise DeclarationError(f"export: '{model}' is an FMU already. Give a physical model or a learned block.")
-    export_fmu(thing, output, fmi=fmi, kind=kind, reference=reference_run(thing))
+    export_fmu(
+        thing,
+        output,
+        fmi=fmi,
+        kind=kind,
+        given=given_starts(thing, start),
+        reference=reference_run(thing, fine=_exchanges(thing, kind)),
+    )
     size = output.stat().st_size
     if as_json:
         print_json({"fmu": str(output), "bytes": size})
     else:
         out.print(f"written: {output} ({size / 1000:.0f} kB)")
+
+
+def given_starts(thing, start: str) -> list[str] | None:
+    """The states whose start a master may set: ``positions`` alone, or every one that a recording can measure."""
+    if start not in STARTS:
+        raise DeclarationError(f"export: no start '{start}'. {nearest(start, STARTS)}")
+    if start == "positions" or not hasattr(thing, "flat"):
+        return None  # what export_fmu does by itself; a block starts from its measured outputs in any case
+    return [s.name for s in thing.flat.states if s.measured_by]
+
+
+def _exchanges(thing, kind: str) -> bool:
+    """Whether the importer's solver will compute it; a sampled block is refused later, with a sentence."""
+    return kind == "me" and hasattr(thing, "flat")
 
 
 def check(

@@ -1,4 +1,4 @@
-"""modelDescription.xml of FMI 2.0 Co-Simulation."""
+"""modelDescription.xml of FMI 2.0."""
 
 from __future__ import annotations
 
@@ -42,12 +42,14 @@ class Header:
     author: str = ""
     licence: str = ""
     version: str = ""
+    interfaces: tuple[str, ...] = ("cs",)
 
 
 def model_description(header: Header, variables: Sequence[Variable]) -> str:
     """The XML text. The same arguments give the same bytes: there is no date in it."""
     root = ET.Element("fmiModelDescription", _root_attributes(header, variables))
-    root.append(_co_simulation(header))
+    for interface in header.interfaces:
+        root.append(_interface(header, interface))
     root.append(unit_definitions(v.unit for v in variables))
     categories = ET.SubElement(root, "LogCategories")
     for name, text in LOG_CATEGORIES.items():
@@ -76,12 +78,19 @@ def _root_attributes(header: Header, variables: Sequence[Variable]) -> dict[str,
     }  # fmt: skip
 
 
-def _co_simulation(header: Header) -> ET.Element:
-    element = ET.Element(
-        "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true",
-        canInterpolateInputs="true", maxOutputDerivativeOrder="0", canGetAndSetFMUstate="true",
-        canSerializeFMUstate="true", providesDirectionalDerivative="true",
-    )  # fmt: skip
+def _interface(header: Header, interface: str) -> ET.Element:
+    """``ModelExchange`` or ``CoSimulation`` with what it can do."""
+    if interface == "me":
+        element = ET.Element(
+            "ModelExchange", modelIdentifier=header.identifier, completedIntegratorStepNotNeeded="true",
+        )  # fmt: skip
+    else:
+        element = ET.Element(
+            "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true",
+            canInterpolateInputs="true", maxOutputDerivativeOrder="0",
+        )  # fmt: skip
+    for ability in ("canGetAndSetFMUstate", "canSerializeFMUstate", "providesDirectionalDerivative"):
+        element.set(ability, "true")
     files = ET.SubElement(element, "SourceFiles")
     for name in header.sources:
         ET.SubElement(files, "File", name=name)

@@ -88,7 +88,7 @@ def lower_model(
         "start": _named("ht_start", start),
         "start_forward": _tangent("ht_start_forward", start, ["x"]),
         "output": _named("ht_output", flat.ode),
-        "forward": _tangent("ht_forward", flat.ode, ["xdot", "y"], skip=("t",)),
+        "forward": _tangent("ht_forward", flat.ode, ["xdot", "y"]),
         "derivative": _rate(flat.ode),
     }
     if method == "adaptive":
@@ -114,7 +114,7 @@ def lower_block(block: Block, name: str) -> Lowered:
         "start_forward": _tangent("ht_start_forward", start, ["x"]),
         "advance": _named("ht_advance", step),
         "output": _sampled_output(step),
-        "forward": _tangent("ht_forward", _sampled_output(step), ["y"], skip=("t",), lead=["xdot"]),
+        "forward": _tangent("ht_forward", _sampled_output(step), ["y"], lead=["xdot"]),
     }
     return Lowered(
         name, "sampled", block.period, block.inputs, outputs, block.states, block.parameters, starts, functions,
@@ -227,25 +227,19 @@ def _named(name: str, f: ca.Function) -> ca.Function:
     return ca.Function(name, arguments, results, f.name_in(), f.name_out())
 
 
-def _tangent(
-    name: str, f: ca.Function, results: list[str], skip: Sequence[str] = (), lead: Sequence[str] = ()
-) -> ca.Function:
-    """``(args, seeds of the args not in skip) -> tangents``; ``lead`` names empty results that go first."""
+def _tangent(name: str, f: ca.Function, results: list[str], lead: Sequence[str] = ()) -> ca.Function:
+    """``(args, seeds of the args) -> tangents``; ``lead`` names empty results that go first."""
     arguments = _arguments(f)
     sym = _symbols_for(f)
-    seeds = [sym.zeros(a.shape) if n in skip else sym.sym(f"d{n}", a.shape) for a, n in _zip_names(f, arguments)]
+    known = [f"d{n}" for n in f.name_in()]
+    seeds = [sym.sym(n, a.shape) for n, a in zip(known, arguments, strict=True)]
     tangents = f.forward(1).call([*arguments, *f.call(arguments), *seeds])
     wanted = [ca.densify(tangents[f.name_out().index(r)]) for r in results]
     empty = [sym(0, 1) for _ in lead]
-    known = [(s, f"d{n}") for s, (_, n) in zip(seeds, _zip_names(f, arguments), strict=True) if n not in skip]
     return ca.Function(
-        name, [*arguments, *(s for s, _ in known)], [*empty, *wanted],
-        [*f.name_in(), *(n for _, n in known)], [*(f"d{r}" for r in lead), *(f"d{r}" for r in results)],
+        name, [*arguments, *seeds], [*empty, *wanted],
+        [*f.name_in(), *known], [*(f"d{r}" for r in lead), *(f"d{r}" for r in results)],
     )  # fmt: skip
-
-
-def _zip_names(f: ca.Function, arguments: list) -> list[tuple]:
-    return list(zip(arguments, f.name_in(), strict=True))
 
 
 def _symbols_for(f: ca.Function):

@@ -9,28 +9,45 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
 from .lower import Lowered
 from .variables import Variable
 
 RUNTIME = Path(__file__).parent / "runtime"
-FMI2_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+FMI_HEADERS = {
+    2: ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    3: ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
+INTERFACES = {"cs": ("cs",), "me": ("me",), "both": ("me", "cs")}
+_CORE = (
+    "core.c", "core.h", "internal.h", "inputs.c", "history.c", "history.h", "solve.c", "sensitivity.c", "store.c",
+)  # fmt: skip
+_FLAGS = {"cs": "HT_CO_SIMULATION", "me": "HT_MODEL_EXCHANGE"}
 _METHODS = {"explicit": "HT_EXPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED"}
 _WORK = ("sz_arg", "sz_res", "sz_iw", "sz_w")
 
 
-def source_files(lowered: Lowered, variables: Sequence[Variable], guid: str, history: int) -> dict[str, str]:
+def source_files(
+    lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, fmi: int, kind: str
+) -> dict[str, str]:
     """All sources by file name; those that end in ``.c`` are to be compiled together.
 
     history : pieces remembered of each delayed input; when they do not reach back over the dead time, neighbouring
         pieces are merged into their mean.
+    kind : "cs", "me" or "both": which faces of the runtime are put in.
     """
     functions = _functions_c(lowered)
-    files = {"functions.c": functions, "model.c": _model_c(lowered, variables, guid, history, _work_sizes(functions))}
-    for path in sorted(RUNTIME.glob("*.[ch]")):
-        files[path.name] = path.read_text(encoding="utf-8")
-    return files | {name: _fmi_header(name) for name in FMI2_HEADERS}
+    model = _model_c(lowered, variables, guid, history, _work_sizes(functions), kind)
+    files = {"functions.c": functions, "model.c": model}
+    for name in _runtime(fmi, kind):
+        files[name] = (RUNTIME / name).read_text(encoding="utf-8")
+    return files | {name: _fmi_header(name) for name in FMI_HEADERS[fmi]}
+
+
+def _runtime(fmi: int, kind: str) -> list[str]:
+    """The files of the runtime that this FMU needs."""
+    faces = [f"fmi{fmi}.c", f"fmi{fmi}_face.h", *(f"fmi{fmi}_{interface}.c" for interface in INTERFACES[kind])]
+    return [*_CORE, *faces, *(["exchange.c"] if kind != "cs" else [])]
 
 
 def _functions_c(lowered: Lowered) -> str:
@@ -53,7 +70,9 @@ def _work_sizes(functions: str) -> dict[str, int]:
     return sizes
 
 
-def _model_c(lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, work: dict[str, int]) -> str:
+def _model_c(
+    lowered: Lowered, variables: Sequence[Variable], guid: str, history: int, work: dict[str, int], kind: str
+) -> str:
     """Tables of names, defaults and sizes, and the one constant `ht_the_model`."""
     functions = {role: f"ht_{role}" if role in lowered.functions else "NULL" for role in _ROLES}
     declared = "\n".join(
@@ -67,18 +86,20 @@ def _model_c(lowered: Lowered, variables: Sequence[Variable], guid: str, history
     )
     labels = [v.name for v in variables if v.kind != "time"] + ["time"]
     pieces = history if any(k >= 0 for k in lowered.dead_times) else 0
+    nominals = [abs(s.nominal) or 1.0 for s in lowered.states]
     return f"""#include "core.h"
 
 {declared}
 
 static const double defaults[] = {{{_numbers(lowered.defaults)}}};
+static const double nominals[] = {{{_numbers(nominals)}}};
 static const char *const labels[] = {{{", ".join(_text(name) for name in labels)}}};
 static const int dead_time[] = {{{", ".join(map(str, (*lowered.dead_times, -1)))}}};
 
 const ht_model ht_the_model = {{
-    {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]},
+    {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]}, {" + ".join(_FLAGS[i] for i in INTERFACES[kind])},
     {counts}, /* inputs, parameters, starts, outputs, states, derivatives */
-    defaults, labels, dead_time,
+    defaults, nominals, labels, dead_time,
     {pieces}, {int(any(v.kind == "time" for v in variables))}, {lowered.step!r}, /* history, time listed, step */
     {", ".join(functions[role] for role in _ROLES)},
     {", ".join(str(work[name] + 1) for name in _WORK)},
@@ -89,7 +110,7 @@ const ht_model ht_the_model = {{
 _ROLES = ("start", "start_forward", "output", "forward", "derivative", "advance")
 
 
-def _numbers(values: np.ndarray) -> str:
+def _numbers(values: Sequence[float]) -> str:
     return ", ".join(repr(float(v)) for v in (*values, 0.0))
 
 

@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
 
@@ -21,11 +21,12 @@ from .description import Header, model_description
 from .documentation import documentation
 from .lower import Lowered, lower_block, lower_model
 from .method import choose_method
-from .sources import source_files
+from .sources import INTERFACES, source_files
 from .variables import Variable, variables_of
 
 REFERENCE_FILE = "documentation/reference.csv"
 _PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
+_INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
 _SOLVERS = {
     "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
@@ -52,7 +53,10 @@ def export_fmu(
     author: str = "",
     licence: str = "",
 ) -> Path:
-    """Write a Model, FlatModel or sampled Block as a Co-Simulation FMU of FMI 2.0.
+    """Write a Model, FlatModel or sampled Block as an FMU of FMI 2.0.
+
+    kind : "cs" (Co-Simulation, the solver inside), "me" (Model Exchange, the importer integrates) or "both" in one
+        FMU. Model Exchange is for continuous models without dead time.
 
     Every parameter is tunable and takes effect at the next step. Initial states are computed inside the FMU at the end
     of initialization, from the inputs, the parameters and the start parameters ``<state>.start`` (fixed) of the states
@@ -74,13 +78,16 @@ def export_fmu(
     """
     _refuse_unknown(fmi, kind)
     lowered, solver = _lowered(model, given, method, step, tolerance)
+    if kind != "cs":
+        _refuse_exchange(lowered, kind)
     variables = variables_of(lowered)
     size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
-    sources = source_files(lowered, variables, _PENDING_GUID, history)
+    sources = source_files(lowered, variables, _PENDING_GUID, history, fmi, kind)
     header = Header(
         lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
         lowered.sampled, float(stop_time), float(size), float(tolerance),
         tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, float(lowered.step), author, licence,
+        interfaces=INTERFACES[kind],
     )  # fmt: skip
     xml = model_description(header, variables)
     guid = _guid_of(xml, sources)
@@ -98,10 +105,27 @@ def export_fmu(
 
 
 def _refuse_unknown(fmi: int, kind: str):
-    if (fmi, kind) != (2, "cs"):
+    if fmi != 2:
+        raise DeclarationError(f"export: FMI {fmi} is not written yet (got fmi={fmi!r}). FMI 2.0 is. Use fmi=2.")
+    if kind not in INTERFACES:
         raise DeclarationError(
-            f"export: FMI {fmi} {kind} is not written yet (got fmi={fmi!r}, kind={kind!r}). "
-            "Co-Simulation of FMI 2.0 is. Use fmi=2, kind='cs'."
+            f"export: no kind of FMU '{kind}'. It is 'cs' (Co-Simulation), 'me' (Model Exchange) or 'both'. "
+            f"{nearest(str(kind), INTERFACES)}"
+        )
+
+
+def _refuse_exchange(lowered: Lowered, kind: str):
+    """Model Exchange has continuous states only, and no memory of past inputs."""
+    if lowered.sampled:
+        raise DeclarationError(
+            f"{lowered.name}: a sampled block cannot be Model Exchange (got kind={kind!r}). It moves every "
+            f"{lowered.step:g} s and has no derivatives to integrate. Use kind='cs'."
+        )
+    late = [s.name for s in lowered.inputs if s.dead_time]
+    if late:
+        raise DeclarationError(
+            f"{lowered.name}: Model Exchange cannot remember what an input was a dead time ago "
+            f"(got kind={kind!r}, delayed: {', '.join(late)}). Use kind='cs', or remove the dead time from the model."
         )
 
 
@@ -147,8 +171,9 @@ def _guid_of(xml: str, sources: Mapping[str, str]) -> str:
 
 
 def _facts(header: Header, guid: str) -> dict[str, str]:
+    interfaces = " and ".join(_INTERFACE_NAMES[i] for i in header.interfaces)
     return {
-        "interface": "FMI 2.0 Co-Simulation", "made by": header.tool, "GUID": guid,
+        "interface": f"FMI 2.0 {interfaces}", "made by": header.tool, "GUID": guid,
         "default experiment": f"0 to {header.stop_time:g} s, communication step {header.step_size:g} s",
         "author": header.author or "not given", "licence": header.licence or "not given",
     }  # fmt: skip

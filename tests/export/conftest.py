@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.export import export_fmu
 from hydrotwin.simulation import TrainingDomain
 from tests.export.raw import Library
-from tests.export.systems import delayed_mass, lag_block, network_block, stiff_oscillator
+from tests.export.systems import clocked_mass, delayed_mass, lag_block, network_block, stiff_oscillator
 from tests.simulation.flat_cehA import flat_cehA
 
 BOX = TrainingDomain(("command", "rate"), (-1.0, -0.9), (1.0, 0.9))
@@ -21,6 +21,7 @@ def systems():
         "cehA": flat_cehA(),
         "delayed mass": delayed_mass(),
         "stiff": stiff_oscillator(),
+        "clocked mass": clocked_mass(),
         "lag": lag_block(),
         "lag in MX": dataclasses.replace(lag_block(ca.MX), name="lag in MX"),
         "network": network_block(),
@@ -39,6 +40,32 @@ def fmus(systems, tmp_path_factory):
             return self[name]
 
     return Made()
+
+
+@pytest.fixture(scope="session")
+def variants(systems, tmp_path_factory):
+    """(name, options of `export_fmu` as pairs) -> path of the FMU; made when first asked for."""
+    folder = tmp_path_factory.mktemp("variants")
+
+    class Made(dict):
+        def __missing__(self, key):
+            name, *options = key
+            self[key] = export_fmu(systems[name], folder / f"{len(self)}.fmu", **dict(options))
+            return self[key]
+
+    return Made()
+
+
+@pytest.fixture(scope="session")
+def exchangers(variants, tmp_path_factory):
+    """(name, options ...) -> the variant's loaded library."""
+
+    class Loaded(dict):
+        def __missing__(self, key):
+            self[key] = Library(variants[key], tmp_path_factory.mktemp("unpacked"))
+            return self[key]
+
+    return Loaded()
 
 
 @pytest.fixture(scope="session")

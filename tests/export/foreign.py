@@ -15,7 +15,7 @@ from hydrotwin.export.build import compile_for, native_platform
 
 
 def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: dict[str, str] | None = None) -> Path:
-    """The FMU with texts replaced in modelDescription.xml, or in fmi2.c, which is then compiled anew."""
+    """The FMU with texts replaced in modelDescription.xml, or in the C of the FMI 2 face, then compiled anew."""
     with zipfile.ZipFile(fmu) as archive:
         files: dict[str, str | bytes] = {n: archive.read(n) for n in archive.namelist()}
     description = files["modelDescription.xml"].decode()
@@ -26,8 +26,8 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
     if c:
         sources = {n.removeprefix("sources/"): t.decode() for n, t in files.items() if n.startswith("sources/")}
         for old, new in c.items():
-            assert old in sources["fmi2.c"], old
-            sources["fmi2.c"] = sources["fmi2.c"].replace(old, new)
+            [file] = [n for n, text in sources.items() if n.startswith("fmi2") and old in text]
+            sources[file] = sources[file].replace(old, new)
         [binary] = [n for n in files if n.startswith("binaries/")]
         identifier = Path(binary).stem
         files[binary] = compile_for(native_platform(), identifier, sources)[1]
@@ -35,16 +35,16 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
 
 
 DO_STEP = "    (void)no_return;\n"
-CRASHES = {DO_STEP: DO_STEP + "    abort();\n"}
+CRASHES = {DO_STEP: DO_STEP + "    {\n        extern void abort(void);\n        abort();\n    }\n"}
 SWALLOWS_NAN = {
     "/* ---- variables: all are Real ---- */": "#include <math.h>\nstatic int poisoned = 0;\n",
-    "return answer(c, ht_set(&((component *)c)->core, vr, n, value));": (
+    "return ht2_answer(c, ht_set(&((component *)c)->core, vr, n, value));": (
         "if (n > 0 && value[0] != value[0]) {\n        poisoned = 1;\n        return fmi2OK;\n    }\n"
-        "    return answer(c, ht_set(&((component *)c)->core, vr, n, value));"
+        "    return ht2_answer(c, ht_set(&((component *)c)->core, vr, n, value));"
     ),
-    "return answer(c, ht_get(&((component *)c)->core, vr, n, value));": (
+    "return ht2_answer(c, ht_get(&((component *)c)->core, vr, n, value));": (
         "if (poisoned) {\n        size_t k;\n        for (k = 0; k < n; k++) value[k] = sqrt(-1.0);\n"
-        "        return fmi2OK;\n    }\n    return answer(c, ht_get(&((component *)c)->core, vr, n, value));"
+        "        return fmi2OK;\n    }\n    return ht2_answer(c, ht_get(&((component *)c)->core, vr, n, value));"
     ),
 }
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}

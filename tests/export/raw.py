@@ -19,6 +19,12 @@ class Callbacks(c.Structure):
     ]  # fmt: skip
 
 
+class EventInfo(c.Structure):
+    _fields_ = [(n, c.c_int) for n in ("needed", "terminate", "nominals", "values", "next_defined")] + [
+        ("next_time", c.c_double)
+    ]
+
+
 class Library:
     """One FMU unpacked and loaded."""
 
@@ -109,6 +115,27 @@ class Instance:
         )  # fmt: skip
         assert status == OK, self.library.messages
         return found.value
+
+    def exchange(self, start: float = 0.0, **starts: float) -> Instance:
+        """Through initialization and the first event mode into continuous-time mode."""
+        self.initialise(start, **starts)
+        info = EventInfo()
+        assert self.NewDiscreteStates(c.byref(info)) == OK
+        assert not any((info.needed, info.terminate, info.nominals, info.values, info.next_defined))
+        assert self.EnterContinuousTimeMode() == OK
+        return self
+
+    def set_time(self, time: float) -> int:
+        return self.SetTime(c.c_double(time))
+
+    def set_states(self, values: list[float]) -> int:
+        return self.SetContinuousStates((c.c_double * len(values))(*values), c.c_size_t(len(values)))
+
+    def vector(self, what: str, size: int) -> list[float]:
+        """ContinuousStates, Derivatives or NominalsOfContinuousStates."""
+        values = (c.c_double * size)()
+        assert getattr(self, f"Get{what}")(values, c.c_size_t(size)) == OK, self.library.messages
+        return list(values)
 
     def get_state(self) -> c.c_void_p:
         state = c.c_void_p()

@@ -38,6 +38,33 @@ def delayed_mass() -> FlatModel:
     )
 
 
+def clocked_mass() -> FlatModel:
+    """The same mass without dead time, pushed by its input and by the clock."""
+    t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 3)
+    m, d, c = ca.vertsplit(p)
+    xdot = ca.vertcat(x[1], (u + ca.sin(3.0 * t) - d * x[1] - c * x[0] ** 3) / m)
+    return FlatModel(
+        name="clocked mass",
+        inputs=(Signal("force", "N", "push", 10.0),),
+        outputs=(Signal("place", "m"), Signal("power", "W"), Signal("clock", "1")),
+        states=(
+            StateVariable("mass.s", "m", nominal=0.2, measured_by="place"),
+            StateVariable("mass.v", "m/s", nominal=3.0),
+        ),
+        parameters=(
+            ParameterValue("mass.m", 2.0, "kg", (0.1, 100.0)),
+            ParameterValue("mass.d", 3.0, "N.s/m", (0.0, 100.0)),
+            ParameterValue("mass.c", 50.0, "N/m3", (0.0, 1e4)),
+        ),
+        ode=ca.Function(
+            "ode", [t, x, u, p], [xdot, ca.vertcat(x[0], u * x[1], t * x[0])], ["t", "x", "u", "p"], ["xdot", "y"]
+        ),
+        initialisation=fixed_start([0.1, 0.0], ["mass.s", "mass.v"], 1, 3),
+        step=1e-3,
+        description="A mass, and a clock.",
+    )
+
+
 def stiff_oscillator() -> FlatModel:
     """Van der Pol's equation at mu = 1000, driven: no explicit step of 10 ms survives it."""
     t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")

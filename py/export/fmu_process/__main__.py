@@ -51,7 +51,7 @@ def _model_exchange(job, time, u, description, unzipped) -> np.ndarray:
     result = simulate_fmu(
         unzipped, validate=False, fmi_type="ModelExchange", model_description=description, start_time=time[0],
         stop_time=time[-1], output_interval=float(np.median(np.diff(time))), start_values=job["starts"],
-        input=signals if job["inputs"] else None, output=job["outputs"], relative_tolerance=1e-8,
+        input=signals if job["inputs"] else None, output=job["outputs"], relative_tolerance=1e-11,
     )  # fmt: skip
     return np.column_stack([np.interp(time, result["time"], result[name]) for name in job["outputs"]])
 

@@ -66,7 +66,7 @@ size_t ht_doubles(const ht_model *m) {
 }
 
 size_t ht_scratch_doubles(const ht_model *m) {
-    return 6 * m->states + 3 * m->inputs + m->parameters + m->starts + 2 * m->outputs + m->derivatives;
+    return 6 * m->states + 4 * m->inputs + 2 * m->parameters + m->starts + 2 * m->outputs + m->derivatives;
 }
 
 size_t ht_bytes(const ht_model *m) {
@@ -74,8 +74,9 @@ size_t ht_bytes(const ht_model *m) {
            m->size_res * sizeof(double *) + m->size_iw * sizeof(long long);
 }
 
-void ht_place(ht_instance *s, const ht_model *m, void *memory) {
+void ht_place(ht_instance *s, const ht_model *m, ht_interface interface, void *memory) {
     s->model = m;
+    s->interface = interface;
     s->data = (double *)memory;
     s->backup = s->data + ht_doubles(m);
     s->scratch = s->backup + ht_doubles(m);
@@ -92,6 +93,7 @@ void ht_reset(ht_instance *s) {
     memcpy(s->data, m->defaults, (m->inputs + m->parameters + m->starts) * sizeof(double));
     ht_book(s)[PHASE] = HT_INSTANTIATED;
     ht_book(s)[STALE] = 1.0;
+    ht_book(s)[INTERFACE] = s->interface;
     s->message[0] = 0;
 }
 
@@ -115,14 +117,15 @@ int ht_finite(const double *v, size_t n) {
 
 /* ---- phases ---- */
 
-static ht_status expect(ht_instance *s, ht_phase phase, const char *what) {
-    static const char *const names[] = {"instantiated", "in initialization mode", "running", "terminated"};
+ht_status ht_expect(ht_instance *s, ht_phase phase, const char *what) {
+    static const char *const names[] = {"instantiated", "in initialization mode", "running",
+                                        "terminated",   "in event mode",          "in continuous-time mode"};
     if (ht_phase_of(s) == phase) return HT_OK;
     return ht_fail(s, HT_ERROR, "%s is not allowed while the instance is %s", what, names[ht_phase_of(s)]);
 }
 
 ht_status ht_setup(ht_instance *s, double start, int stop_defined, double stop) {
-    if (expect(s, HT_INSTANTIATED, "setting up the experiment") != HT_OK) return HT_ERROR;
+    if (ht_expect(s, HT_INSTANTIATED, "setting up the experiment") != HT_OK) return HT_ERROR;
     if (!ht_finite(&start, 1) || (stop_defined && !(stop >= start)))
         return ht_fail(s, HT_ERROR, "the experiment cannot run from %g s to %g s", start, stop);
     ht_values(s, HT_TIME)[0] = ht_book(s)[START_TIME] = start;
@@ -132,34 +135,45 @@ ht_status ht_setup(ht_instance *s, double start, int stop_defined, double stop) 
 }
 
 ht_status ht_enter_initialisation(ht_instance *s) {
-    if (expect(s, HT_INSTANTIATED, "entering initialization mode") != HT_OK) return HT_ERROR;
+    if (ht_expect(s, HT_INSTANTIATED, "entering initialization mode") != HT_OK) return HT_ERROR;
     ht_book(s)[PHASE] = HT_INITIALISING;
     return HT_OK;
 }
 
 ht_status ht_exit_initialisation(ht_instance *s) {
     ht_status status;
-    if (expect(s, HT_INITIALISING, "leaving initialization mode") != HT_OK) return HT_ERROR;
+    if (ht_expect(s, HT_INITIALISING, "leaving initialization mode") != HT_OK) return HT_ERROR;
     ht_book(s)[STALE] = 1.0;
     status = ht_refresh(s);
     if (status != HT_OK) return HT_ERROR;
-    ht_book(s)[PHASE] = HT_RUNNING;
+    ht_book(s)[PHASE] = s->interface == HT_MODEL_EXCHANGE ? HT_EVENT : HT_RUNNING;
     return HT_OK;
 }
 
 ht_status ht_terminate(ht_instance *s) {
-    if (expect(s, HT_RUNNING, "terminating") != HT_OK) return HT_ERROR;
+    ht_phase phase = ht_phase_of(s);
+    if (phase != HT_EVENT && phase != HT_CONTINUOUS && ht_expect(s, HT_RUNNING, "terminating") != HT_OK) return HT_ERROR;
     ht_book(s)[PHASE] = HT_TERMINATED;
     return HT_OK;
 }
 
 /* ---- variables ---- */
 
+static int settable(ht_kind kind, ht_phase phase) {
+    switch (phase) {
+        case HT_INSTANTIATED:
+        case HT_INITIALISING: return kind <= HT_START;
+        case HT_RUNNING: return kind <= HT_PARAMETER;
+        case HT_EVENT: return kind <= HT_PARAMETER || kind == HT_STATE;
+        case HT_CONTINUOUS: return kind == HT_INPUT || kind == HT_STATE;
+        default: return 0;
+    }
+}
+
 static ht_status may_set(ht_instance *s, size_t reference) {
     ht_kind kind = ht_kind_of(s->model, reference, NULL);
-    ht_phase phase = ht_phase_of(s);
     if (kind == HT_UNKNOWN) return ht_fail(s, HT_ERROR, "no variable has the value reference %lu", (unsigned long)reference);
-    if (kind > HT_START || phase == HT_TERMINATED || (kind == HT_START && phase == HT_RUNNING))
+    if (!settable(kind, ht_phase_of(s)))
         return ht_fail(s, HT_ERROR, "variable '%s' cannot be set now", s->model->labels[reference]);
     return HT_OK;
 }
@@ -210,7 +224,7 @@ ht_status ht_set_slope(ht_instance *s, const unsigned *reference, size_t n, cons
 
 static ht_status check_step(ht_instance *s, double time, double size) {
     double now = ht_time(s), near = HT_NEAR * (1.0 + fabs(now)) + 1e-6 * fabs(size);
-    if (expect(s, HT_RUNNING, "a step") != HT_OK) return HT_ERROR;
+    if (ht_expect(s, HT_RUNNING, "a step") != HT_OK) return HT_ERROR;
     if (!ht_finite(&time, 1) || !(size > 0.0) || !ht_finite(&size, 1))
         return ht_fail(s, HT_ERROR, "a step from t = %g s of size %g s is not possible", time, size);
     if (fabs(time - now) > near)

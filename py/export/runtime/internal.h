@@ -8,7 +8,7 @@
 #define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
 
 /* bookkeeping inside the flat state */
-enum { PHASE, STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, BOOKKEEPING };
+enum { PHASE, STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, BOOKKEEPING };
 
 /* core.c */
 size_t ht_place_of(const ht_model *model, ht_kind kind);
@@ -18,6 +18,7 @@ double *ht_slopes(const ht_instance *self);
 double *ht_book(const ht_instance *self);
 double *ht_history_of(const ht_instance *self, size_t input); /* NULL when the input is not delayed */
 ht_status ht_fail(ht_instance *self, ht_status status, const char *format, ...);
+ht_status ht_expect(ht_instance *self, ht_phase phase, const char *what);
 int ht_finite(const double *values, size_t n);
 
 /* inputs.c: inputs as the equations see them */

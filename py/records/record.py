@@ -29,7 +29,7 @@ class Gap:
         return f"no samples from {self.start:g} s to {self.end:g} s"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """Named signals on one strictly increasing time axis.
 
@@ -97,6 +97,10 @@ class Record:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __repr__(self) -> str:
+        columns = ", ".join(f"{name} [{unit}]" for name, unit in self.units.items())
+        return f"Record '{self.name}': {len(self)} samples in {self.duration:g} s; {columns}"
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -29,6 +29,11 @@ def test_a_record_is_a_read_only_copy(record):
     assert copy["x"].tolist() == [0, 0, 0]
 
 
+def test_a_record_prints_as_one_line_not_as_its_samples():
+    record = Record(np.arange(101) / 10, {"u": np.zeros(101), "x": np.zeros(101)}, {"u": "V", "x": "m"}, "run_1")
+    assert repr(record) == "Record 'run_1': 101 samples in 10 s; u [V], x [m]"
+
+
 def test_a_record_knows_its_time(record):
     assert record.duration == 10.0
     assert record.period == pytest.approx(0.01)

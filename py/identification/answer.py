@@ -21,13 +21,13 @@ from .shooting import Shooting
 from .uncertainty import correlation, uncertainty, without_starts
 from .whiteness import SIGNIFICANCE, ljung_box
 
+RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
 TROUBLE = 12  # iterations of free runs after which a minimum is not believed without another start
 
 
 def answer(
-    task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], noise: np.ndarray, settings: Mapping,
-    began: float,
-) -> Fit:  # fmt: skip
+    task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], settings: Mapping, began: float
+) -> Fit:
     """Everything a Fit knows, from the minima of the training runs, the lowest first."""
     free, flat, best = task.free, task.flat, minima[0]
     values = free.values(best.q)
@@ -39,15 +39,15 @@ def answer(
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
     sandwich, ambiguous = _widened(sandwich, free, minima)
     parameters = _fitted(free, values, at_bound, sandwich, white)
-    records, residuals, findings = _judged(task, shooting, best, judged, noise)
+    records, residuals, findings = _judged(task, shooting, best, judged)
     findings = [
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
         *_rough(best),
+        *_weighing(task, residuals),
         *bounds_reached(free.names, values, free.lower, free.upper, free.units, at_bound),
         *findings,
     ]
-    chi2 = float(sum(r @ r for r, _, _ in rows))
     starts = shooting.locals * len(shooting.segments)
     return Fit(
         name=flat.name,
@@ -56,12 +56,13 @@ def answer(
         covariance=sandwich,
         covariance_white=white,
         correlation=correlation(white),
-        noise={s.name: float(n) for s, n in zip(flat.outputs, noise, strict=True) if np.isfinite(n)},
+        noise={s.name: float(n) for s, n in zip(flat.outputs, task.noise, strict=True) if np.isfinite(n)},
         cost=best.cost,
-        chi2=chi2,
+        chi2=float(sum(r.samples * r.chi2_per_sample for r in residuals if r.role == "train")),
         degrees_of_freedom=sum(len(r) for r, _, _ in rows) - int((~at_bound).sum()) - starts,
         records=records,
         residuals=residuals,
+        allowed={s.name: 1 / float(w) for s, w in zip(flat.outputs, task.weights, strict=True) if w > 0},
         findings=tuple(findings),
         history=tuple(task.history),
         converged=best.converged,
@@ -74,11 +75,10 @@ def answer(
 def explains(task: Task, found: Minimum) -> bool:
     """Nothing is left but noise on any output of any training recording."""
     shooting, _ = whole_runs(task)
-    noise = 1 / np.where(task.weights > 0, task.weights, np.nan)
     rows = [
         row
         for i, recording in enumerate(task.recordings)
-        for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train", noise)
+        for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train")
     ]
     return found.converged and all(row.explained for row in rows)
 
@@ -118,6 +118,26 @@ def _rough(best: Minimum) -> list[Finding]:
         "here, and the sigmas describe the one that was reached. Record another output, or free fewer parameters."
     )
     return [Finding("rough", (), sentence)]
+
+
+def _weighing(task: Task, residuals: Sequence[OutputResidual]) -> list[Finding]:
+    """What the weights were when not the noise, and what they could be when the best sensors rule alone."""
+    used = np.flatnonzero(task.weights > 0)
+    factor = {task.flat.outputs[j].name: 1 / (task.weights[j] * task.noise[j]) for j in used}
+    wide = {name: f for name, f in factor.items() if f > 1.001}
+    if wide:
+        listed = ", ".join(f"{name} {f:.3g} x" for name, f in wide.items())
+        return [Finding("weights", (), (
+            f"identify: weighed by what is left of each output, not by its noise ({listed}), because the model cannot "
+            "reach the noise. The sigmas allow for that much. weights='noise' follows the best sensors instead."
+        ))]  # fmt: skip
+    left = [r.chi2_per_sample for r in residuals if r.role == "train"]
+    if len(used) < 2 or max(left) < RULED**2:
+        return []
+    return [Finding("weights", (), (
+        f"identify: up to {np.sqrt(max(left)):.3g} times the noise is left, and weighed by noise the best sensors rule "
+        "the fit. Give noise={...} as what may be left of each output, or take weights='residual'."
+    ))]  # fmt: skip
 
 
 def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
@@ -181,12 +201,12 @@ def _unrecorded(task: Task, rows, slope: np.ndarray) -> dict[str, np.ndarray]:
     return mean
 
 
-def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Recording], noise: np.ndarray):
+def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Recording]):
     """Records, residuals and findings of training and validation runs."""
     records, residuals, findings = [], [], []
     for i, recording in enumerate(task.recordings):
         records.append(_record_fit(task, shooting, recording, "train", best.z[i]))
-        residuals += _output_residuals(task, shooting.residuals(i, best.q, best.z[i]), recording, "train", noise)
+        residuals += _output_residuals(task, shooting.residuals(i, best.q, best.z[i]), recording, "train")
     for recording in judged:
         alone, z = _started(task, best, recording)
         left = None if alone is None else alone.residuals(0, best.q, z[0])
@@ -197,7 +217,7 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
             )))  # fmt: skip
             continue
         records.append(_record_fit(task, alone, recording, "validate", z[0]))
-        residuals += _output_residuals(task, left, recording, "validate", noise)
+        residuals += _output_residuals(task, left, recording, "validate")
     return tuple(records), tuple(residuals), [*findings, *unexplained(residuals)]
 
 
@@ -216,16 +236,16 @@ def _record_fit(task: Task, shooting: Shooting, recording: Recording, role: str,
     return RecordFit(recording.name, role, recording.digest, len(recording.time), start)
 
 
-def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, role: str, noise: np.ndarray):
+def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, role: str):
     rows = []
     for j, signal in enumerate(task.flat.outputs):
         r = weighted[:, j][np.isfinite(weighted[:, j])]
         if not task.weights[j] > 0 or not len(r):
             continue
         lag_one, p_value = ljung_box(r)
-        level = float(np.mean(r**2))
+        rmse, noise = float(np.sqrt(np.mean(r**2)) / task.weights[j]), float(task.noise[j])
         rows.append(OutputResidual(
-            recording.name, signal.name, role, float(np.sqrt(level) * noise[j]), float(noise[j]), signal.unit, len(r),
-            level, lag_one, p_value, p_value > SIGNIFICANCE,
+            recording.name, signal.name, role, rmse, noise, signal.unit, len(r), (rmse / noise) ** 2, lag_one, p_value,
+            p_value > SIGNIFICANCE,
         ))  # fmt: skip
     return rows

@@ -21,7 +21,7 @@ from .shooting import Shooting, StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage
-WINDOW_STAGE = {"absolute": 0.2, "relative": 1e-5, "most": 10}
+WINDOW_STAGE = {"absolute": 0.3, "relative": 1e-3, "most": 10}
 SLOW = 7  # iterations
 SLIDES = 3
 SCATTER = 0.5  # in q
@@ -31,7 +31,7 @@ SLIDE_LENGTHS = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)  # in q of the parameter that 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Everything that stays the same over all descents."""
+    """What stays the same over a descent; noise (ny,) is the sensors', weights (ny,) what a residual costs."""
 
     flat: FlatModel
     free: FreeParameters
@@ -42,6 +42,7 @@ class Task:
     initial_states: str
     threads: int
     report: Callable[[str, int, float], None]
+    noise: np.ndarray
     history: list[Iteration] = field(default_factory=list)
 
     def step_report(self, stage: str):
@@ -93,8 +94,11 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
     return shooting, shooting.clip(z)
 
 
-def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int) -> Minimum:
-    """Minimise over windows of growing ``lengths`` [s], then over the whole recordings."""
+def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int, relative: float = 1e-6) -> Minimum:
+    """Minimise over windows of growing ``lengths`` [s], then over the whole recordings.
+
+    ``relative``: of the unexplained cost, what a free run need not gain.
+    """
     states = None
     for seconds in lengths:
         guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), lengths[0])
@@ -111,7 +115,7 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int) -> M
         first = np.array([x[0, shooting.start.columns] for x in states]).reshape(z.shape) / shooting.start.nominal
         z = shooting.clip(np.where(np.isfinite(first), first, z))
     task.report("free run", 0, np.nan)
-    return minimise(shooting, q, z, most=most, on_step=task.step_report("free run"))
+    return minimise(shooting, q, z, most=most, relative=relative, on_step=task.step_report("free run"))
 
 
 def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str, first: bool) -> Minimum:

@@ -96,7 +96,8 @@ class Iteration:
 class Fit:
     """The fitted model and everything known about the fit.
 
-    cost : half the (robust) weighted sum of squares of the free runs; chi2 : the plain weighted sum of squares.
+    cost : half the (robust) sum of squares of the free runs, each output weighed by one over ``allowed`` (its noise,
+    or what the model leaves of it); chi2 : the plain sum of squares in units of the noise.
     covariance : of the free parameters in the order of ``parameters``, SI, allowing for coloured residuals
     (the sandwich); ``covariance_white`` is (J^T J)^-1. ``correlation`` belongs to ``covariance_white``: it is a
     property of the experiment. Rows of parameters at a bound or undetermined are nan.
@@ -120,6 +121,7 @@ class Fit:
     message: str
     seconds: float
     settings: Mapping[str, object] = field(default_factory=dict)
+    allowed: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def values(self) -> dict[str, float]:

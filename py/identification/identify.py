@@ -7,24 +7,20 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.stats import qmc
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.simulation import prepare
 
-from . import horizon
-from .answer import TROUBLE, answer, explains
-from .descent import Task, descend
+from .answer import answer
+from .descent import Task
 from .fit import Fit
-from .least_squares import Minimum
 from .loss import Loss
-from .noise import output_noise, weights
+from .noise import output_noise
+from .noise import weights as by_noise
 from .problem import free_parameters, recordings
 from .progress import reporting
-
-SPREAD = 0.35  # of the other starts, in ln p or relative to p
-AGREEMENT = 1e-4  # of the cost ...
-SAME = 0.01  # ... and in q: two starts that end so close have found the same minimum
+from .search import Effort, search
+from .weighing import WEIGHTS
 
 
 def identify(
@@ -37,6 +33,7 @@ def identify(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     outputs: Sequence[str] | None = None,
     noise: Mapping[str, float] | None = None,
+    weights: str = "auto",
     starts: int = 4,
     loss: str = "linear",
     loss_scale: float = 2.0,
@@ -63,6 +60,8 @@ def identify(
         start, bounds: by path, SI, in place of the model's own.
         outputs: names of the outputs to fit, None for all that are recorded.
         noise: standard deviation by output, SI, in place of the estimate from the recordings.
+        weights: "noise" weighs every residual by its sensor's noise; "residual" weighs an output that the model cannot
+            bring to its noise by what it leaves of it; "auto" does so unless that output's noise was given.
         starts: most starts to try; 1 for the given one alone.
         loss: "linear", "soft_l1" or "huber", beyond ``loss_scale`` sigmas.
         initial_states: "auto" estimates those an output measures (its first sample is a measurement among others) and
@@ -80,6 +79,8 @@ def identify(
         raise DataError(f"identify: no recording to fit {flat.name} to. Give at least one.")
     if starts < 1:
         raise DeclarationError(f"identify: starts must be at least 1 (got {starts}).")
+    if weights not in WEIGHTS:
+        raise DeclarationError(f"identify: no weights '{weights}'. {nearest(weights, WEIGHTS)}")
     parameters = free_parameters(flat, free, start, bounds)
     train = recordings(flat, records, outputs, "record")
     judged = recordings(flat, validate, outputs, "validation record")
@@ -90,55 +91,24 @@ def identify(
             flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step, method=method
         )
         task = Task(
-            flat, parameters, propagator, train, weights(sigma), Loss(loss, loss_scale), initial_states,
-            threads or _processors(), report,
+            flat, parameters, propagator, train, by_noise(sigma), Loss(loss, loss_scale), initial_states,
+            threads or _processors(), report, sigma,
         )  # fmt: skip
-        minima = _minima(task, windows, starts, iterations)
+        adaptable = _adaptable(flat, weights, noise) & np.isfinite(sigma)
+        task, minima = search(task, Effort(windows, starts, iterations), adaptable)
         report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
-            "method": method,
+            "method": method, "weights": weights,
         }  # fmt: skip
-        return answer(task, minima, judged, sigma, settings, began)
+        return answer(task, minima, judged, settings, began)
 
 
-def _minima(task: Task, windows: Sequence[float] | None, starts: int, iterations: int) -> list[Minimum]:
-    """The minima that the starts lead to, the lowest first.
-
-    The first that was reached without trouble and explains the recordings ends the search, and so do two that agree.
-    """
-    found, stopped = [], None
-    for q in _starts(task, starts):
-        lengths = windows
-        if lengths is None:
-            lengths = horizon.horizons(task.flat, task.recordings, task.free.vector(q))
-        try:
-            latest = descend(task, q, lengths, iterations)
-        except SolveError as error:
-            stopped = stopped or error
-            continue
-        agree = bool(found) and _agree(latest, found[0])
-        found = sorted([*found, latest], key=lambda m: m.cost)
-        if agree or (latest.iterations < TROUBLE and explains(task, latest)):
-            break
-    if not found:
-        raise stopped
-    return found
-
-
-def _agree(one: Minimum, other: Minimum) -> bool:
-    return abs(one.cost - other.cost) < AGREEMENT * other.cost and bool(np.all(np.abs(one.q - other.q) < SAME))
-
-
-def _starts(task: Task, starts: int):
-    """The given start, then a scrambled Sobol sequence around it inside the bounds."""
-    q0 = task.free.scaled(task.free.start)
-    yield q0
-    lower, upper = task.free.scaled(task.free.lower), task.free.scaled(task.free.upper)
-    if starts > 1:
-        cube = qmc.Sobol(len(q0), seed=0).random_base2(int(np.ceil(np.log2(starts))))
-        for point in cube[: starts - 1]:
-            yield np.clip(q0 + SPREAD * (2 * point - 1), lower, upper)
+def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:
+    """Outputs (ny,) whose weight may follow what is left of them."""
+    if weights == "auto":
+        return np.array([s.name not in (noise or {}) for s in flat.outputs])
+    return np.full(len(flat.outputs), weights == "residual")
 
 
 def _processors() -> int:

@@ -26,6 +26,7 @@ from .shooting import Linearisation, Shooting
 
 LONGEST_STEP = 0.5  # in q: a factor 1.6 or half a unit
 STALLED = 1e9
+SLOW_STEPS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +57,18 @@ def minimise(
     *,
     absolute: float = 1e-3,
     relative: float = 0.0,
+    stalled: float = 0.2,
     most: int = 50,
     hold: bool = False,
     on_step: Callable[[int, float, float], None] = lambda number, cost, damping: None,
 ) -> Minimum:
-    """Minimise the cost; stop when a full step promises less than ``absolute + relative * cost``.
+    """Minimise the cost; stop when a full step promises less than ``absolute`` (plus ``relative`` of the unexplained).
 
-    A cost is half a chi-square: a promise of 1e-3 moves no parameter by more than 4.5 % of its sigma. A step that
-    diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start states alone.
+    A cost is half a chi-square: a promise of 1e-3 moves no parameter by more than 4.5 % of its sigma. Where more than
+    noise is left sigmas grow with it, and so does the promise that is worth a step; unexplained is what lies beyond
+    twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale:
+    a cost that is rough on a small scale never ends to promise. A step that diverges or does not descend is rejected
+    and shortened. ``hold`` keeps q and moves the start states alone.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     at = shooting.linearise(q, z)
@@ -72,7 +77,7 @@ def minimise(
             f"identify: every run diverges at {_where(shooting, q)}. Start elsewhere or use shorter windows."
         )
     damping, growth, size = 1e-3, 2.0, _diagonal(at)
-    descending = True
+    descending, costs = True, [at.cost]
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
         inside = _without_blocked(at, shooting, z)
@@ -80,7 +85,10 @@ def minimise(
         dq, dz = step.towards(inside.gradient, lower - q, upper - q)
         dz = shooting.clip(z + dz) - z if shooting.locals else dz
         promise = step.promise(dq, dz)
-        if promise <= absolute + relative * at.cost and damping <= 1e-2:
+        dispersion = max(1.0, 2 * at.cost / shooting.count)
+        enough = absolute * dispersion + relative * max(0.0, at.cost - shooting.count)
+        slow = len(costs) > SLOW_STEPS and costs[-1 - SLOW_STEPS] - at.cost < stalled * dispersion
+        if slow or (promise <= enough and damping <= 1e-2):
             return Minimum(q, z, at, number - 1, True, "converged")
         trial_q, trial_z = np.clip(q + dq, lower, upper), z + dz if shooting.locals else z
         trial = shooting.linearise(trial_q, trial_z) if descending else None
@@ -89,11 +97,12 @@ def minimise(
         if descending:
             q, z, at = trial_q, trial_z, trial or shooting.linearise(trial_q, trial_z)
             damping, growth = max(damping * max(0.1, 1 - (2 * min(gain, 1) - 1) ** 3), 1e-12), 2.0
+            costs.append(at.cost)
             on_step(number, at.cost, damping)
         else:
             damping, growth = damping * growth, growth * 2
             if damping > STALLED or promise < 1e-12 * at.cost:
-                return Minimum(q, z, at, number, promise < absolute, "no step descends any further")
+                return Minimum(q, z, at, number, promise < enough, "no step descends any further")
     return Minimum(q, z, at, most, False, f"stopped after {most} iterations")
 
 

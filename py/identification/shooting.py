@@ -110,6 +110,11 @@ class Shooting:
         """Free start states of one segment."""
         return 0 if self.start.held else len(self.start.names)
 
+    @cached_property
+    def count(self) -> int:
+        """Measured values in all segments."""
+        return max(1, sum(int(seen.sum()) for seen in self._measured))
+
     def clip(self, z: np.ndarray) -> np.ndarray:
         """Scaled start states inside the states' bounds."""
         low, high = (self.start.bounds[:, side] / self.start.nominal for side in (0, 1))

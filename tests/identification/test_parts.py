@@ -26,7 +26,7 @@ def task(loss: str = "linear", bounds=None, start=None):
     propagator = prepare(model, free_parameters=free.names, free_states=[s.name for s in model.states])
     return descent.Task(
         model, free, propagator, measured, weights(output_noise(model, measured, NOISE)), Loss(loss), "auto", 1,
-        lambda *report: None,
+        lambda *report: None, output_noise(model, measured, NOISE),
     )  # fmt: skip
 
 

@@ -63,6 +63,9 @@ def identify(
         list[str] | None,
         typer.Option("--noise", metavar="OUTPUT=NUMBER", help="what may be left of an output, SI"),
     ] = None,
+    weights: Annotated[
+        str, typer.Option(help="noise, residual (what the model leaves), or auto: residual where noise is out of reach")
+    ] = "auto",
     loss: Annotated[str, typer.Option(help="linear, soft_l1 or huber")] = "linear",
     initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
     starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
@@ -91,7 +94,8 @@ def identify(
 
         fit = identify(
             thing, train, free=free, validate=judged, outputs=fit_outputs, noise=settings_from(noise, "--noise"),
-            loss=loss, initial_states=initial_states, starts=starts, progress=None if as_json else told,
+            weights=weights, loss=loss, initial_states=initial_states, starts=starts,
+            progress=None if as_json else told,
         )  # fmt: skip
     write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged))
     if report:

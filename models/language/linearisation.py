@@ -207,11 +207,12 @@ def modes(model, at: Mapping[str, float] | None = None, *, steady: bool = False)
 
 def _modes_of(a: np.ndarray, names: list[str]) -> Iterable[Mode]:
     poles, right = np.linalg.eig(a)
+    tiny = 1e-9 * np.abs(poles).max(initial=0.0)
+    poles = np.where(np.abs(poles) < tiny, 0.0, poles)  # an integrator, to rounding
     left = np.linalg.pinv(right)  # rows are left eigenvectors
     share = np.abs(right * left.T)
     share /= np.maximum(share.sum(axis=0), np.finfo(float).tiny)
     order = np.argsort(np.abs(poles), kind="stable")
-    tiny = 1e-9 * np.abs(poles).max(initial=0.0)
     for k in order:
         pole = complex(poles[k]) if abs(poles[k].imag) > tiny else complex(poles[k].real)
         if pole.imag < 0:

@@ -151,6 +151,11 @@ def test_the_c_eha_vibrates_between_34_and_36_hertz_lightly_damped():
     assert found.damping < 0.1
 
 
+def test_an_integrator_is_a_pole_at_zero_not_at_rounding():
+    slow = [m.pole for m in modes(cehA.model(), steady=True).modes if abs(m.pole) < 1e-6]
+    assert slow == [0.0, 0.0]  # the angle of the arm and the mean pressure
+
+
 def test_a_dead_time_delays_the_phase_of_the_linear_model():
     prompt = spool_valve.model().linearize()
     late = spool_valve.model().with_parameters({"solenoid.dead_time": 0.02}).linearize()

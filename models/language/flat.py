@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -64,7 +64,7 @@ class ParameterValue:
     free: bool = False
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FlatModel:
     """One explicit ODE.
 
@@ -79,9 +79,14 @@ class FlatModel:
     states: tuple[StateVariable, ...]
     parameters: tuple[ParameterValue, ...]
     ode: ca.Function
-    initialisation: object = field(repr=False)
+    initialisation: object
     step: float = 1e-3
     description: str = ""
+
+    def __repr__(self) -> str:
+        counts = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
+        held = ", ".join(f"{what} {' '.join(v.name for v in some)}" for what, some in counts)
+        return f"FlatModel '{self.name}': {held}, {len(self.parameters)} parameters"
 
     def start_given(self, given: Sequence[str] = ()) -> ca.Function:
         """Start states ``(u, p, z) -> x`` when the states named in ``given`` have the values ``z`` (SI).

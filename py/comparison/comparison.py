@@ -123,7 +123,7 @@ class Entrant:
     provenance: Mapping = field(default_factory=dict)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Models against recordings.
 
@@ -145,6 +145,10 @@ class Comparison:
     unscored: tuple[Unscored, ...]
     domains: tuple[DomainShare, ...]
     residuals: tuple[Residual, ...]
+
+    def __repr__(self) -> str:
+        on = ", ".join(r.name for r in self.records)
+        return f"Comparison '{self.title}': {', '.join(self.models)} on {on}; {len(self.scores)} scores"
 
     @property
     def models(self) -> tuple[str, ...]:

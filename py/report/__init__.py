@@ -1,11 +1,12 @@
 """Report: what was found, as one page that needs nothing else, as Markdown and as JSON."""
 
+from .answer import answer
 from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
 from .fit import ParameterRow, fit_section, parameter_rows
 from .format import number_text, pretty_unit, shown_unit
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
-from .write import comparison_page, write_report
+from .write import comparison_page, display_units, write_report
 
 __all__ = [
     "Cell",
@@ -18,12 +19,14 @@ __all__ = [
     "Section",
     "Style",
     "Table",
+    "answer",
     "as_html",
     "as_json",
     "as_markdown",
     "comparison_page",
     "counts",
     "decimate",
+    "display_units",
     "error_bars",
     "fit_section",
     "layout",

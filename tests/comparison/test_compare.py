@@ -242,3 +242,8 @@ def test_a_contender_without_one_step_is_listed_and_no_failure():
     assert not comparison.failures
     assert {s.mode for s in comparison.scores} == {"free run"}
     assert comparison.unscored and all("cannot be set" in u.reason for u in comparison.unscored)
+
+
+def test_a_comparison_prints_as_one_line_not_as_its_trajectories():
+    comparison = compare([Toy("a"), Toy("b")], [recording(1)], modes=["free run"])
+    assert repr(comparison) == "Comparison 'Comparison of models': a, b on validation_1; 6 scores"

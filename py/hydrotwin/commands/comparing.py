@@ -121,16 +121,23 @@ def entry(text: str):
 
 
 def print_comparison(comparison) -> None:
-    """Mean scores over the recordings, best first, and what failed."""
+    """Mean scores over the recordings in the units of the report, best first, and what failed."""
+    from hydrotwin.report import answer, display_units
+    from hydrotwin.report.format import difference_to_shown
+
+    units = display_units(comparison)
     for mode in comparison.modes:
         for signal in comparison.outputs:
+            unit = units[signal.name]
             rows = [
-                [s.model, float(s.rmse), float(s.mae), float(s.maximum), float(s.fit_percent), s.unit]
+                [s.model, *(float(difference_to_shown(v, s.unit, unit)) for v in (s.rmse, s.mae, s.maximum)),
+                 float(s.fit_percent), unit]
                 for s in sorted(comparison.means, key=lambda s: s.rmse)
                 if s.mode == mode and s.output == signal.name
-            ]
+            ]  # fmt: skip
             if rows:
                 table(f"{signal.name}, {mode}", ["model", "RMSE", "MAE (Eq. 18)", "maximum", "fit %", "unit"], rows)
                 out.print()
     for failure in comparison.failures:
         mark(out, "failed", f"{failure.model} on {failure.record}, {failure.mode}: {failure.sentence}")
+    out.print(answer(comparison, units))

@@ -32,10 +32,11 @@ class Copy:
 
 def copies(comparison: Comparison) -> tuple[Copy, ...]:
     """Every FMU whose free runs are those of another model on all outputs of all recordings."""
+    scored = [s.name for s in comparison.outputs]
     runs: dict[str, dict[str, Record]] = {}
     for t in comparison.trajectories:
         if t.mode == FREE_RUN:
-            runs.setdefault(t.model, {})[t.record] = t.prediction
+            runs.setdefault(t.model, {})[t.record] = t.prediction.select([n for n in scored if n in t.prediction])
     exported = {e.name for e in comparison.entrants if e.kind == "fmu"}
     found: list[Copy] = []
     for fmu in (m for m in comparison.models if m in exported and m in runs):

@@ -225,6 +225,14 @@ def test_an_exported_copy_is_no_rival_of_its_model(tmp_path):
     assert {w["model"] for w in data["best"]} == {"mine"} and {w["next"] for w in data["best"]} == {"catalogue"}
 
 
+def test_what_an_fmu_gives_besides_does_not_make_it_another_model(tmp_path):
+    exported = Toy("exported", "fmu", outputs=(ANGLE,))
+    run, extra = exported.free_run, {"training_distance": "1"}
+    exported.free_run = lambda record: run(record).with_signals({n: 0 * record.time for n in extra}, extra)
+    _, said = facts_of([Toy("mine", outputs=(ANGLE,)), exported], tmp_path)
+    assert "exported gives exactly the outputs of mine." in said
+
+
 def test_an_fmu_that_runs_otherwise_is_a_rival_like_any(tmp_path):
     _, said = facts_of([Toy("mine", gain=121.0), Toy("exported", "fmu", gain=121.1)], tmp_path)
     assert "gives the outputs of" not in said and "that of exported" in said

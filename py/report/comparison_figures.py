@@ -10,6 +10,7 @@ from hydrotwin.comparison import FREE_RUN, Comparison
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
+from .copies import copies
 from .figure import MEASURED, Figure, FigureGroup, Style, error_bars, layout, line
 from .format import difference_to_shown, pretty_unit, to_shown
 
@@ -22,10 +23,12 @@ MOST, FEWEST = 2400, 200  # points of one curve
 def overlay_groups(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> list[FigureGroup]:
     """For each output a group: one figure per recording and mode, measurement and models above, errors below."""
     points, plotted = plan(comparison)
+    copied = frozenset(c.fmu for c in copies(comparison))
+    hidden = {mode: (comparison.yardsticks | copied) if mode == FREE_RUN else frozenset() for mode in comparison.modes}
     groups = []
     for signal in comparison.outputs:
         figures = [
-            _overlay(comparison, signal, record, mode, shown[signal.name], look, points)
+            _overlay(comparison, signal, record, mode, shown[signal.name], look, points, hidden[mode])
             for mode in comparison.modes
             for record in plotted
             if signal.name in record.signals and _predictions(comparison, signal, record, mode)
@@ -63,7 +66,7 @@ def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Map
     return groups
 
 
-def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int) -> Figure:
+def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int, hidden) -> Figure:
     predictions = _predictions(comparison, signal, record, mode)
     measured = record[signal.name]
     data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=3.0, points=points)]
@@ -74,7 +77,7 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
             "dash": style.dash,
             "width": style.width,
             "points": points,
-            "hidden": mode == FREE_RUN and name in comparison.yardsticks,
+            "hidden": name in hidden,
         }
         data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
         errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
@@ -82,7 +85,6 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
     label = pretty_unit(unit)
     titles = [f"{signal.name} [{label}]", f"error [{label}]"] if label else [signal.name, "error"]
     plan = layout("time [s]", titles, shares=(0.62, 0.38), height=520)
-    hidden = comparison.yardsticks if mode == FREE_RUN else frozenset()
     reach = error_range([v - measured for name, v in predictions.items() if name not in hidden])
     if reach is not None:
         plan["yaxis2"]["range"] = difference_to_shown(reach, signal.unit, unit).tolist()

@@ -52,10 +52,11 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
     """Everything about one fit."""
     rows = parameter_rows(fit)
     parts: list = [parameter_table(rows, f"{id}_parameters"), interval_figure(rows, f"{id}-intervals")]
-    findings = tuple(_sentence(str(f)) for f in fit.findings)
+    residuals = getattr(fit, "residuals", ())
+    told = ("unexplained",) if residuals else ()  # the table below says the same, output by output
+    findings = tuple(_sentence(str(f)) for f in fit.findings if getattr(f, "kind", "") not in told)
     if findings:
         parts.append(Note(findings, tone="warning"))
-    residuals = getattr(fit, "residuals", ())
     if residuals:
         parts += [residual_table(residuals, f"{id}_residuals", _start_note(fit)), Note((_left_over(residuals),))]
     return Section(id, f"Fit of {name or fit.name}", tuple(parts), _lead(fit))
@@ -190,5 +191,6 @@ def _left_over(residuals: Sequence) -> str:
     return (
         f"{explained}Not explained: {', '.join(dict.fromkeys(r.output for r in left))}. Worst is {worst.output} in "
         f"{worst.record}, {number_text(math.sqrt(worst.chi2_per_sample), 2)} times its noise: "
-        f"{number_text(share, 3)} % of the error's power is not sensor noise."
+        f"{number_text(share, 3)} % of the error's power is not sensor noise. The free parameters cannot explain that: "
+        "look for a missing effect, or free more."
     )

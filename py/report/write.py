@@ -21,6 +21,7 @@ from .comparison_tables import (
     score_tables,
     unscored_table,
 )
+from .copies import copies
 from .figure import styles
 from .fit import fit_section, parameter_rows
 from .format import number_text, shown_unit
@@ -123,6 +124,8 @@ def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
         "Drag to zoom, double-click to reset, click a name to hide it. All numbers come from the full recordings, and "
         "the curves keep every peak."
     )
+    if copies(comparison):
+        lead += " An FMU that gives what its model gives lies on it: click its name to see it."
     if len(plotted) < len(comparison.records):
         lead += f" The first {len(plotted)} of {len(comparison.records)} recordings are drawn."
     return Section("plots", "Measured and predicted", tuple(overlay_groups(comparison, shown, look)), lead)

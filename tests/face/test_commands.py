@@ -169,6 +169,11 @@ def test_the_model_file_holds_values_and_where_they_came_from(here):
     assert file["provenance"]["noise"]["arm_angle"] > 0
 
 
+def test_identify_says_once_what_it_cannot_explain(readme):
+    said = readme[1]["identify"].said
+    assert said.count("not explained: ") == 1 and "the fitted model leaves" not in said
+
+
 def test_a_model_file_reads_back_to_what_was_identified(here, tmp_path):
     path = tmp_path / "m.toml"
     answer = hydrotwin(

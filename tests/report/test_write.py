@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import compare
+from hydrotwin.identification.fit import Finding
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.report import write_report
+from hydrotwin.report import Note, comparison_page, display_units, styles, write_report
+from hydrotwin.report.comparison_figures import overlay_groups
 from hydrotwin.report.fit import fit_section
 from hydrotwin.report.provenance import command_line
 from tests.comparison.toys import ANGLE, COMMAND, SPEED, Toy, recording
@@ -223,6 +225,22 @@ def test_an_exported_copy_is_no_rival_of_its_model(tmp_path):
     assert "mine is best on all 3 outputs" in data["answer"] and "that of catalogue" in data["answer"]
     assert "exported gives exactly the outputs of mine." in said
     assert {w["model"] for w in data["best"]} == {"mine"} and {w["next"] for w in data["best"]} == {"catalogue"}
+
+
+def test_a_copy_is_drawn_on_a_click_and_does_not_hide_its_model():
+    comparison = compare([Toy("mine", gain=121.0), Toy("exported", "fmu", gain=121.0)], [recording(1)])
+    (angle, *_) = overlay_groups(comparison, display_units(comparison), styles(comparison.models))
+    drawn = {t["name"]: t["visible"] for t in angle.rows["free run"][0].spec["data"]}
+    assert drawn == {"measured": True, "mine": True, "exported": "legendonly"}
+    assert "click its name" in comparison_page(comparison).sections[0].lead
+
+
+def test_what_is_left_is_told_once(fit):
+    finding = Finding("unexplained", (), "identify: the fitted model leaves 3.0 times the noise on pressure_cap.")
+    section = fit_section(SimpleNamespace(**{**vars(fit), "findings": (finding, *fit.findings)}))
+    notes = [sentence for p in section.parts if isinstance(p, Note) for sentence in p.paragraphs]
+    assert not any("the fitted model leaves" in n.lower() for n in notes)
+    assert any("cannot be told apart" in n for n in notes) and any("look for a missing effect" in n for n in notes)
 
 
 def test_what_an_fmu_gives_besides_does_not_make_it_another_model(tmp_path):

@@ -168,7 +168,11 @@ def print_fit(fit, path: Path) -> None:
     out.print()
     table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", "ratio"], left)
     for finding in fit.findings:
-        mark(out, "note", str(finding))
+        if finding.kind != "unexplained":  # the table has said so, output by output
+            mark(out, "note", str(finding))
+    unexplained = dict.fromkeys(r.output for r in fit.residuals if r.role == "train" and not r.explained)
+    if unexplained:
+        mark(out, "note", f"not explained: {', '.join(unexplained)}. Look for a missing effect, or free more.")
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
 
 

@@ -52,8 +52,24 @@ def test_the_first_snippet_fits_the_shipped_machine(recordings, tmp_path, monkey
     assert np.sqrt(np.mean(error**2)) < 1.0  # rad/s, of 240
 
 
+def test_the_snippet_with_python_control_lifts_the_arm(capsys):
+    scope: dict = {}
+    exec(compile(next(s for s in SNIPPETS if "to_control" in s), "README.md", "exec"), scope)
+    oil = max(abs(p) for p in scope["linear"].poles() if p.imag > 0) / (2 * np.pi)
+    assert oil == pytest.approx(30.5, abs=0.05)
+    angle = scope["raised"].outputs[scope["plant"].output_index["arm_angle"]]
+    commanded = np.column_stack([scope["time"], np.full(501, 0.5)])
+    record = ht.Record(
+        commanded[:, 0], {"command": commanded[:, 1], "arm_angle": angle}, {"command": "V", "arm_angle": "rad"}
+    )
+    ours = ht.simulate(ht.load("cehA"), record)["arm_angle"]
+    assert angle[-1] > angle[0] + 0.01
+    assert ours == pytest.approx(angle, abs=1e-4)
+    assert scope["controller"].period == 0.01
+
+
 def test_every_snippet_of_the_readme_is_run_here():
-    assert len(SNIPPETS) == 2
+    assert len(SNIPPETS) == 3
     assert "hydrotwin identify slide.py:slide train.csv --free 'load.*' --out slide.toml" in README
 
 

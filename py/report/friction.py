@@ -9,26 +9,29 @@ from pathlib import Path
 import numpy as np
 
 from .figure import MEASURED, PALETTE, Figure, layout, line
-from .format import number_text
+from .format import number_text, pretty_unit
 from .page import Note, Page, Section, write_page
+from .provenance import command_line, made_table
 from .tables import Table, numbers, texts
 
 _MEANING = {
-    "kinetic": "kinetic friction F_k",
-    "static": "static friction F_s",
-    "viscous": "viscous friction F_v",
-    "stribeck_velocity": "Stribeck velocity",
+    "kinetic": "kinetic friction Fₖ",
+    "static": "static friction Fₛ",
+    "viscous": "viscous friction Fᵥ",
+    "stribeck_velocity": "Stribeck velocity vₛ",
 }
 
 
 def write_friction_test(fit, folder: str | Path, *, recordings: Sequence[str] = ()) -> dict[str, Path]:
     """Write friction.html, .md and .json of a `FrictionFit`; the paths by "html", "markdown", "json"."""
+    date = datetime.now().astimezone()
+    made = Section("provenance", "Provenance", (made_table(command_line(), date),))
     page = Page(
         title="Friction at constant speed",
-        eyebrow=f"{len(fit.velocity)} speeds · {', '.join(recordings)} · {datetime.now().astimezone():%d %B %Y}",
+        eyebrow=f"{len(fit.velocity)} speeds · {', '.join(recordings)} · {date:%-d %B %Y}",
         answer=f"The Stribeck curve meets the measured forces to {number_text(fit.rmse)} N.",
         headline=coefficients(fit),
-        sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit)),
+        sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit), made),
         data={"values": fit.values, "rmse": fit.rmse, "velocity": fit.velocity, "force": fit.force},
     )
     return write_page(page, folder, stem="friction", data_name="friction.json")
@@ -49,11 +52,11 @@ def coefficients(fit) -> Table:
         (
             texts("name", "Coefficient", [_MEANING[c.name] for c in rows]),
             numbers("value", "Value", [c.value for c in rows]),
-            numbers("lower", f"{fit.confidence:.0%} from", [c.interval[0] for c in rows]),
+            numbers("lower", f"{100 * fit.confidence:.0f} % from", [c.interval[0] for c in rows]),
             numbers("upper", "to", [c.interval[1] for c in rows]),
-            texts("unit", "Unit", [c.unit for c in rows]),
+            texts("unit", "Unit", [pretty_unit(c.unit) for c in rows]),
         ),
-        note="F(v) = (F_k + (F_s - F_k) exp(-(v/v_s)²)) sign(v) + F_v v",
+        note="F(v) = (Fₖ + (Fₛ − Fₖ) exp(−(v/vₛ)²)) sign(v) + Fᵥ v, Eq. 8 of the C-EHA paper",
     )
 
 

@@ -14,6 +14,7 @@ from hydrotwin.models.language.linearisation import Modes
 from .figure import PALETTE, Figure, FigureGroup, layout, line
 from .format import pretty_unit
 from .page import Page, Section, write_page
+from .provenance import command_line, made_table
 from .tables import Table, numbers, texts
 
 FREQUENCIES = 600  # of the Bode figure
@@ -33,13 +34,17 @@ def write_linearisation(
     units : SI unit of every signal. point : the inputs and states (SI) it was linearised at.
     """
     place = ", ".join(f"{name} = {value:.4g} {units.get(name, '')}".rstrip() for name, value in point.items() if value)
+    date = datetime.now().astimezone()
     page = Page(
         title=f"{system.name}: linear model",
-        eyebrow=f"{system.nstates} states · {datetime.now().astimezone():%d %B %Y}",
+        eyebrow=f"{system.nstates} states · {date:%-d %B %Y}",
         answer=answer(found),
-        facts=(f"Linearised at rest{' at ' + place if place else ''}.",),
+        facts=(f"Linearised at {place or 'zero'}{'; all else is zero' if place else ''}.",),
         headline=mode_table(found),
-        sections=(Section("bode", "Frequency response", (bode_group(system, found, units),)),),
+        sections=(
+            Section("bode", "Frequency response", (bode_group(system, found, units),)),
+            Section("provenance", "Provenance", (made_table(command_line(), date),)),
+        ),
         data={name: getattr(system, name) for name in "ABCD"}
         | {"inputs": system.input_labels, "outputs": system.output_labels, "states": system.state_labels},
     )

@@ -85,13 +85,21 @@ def _text(value) -> str:
     return str(value)
 
 
-def provenance_section(comparison, command: str, date: datetime) -> Section:
-    """The last section of a comparison."""
+def made_table(command: str, date: datetime) -> Table:
+    """When, with which command and which versions a page was made."""
     items = {"date": date.isoformat(timespec="seconds"), "command": command} | versions()
     items = {k: v for k, v in items.items() if v}
-    made = table(
+    return table(
         "made", "Made with", [texts("item", "Item", list(items)), texts("value", "Value", list(items.values()))]
     )
+
+
+def provenance_section(comparison, command: str, date: datetime) -> Section:
+    """The last section of a comparison."""
     models = model_table(comparison.entrants)
-    parts = [recording_table(comparison.records, comparison.train_records), *([models] if models else []), made]
+    parts = [
+        recording_table(comparison.records, comparison.train_records),
+        *([models] if models else []),
+        made_table(command, date),
+    ]
     return Section("provenance", "Provenance", tuple(parts))

@@ -330,6 +330,15 @@ def test_linearize_gives_matrices_that_fit_together(here):
     assert Path("linear/linearisation.html").exists()
 
 
+def test_every_page_says_how_it_was_made(here, tmp_path):
+    for words in (("linearize", "cehA", "--at", "command=1"), ("friction", "friction_test.csv")):
+        assert hydrotwin(*words, "--out", tmp_path).code == 0
+        (page,) = tmp_path.glob(f"{words[0][:6]}*.md")
+        text = page.read_text(encoding="utf-8")
+        assert f"| command | hydrotwin {' '.join(words)} --out " in text and f"| hydrotwin | {ht.__version__} |" in text
+        assert "at rest" not in text  # a driven motor is not
+
+
 def test_units_in_brackets_and_odd_folders_are_printed_as_they_are(here, tmp_path):
     assert "pole [rad/s]" in hydrotwin("linearize", "cehA").out
     path = tmp_path / "run [a] [/b]" / "out.csv"

@@ -25,6 +25,10 @@ TARGETS = {  # FMI 2 folder -> (zig target, suffix of the library)
     "aarch64-linux": ("aarch64-linux-gnu.2.17", ".so"),
     "aarch64-darwin": ("aarch64-macos", ".dylib"),
 }
+FMI3_FOLDERS = {
+    "linux64": "x86_64-linux", "win64": "x86_64-windows", "darwin64": "x86_64-darwin",
+    "aarch64-linux": "aarch64-linux", "aarch64-darwin": "aarch64-darwin",
+}  # fmt: skip
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Werror")
 FLAGS = (*STRICT, "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-s")
 TIME_LIMIT = 300.0
@@ -44,6 +48,21 @@ def native_platform() -> str:
         f"platform: FMUs are not built for this machine (got {platform.system()} {machine}). "
         f"Name platforms. Known: {', '.join(TARGETS)}."
     )
+
+
+def platforms_named(names: Sequence[str] | None) -> tuple[str, ...]:
+    """Names of FMI 2 for names of either version, "all", or None for this machine. DeclarationError for others."""
+    if names is None:
+        return (native_platform(),)
+    of_fmi3 = {new: old for old, new in FMI3_FOLDERS.items()}
+    found: list[str] = []
+    for name in names:
+        if name != "all" and name not in TARGETS and name not in of_fmi3:
+            raise DeclarationError(
+                f"platform: no '{name}'. {nearest(name, dict.fromkeys(['all', *TARGETS, *of_fmi3]))}"
+            )
+        found += list(TARGETS) if name == "all" else [of_fmi3.get(name, name)]
+    return tuple(dict.fromkeys(found))
 
 
 def compile_for(target_platform: str, identifier: str, sources: Mapping[str, str]) -> tuple[str, bytes]:

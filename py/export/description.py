@@ -16,6 +16,7 @@ CAUSALITY = {
     "input": "input", "parameter": "parameter", "start": "parameter", "output": "output",
     "state": "local", "derivative": "local", "time": "independent",
 }  # fmt: skip
+ANNOTATION = "hydrotwin"
 LOG_CATEGORIES = {
     "logEvents": "Events",
     "logStatusDiscard": "Steps and values that were discarded",
@@ -43,38 +44,55 @@ class Header:
     licence: str = ""
     version: str = ""
     interfaces: tuple[str, ...] = ("cs",)
+    fmi: int = 2
 
 
-def model_description(header: Header, variables: Sequence[Variable]) -> str:
+def description_of_fmi2(header: Header, variables: Sequence[Variable]) -> str:
     """The XML text. The same arguments give the same bytes: there is no date in it."""
-    root = ET.Element("fmiModelDescription", _root_attributes(header, variables))
+    root = ET.Element(
+        "fmiModelDescription", {
+            "fmiVersion": "2.0", "guid": header.guid, **root_attributes(header, variables),
+            "numberOfEventIndicators": "0",
+        },
+    )  # fmt: skip
     for interface in header.interfaces:
         root.append(_interface(header, interface))
     root.append(unit_definitions(v.unit for v in variables))
-    categories = ET.SubElement(root, "LogCategories")
-    for name, text in LOG_CATEGORIES.items():
-        ET.SubElement(categories, "Category", name=name, description=text)
-    experiment = {"startTime": "0.0", "stopTime": repr(header.stop_time), "stepSize": repr(header.step_size)}
-    ET.SubElement(root, "DefaultExperiment", experiment | {"tolerance": repr(header.tolerance)})
-    root.append(_annotations(variables, header))
+    root.extend(categories_and_experiment(header))
+    own = ET.SubElement(ET.SubElement(root, "VendorAnnotations"), "Tool", name=ANNOTATION)
+    own.append(starts_annotation(variables, header))
     listed = ET.SubElement(root, "ModelVariables")
     for reference, variable in enumerate(variables):
         listed.append(_scalar_variable(reference, variable, header.sampled))
     root.append(_model_structure(variables))
+    return as_text(root)
+
+
+def as_text(root: ET.Element) -> str:
+    """Indented XML with its declaration."""
     ET.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _root_attributes(header: Header, variables: Sequence[Variable]) -> dict[str, str]:
+def categories_and_experiment(header: Header) -> list[ET.Element]:
+    """``LogCategories`` and ``DefaultExperiment``, the same in both versions."""
+    categories = ET.Element("LogCategories")
+    for name, text in LOG_CATEGORIES.items():
+        ET.SubElement(categories, "Category", name=name, description=text)
+    experiment = {"startTime": "0.0", "stopTime": repr(header.stop_time), "stepSize": repr(header.step_size)}
+    return [categories, ET.Element("DefaultExperiment", experiment | {"tolerance": repr(header.tolerance)})]
+
+
+def root_attributes(header: Header, variables: Sequence[Variable]) -> dict[str, str]:
+    """What both versions say of the model as a whole."""
     optional = {
         "description": header.description, "author": header.author, "version": header.version,
         "license": header.licence,
     }  # fmt: skip
     naming = "structured" if all(v.structured for v in variables) else "flat"
     return {
-        "fmiVersion": "2.0", "modelName": header.model, "guid": header.guid,
-        **{k: v for k, v in optional.items() if v},
-        "generationTool": header.tool, "variableNamingConvention": naming, "numberOfEventIndicators": "0",
+        "modelName": header.model, **{k: v for k, v in optional.items() if v},
+        "generationTool": header.tool, "variableNamingConvention": naming,
     }  # fmt: skip
 
 
@@ -97,35 +115,39 @@ def _interface(header: Header, interface: str) -> ET.Element:
     return element
 
 
-def _annotations(variables: Sequence[Variable], header: Header) -> ET.Element:
+def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Element:
     """Which output measures what a start parameter sets: a reader can then start where a recording starts.
 
     ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere. ``period``:
     how often a sampled block moves [s].
     """
-    element = ET.Element("VendorAnnotations")
-    tool = ET.SubElement(element, "Tool", name="hydrotwin")
     sampled = {"period": repr(header.period)} if header.sampled else {}
-    starts = ET.SubElement(tool, "Starts", complete="true" if header.restarts else "false", **sampled)
+    starts = ET.Element("Starts", complete="true" if header.restarts else "false", **sampled)
     for variable in variables:
         if variable.kind == "start":
             measured = {"output": variable.measured_by} if variable.measured_by else {}
             ET.SubElement(starts, "Start", {"parameter": variable.name, **measured})
-    return element
+    return starts
 
 
 def _scalar_variable(reference: int, variable: Variable, sampled: bool) -> ET.Element:
     attributes = {"name": variable.name, "valueReference": str(reference)}
     if variable.description:
         attributes["description"] = variable.description
-    attributes |= {"causality": CAUSALITY[variable.kind], "variability": _variability(variable.kind, sampled)}
-    if variable.kind in ("parameter", "start"):
-        attributes["initial"] = "exact"
-    elif variable.kind in ("output", "state", "derivative"):
-        attributes["initial"] = "calculated"
-    element = ET.Element("ScalarVariable", attributes)
-    ET.SubElement(element, "Real", _real_attributes(variable))
+    element = ET.Element("ScalarVariable", attributes | roles(variable.kind, sampled))
+    derivative = {} if variable.of is None else {"derivative": str(variable.of + 1)}
+    ET.SubElement(element, "Real", real_attributes(variable) | derivative)
     return element
+
+
+def roles(kind: str, sampled: bool) -> dict[str, str]:
+    """Causality, variability and, where the standard's table wants it, initial."""
+    found = {"causality": CAUSALITY[kind], "variability": _variability(kind, sampled)}
+    if kind in ("parameter", "start"):
+        found["initial"] = "exact"
+    elif kind in ("output", "state", "derivative"):
+        found["initial"] = "calculated"
+    return found
 
 
 def _variability(kind: str, sampled: bool) -> str:
@@ -134,7 +156,8 @@ def _variability(kind: str, sampled: bool) -> str:
     return "discrete" if sampled and kind in ("output", "state") else "continuous"
 
 
-def _real_attributes(variable: Variable) -> dict[str, str]:
+def real_attributes(variable: Variable) -> dict[str, str]:
+    """Unit, bounds, nominal and start value."""
     attributes = {"unit": variable.unit}
     best = display_units(variable.unit)[0]
     if best != variable.unit:
@@ -148,26 +171,27 @@ def _real_attributes(variable: Variable) -> dict[str, str]:
         attributes["nominal"] = repr(abs(float(variable.nominal)))
     if variable.start is not None:
         attributes["start"] = repr(float(variable.start))
-    if variable.of is not None:
-        attributes["derivative"] = str(variable.of + 1)
     return attributes
 
 
 def _model_structure(variables: Sequence[Variable]) -> ET.Element:
     """FMI 2 indices count from one. Discrete states have no entry in FMI 2."""
     element = ET.Element("ModelStructure")
-    of_kind = {k: [i for i, v in enumerate(variables) if v.kind == k] for k in ("output", "state", "derivative")}
-    for tag, kind in (("Outputs", "output"), ("Derivatives", "derivative")):
-        if of_kind[kind]:
-            _unknowns(element, tag, of_kind[kind], [variables[i].depends for i in of_kind[kind]])
-    continuous = of_kind["state"] if of_kind["derivative"] else []
-    initial = [*of_kind["output"], *continuous, *of_kind["derivative"]]
-    if initial:
-        _unknowns(element, "InitialUnknowns", initial, [variables[i].starts_from for i in initial])
+    tags = {"output": "Outputs", "derivative": "Derivatives", "initial": "InitialUnknowns"}
+    for what, rows in unknowns(variables).items():
+        listed = ET.SubElement(element, tags[what]) if rows else None
+        for index, known in rows:
+            ET.SubElement(listed, "Unknown", index=str(index + 1), dependencies=" ".join(str(k + 1) for k in known))
     return element
 
 
-def _unknowns(parent: ET.Element, tag: str, indices: list[int], depends: list[tuple[int, ...]]):
-    listed = ET.SubElement(parent, tag)
-    for index, known in zip(indices, depends, strict=True):
-        ET.SubElement(listed, "Unknown", index=str(index + 1), dependencies=" ".join(str(k + 1) for k in known))
+def unknowns(variables: Sequence[Variable]) -> dict[str, list[tuple[int, tuple[int, ...]]]]:
+    """Outputs, derivatives and initial unknowns as (value reference, value references of what it depends on)."""
+    of_kind = {k: [i for i, v in enumerate(variables) if v.kind == k] for k in ("output", "state", "derivative")}
+    continuous = of_kind["state"] if of_kind["derivative"] else []
+    initial = [*of_kind["output"], *continuous, *of_kind["derivative"]]
+    return {
+        "output": [(i, variables[i].depends) for i in of_kind["output"]],
+        "derivative": [(i, variables[i].depends) for i in of_kind["derivative"]],
+        "initial": [(i, variables[i].starts_from) for i in initial],
+    }

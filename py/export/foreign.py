@@ -133,7 +133,11 @@ def _annotated(path: Path) -> tuple[dict[str, str], bool, float | None]:
                 root = ET.fromstring(archive.read("modelDescription.xml"))
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
         return {}, False, None
-    listed = root.find("./VendorAnnotations/Tool[@name='hydrotwin']/Starts")
+    places = (
+        "./VendorAnnotations/Tool[@name='hydrotwin']/Starts",
+        "./Annotations/Annotation[@type='hydrotwin']/Starts",
+    )
+    listed = next((found for place in places if (found := root.find(place)) is not None), None)
     if listed is None:
         return {}, False, None
     starts = {e.get("parameter"): e.get("output") or "" for e in listed.findall("Start")}

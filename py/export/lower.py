@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -120,6 +120,16 @@ def lower_block(block: Block, name: str) -> Lowered:
         name, "sampled", block.period, block.inputs, outputs, block.states, block.parameters, starts, functions,
         block.description, dict(block.provenance),
     )  # fmt: skip
+
+
+def with_adjoints(lowered: Lowered) -> Lowered:
+    """The same with the reverse derivatives of its functions, for adjoint derivatives (FMI 3)."""
+    output = lowered.functions["output"]
+    functions = {
+        "start_reverse": _reverse("ht_start_reverse", lowered.functions["start"]),
+        "reverse": _reverse("ht_reverse", output, lead=["xdot"] if lowered.sampled else []),
+    }
+    return replace(lowered, functions={**lowered.functions, **functions})
 
 
 def adaptive_advance(flat: FlatModel, tolerance: float) -> ca.Function:
@@ -239,6 +249,19 @@ def _tangent(name: str, f: ca.Function, results: list[str], lead: Sequence[str] 
     return ca.Function(
         name, [*arguments, *seeds], [*empty, *wanted],
         [*f.name_in(), *known], [*(f"d{r}" for r in lead), *(f"d{r}" for r in results)],
+    )  # fmt: skip
+
+
+def _reverse(name: str, f: ca.Function, lead: Sequence[str] = ()) -> ca.Function:
+    """``(args, seeds of the results) -> adjoints of the args``; ``lead`` names empty seeds that go first."""
+    arguments = _arguments(f)
+    sym = _symbols_for(f)
+    known = [f"bar_{n}" for n in (*lead, *f.name_out())]
+    seeds = [sym.sym(known[len(lead) + k], *f.size_out(k)) for k in range(f.n_out())]
+    adjoints = f.reverse(1).call([*arguments, *f.call(arguments), *seeds])
+    return ca.Function(
+        name, [*arguments, *(sym.sym(n, 0, 1) for n in known[: len(lead)]), *seeds], [ca.densify(a) for a in adjoints],
+        [*f.name_in(), *known], [f"bar_{n}" for n in f.name_in()],
     )  # fmt: skip
 
 

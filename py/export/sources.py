@@ -10,7 +10,7 @@ from pathlib import Path
 
 import casadi as ca
 
-from .lower import Lowered
+from .lower import Lowered, with_adjoints
 from .variables import Variable
 
 RUNTIME = Path(__file__).parent / "runtime"
@@ -22,6 +22,7 @@ INTERFACES = {"cs": ("cs",), "me": ("me",), "both": ("me", "cs")}
 _CORE = (
     "core.c", "core.h", "internal.h", "inputs.c", "history.c", "history.h", "solve.c", "sensitivity.c", "store.c",
 )  # fmt: skip
+_FACES_OF_FMI3 = ("fmi3.c", "fmi3_face.h", "fmi3_none.c", "fmi3_me.c", "fmi3_cs.c")
 _FLAGS = {"cs": "HT_CO_SIMULATION", "me": "HT_MODEL_EXCHANGE"}
 _METHODS = {"explicit": "HT_EXPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED"}
 _WORK = ("sz_arg", "sz_res", "sz_iw", "sz_w")
@@ -36,6 +37,7 @@ def source_files(
         pieces are merged into their mean.
     kind : "cs", "me" or "both": which faces of the runtime are put in.
     """
+    lowered = with_adjoints(lowered) if fmi == 3 else lowered
     functions = _functions_c(lowered)
     model = _model_c(lowered, variables, guid, history, _work_sizes(functions), kind)
     files = {"functions.c": functions, "model.c": model}
@@ -46,7 +48,9 @@ def source_files(
 
 def _runtime(fmi: int, kind: str) -> list[str]:
     """The files of the runtime that this FMU needs."""
-    faces = [f"fmi{fmi}.c", f"fmi{fmi}_face.h", *(f"fmi{fmi}_{interface}.c" for interface in INTERFACES[kind])]
+    if fmi == 3:  # importers ask for every function of the standard, whatever the kind
+        return [*_CORE, "exchange.c", "adjoint.c", *_FACES_OF_FMI3]
+    faces = ["fmi2.c", "fmi2_face.h", *(f"fmi2_{interface}.c" for interface in INTERFACES[kind])]
     return [*_CORE, *faces, *(["exchange.c"] if kind != "cs" else [])]
 
 
@@ -107,7 +111,7 @@ const ht_model ht_the_model = {{
 """
 
 
-_ROLES = ("start", "start_forward", "output", "forward", "derivative", "advance")
+_ROLES = ("start", "start_forward", "output", "forward", "derivative", "advance", "start_reverse", "reverse")
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -49,8 +49,11 @@ class Variable:
         return _STRUCTURED.fullmatch(inner) is not None
 
 
-def variables_of(lowered: Lowered) -> tuple[Variable, ...]:
-    """The table, in the order of the value references. Raises DeclarationError when two would have one name."""
+def variables_of(lowered: Lowered, *, always_time: bool = False) -> tuple[Variable, ...]:
+    """The table, in the order of the value references. Raises DeclarationError when two would have one name.
+
+    always_time : list the time even where the equations do not read it (FMI 3 demands it).
+    """
     names = _state_names(lowered)
     sizes = [len(lowered.inputs), len(lowered.parameters), len(lowered.starts), len(lowered.outputs)]
     first_state = sum(sizes)
@@ -82,7 +85,7 @@ def variables_of(lowered: Lowered) -> tuple[Variable, ...]:
             )
             for k, (n, s) in enumerate(zip(names, lowered.states, strict=True))
         ]  # fmt: skip
-    if depends.on_time:
+    if depends.on_time or always_time:
         rows.append(Variable("time", "time", "s", "simulation time"))
     _check_names(lowered.name, rows)
     return tuple(rows)
@@ -135,7 +138,7 @@ class _Dependencies:
 
     @property
     def on_time(self) -> bool:
-        """Whether the equations read the time; only then it is a variable of the FMU."""
+        """Whether the equations read the time; only then it must be a variable of the FMU."""
         return any(rows["t"] for rows in self.rows.values())
 
     def of_output(self, k: int) -> dict:

@@ -16,8 +16,9 @@ from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
 
 from .archive import write_archive
-from .build import compile_for, native_platform
-from .description import Header, model_description
+from .build import FMI3_FOLDERS, compile_for, platforms_named
+from .description import Header, description_of_fmi2
+from .description3 import build_description, description_of_fmi3
 from .documentation import documentation
 from .lower import Lowered, lower_block, lower_model
 from .method import choose_method
@@ -53,7 +54,7 @@ def export_fmu(
     author: str = "",
     licence: str = "",
 ) -> Path:
-    """Write a Model, FlatModel or sampled Block as an FMU of FMI 2.0.
+    """Write a Model, FlatModel or sampled Block as an FMU of FMI 2.0 or 3.0.
 
     kind : "cs" (Co-Simulation, the solver inside), "me" (Model Exchange, the importer integrates) or "both" in one
         FMU. Model Exchange is for continuous models without dead time.
@@ -68,7 +69,8 @@ def export_fmu(
         `simulate`, adaptive for stiff models. step : longest internal step [s], the model's own by default.
     tolerance : of the adaptive method, in nominal units.
     stop_time, step_size : of the default experiment [s].
-    platforms : folders of FMI 2, "linux64", "win64", "darwin64"; this machine's by default.
+    platforms : "linux64", "win64", "darwin64", "aarch64-linux", "aarch64-darwin", their names in FMI 3, or "all"; this
+        machine's by default.
     history : pieces remembered of each input with a dead time.
     reference : a record whose inputs, replayed, gave its outputs; `check_fmu` replays it.
     provenance : shown in the documentation, on top of what the model brings along.
@@ -80,37 +82,41 @@ def export_fmu(
     lowered, solver = _lowered(model, given, method, step, tolerance)
     if kind != "cs":
         _refuse_exchange(lowered, kind)
-    variables = variables_of(lowered)
+    variables = variables_of(lowered, always_time=fmi == 3)
     size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
     sources = source_files(lowered, variables, _PENDING_GUID, history, fmi, kind)
     header = Header(
         lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
         lowered.sampled, float(stop_time), float(size), float(tolerance),
         tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, float(lowered.step), author, licence,
-        interfaces=INTERFACES[kind],
+        interfaces=INTERFACES[kind], fmi=fmi,
     )  # fmt: skip
-    xml = model_description(header, variables)
+    xml = (description_of_fmi3 if fmi == 3 else description_of_fmi2)(header, variables)
     guid = _guid_of(xml, sources)
     xml = xml.replace(_PENDING_GUID, guid)
     sources["model.c"] = sources["model.c"].replace(_PENDING_GUID, guid)
     page = documentation(lowered, variables, solver, _facts(header, guid), {**lowered.provenance, **(provenance or {})})
     files: dict[str, str | bytes] = {"modelDescription.xml": xml, "documentation/index.html": page}
     files |= {f"sources/{name}": text for name, text in sources.items()}
-    for folder in platforms or (native_platform(),):
-        library, content = compile_for(folder, header.identifier, sources)
-        files[f"binaries/{folder}/{library}"] = content
+    if fmi == 3:
+        files["sources/buildDescription.xml"] = build_description(header)
+    for name in platforms_named(platforms):
+        library, content = compile_for(name, header.identifier, sources)
+        files[f"binaries/{FMI3_FOLDERS[name] if fmi == 3 else name}/{library}"] = content
     if reference is not None:
         files[REFERENCE_FILE] = _reference_text(reference, variables, lowered)
     return write_archive(path, files)
 
 
 def _refuse_unknown(fmi: int, kind: str):
-    if fmi != 2:
-        raise DeclarationError(f"export: FMI {fmi} is not written yet (got fmi={fmi!r}). FMI 2.0 is. Use fmi=2.")
+    if fmi not in (2, 3):
+        raise DeclarationError(
+            f"export: FMI {fmi} is not supported (got fmi={fmi!r}). FMI 2.0 and 3.0 are. Use fmi=2 or fmi=3."
+        )
     if kind not in INTERFACES:
         raise DeclarationError(
-            f"export: no kind of FMU '{kind}'. It is 'cs' (Co-Simulation), 'me' (Model Exchange) or 'both'. "
-            f"{nearest(str(kind), INTERFACES)}"
+            f"export: no kind of FMU '{kind}'. {nearest(str(kind), INTERFACES)} "
+            "Use kind='cs' (Co-Simulation), kind='me' (Model Exchange) or kind='both'."
         )
 
 
@@ -173,7 +179,7 @@ def _guid_of(xml: str, sources: Mapping[str, str]) -> str:
 def _facts(header: Header, guid: str) -> dict[str, str]:
     interfaces = " and ".join(_INTERFACE_NAMES[i] for i in header.interfaces)
     return {
-        "interface": f"FMI 2.0 {interfaces}", "made by": header.tool, "GUID": guid,
+        "interface": f"FMI {header.fmi}.0 {interfaces}", "made by": header.tool, "GUID": guid,
         "default experiment": f"0 to {header.stop_time:g} s, communication step {header.step_size:g} s",
         "author": header.author or "not given", "licence": header.licence or "not given",
     }  # fmt: skip

@@ -80,7 +80,18 @@ def libraries(fmus, tmp_path_factory):
     return Loaded()
 
 
-@pytest.fixture(params=["cehA", "delayed mass", "stiff", "lag", "lag in MX"])
-def library(request, libraries):
-    """Each kind of FMU in turn."""
+OF_FMI3 = ["cehA 3", "delayed mass 3", "stiff 3", "lag 3", "lag in MX 3"]
+
+
+@pytest.fixture(params=["cehA", "delayed mass", "stiff", "lag", "lag in MX", *OF_FMI3])
+def library(request, libraries, exchangers):
+    """Each kind of Co-Simulation FMU in turn, of both versions."""
+    if request.param in OF_FMI3:
+        return exchangers[request.param.removesuffix(" 3"), ("fmi", 3)]
     return libraries[request.param]
+
+
+@pytest.fixture(params=OF_FMI3)
+def library3(request, exchangers):
+    """Each kind of Co-Simulation FMU of FMI 3 in turn."""
+    return exchangers[request.param.removesuffix(" 3"), ("fmi", 3)]

@@ -12,11 +12,17 @@ OK, WARNING, DISCARD, ERROR = 0, 1, 2, 3
 LOGGER = c.CFUNCTYPE(None, c.c_void_p, c.c_char_p, c.c_int, c.c_char_p, c.c_char_p, c.c_char_p)
 
 
+LOGGER3 = c.CFUNCTYPE(None, c.c_void_p, c.c_int, c.c_char_p, c.c_char_p)
+
+
 class Callbacks(c.Structure):
     _fields_ = [
         ("logger", LOGGER), ("allocate", c.c_void_p), ("free", c.c_void_p), ("finished", c.c_void_p),
         ("owner", c.c_void_p),
     ]  # fmt: skip
+
+
+_KINDS = {0: "ModelExchange", 1: "CoSimulation", 2: "ScheduledExecution"}
 
 
 class EventInfo(c.Structure):
@@ -34,28 +40,48 @@ class Library:
         self.root = ET.parse(folder / "modelDescription.xml").getroot()
         self.path = next((folder / "binaries").glob("*/*.*"))
         self.dll = c.CDLL(str(self.path))
-        self.dll.fmi2Instantiate.restype = c.c_void_p
+        self.fmi = int(self.root.get("fmiVersion")[0])
+        creators = ["fmi2Instantiate"] if self.fmi == 2 else [f"fmi3Instantiate{_KINDS[k]}" for k in (0, 1, 2)]
+        for name in creators:
+            getattr(self.dll, name).restype = c.c_void_p
         self.variables = {v.get("name"): v for v in self.root.find("ModelVariables")}
         self.references = {n: int(v.get("valueReference")) for n, v in self.variables.items()}
         self.messages: list[tuple[int, str]] = []
         self._logger = LOGGER(
             lambda owner, name, status, category, form, text: self.messages.append((status, text.decode()))
         )
+        self._logger3 = LOGGER3(lambda owner, status, category, text: self.messages.append((status, text.decode())))
 
     @property
     def guid(self) -> str:
-        return self.root.get("guid")
+        return self.root.get("guid" if self.fmi == 2 else "instantiationToken")
 
     def names(self, causality: str) -> list[str]:
         return [n for n, v in self.variables.items() if v.get("causality") == causality]
 
     def instantiate(self, guid: str | None = None, name: bytes = b"one", logger: bool = True, kind: int = 1):
+        if self.fmi == 3:
+            logger3 = self._logger3 if logger else LOGGER3()
+            between = (False, False, None, c.c_size_t(0)) if kind == 1 else ()
+            after = {0: (), 1: (None,), 2: (None, None, None)}[kind]
+            create = getattr(self.dll, f"fmi3Instantiate{_KINDS[kind]}")
+            return create(name, (guid or self.guid).encode(), None, False, False, *between, None, logger3, *after)
         callbacks = Callbacks(self._logger if logger else LOGGER(), None, None, None, None)
         text = (guid or self.guid).encode()
         return self.dll.fmi2Instantiate(name, c.c_int(kind), text, None, c.byref(callbacks), 0, 0)
 
     def instance(self, **options) -> Instance:
-        return Instance(self, self.instantiate(**options))
+        return (Instance if self.fmi == 2 else Instance3)(self, self.instantiate(**options))
+
+    def knowns(self, tag: str, unknown: str) -> list[str]:
+        """Declared dependencies; tag: Output, ContinuousStateDerivative or InitialUnknown."""
+        names, structure = list(self.variables), self.root.find("ModelStructure")
+        if self.fmi == 3:
+            of = {int(e.get("valueReference")): e for e in structure.findall(tag)}
+            return [names[int(k)] for k in of[self.references[unknown]].get("dependencies").split()]
+        plural = {"Output": "Outputs", "ContinuousStateDerivative": "Derivatives", "InitialUnknown": "InitialUnknowns"}
+        of = {int(e.get("index")) - 1: e for e in structure.find(plural[tag])}
+        return [names[int(k) - 1] for k in of[names.index(unknown)].get("dependencies").split()]
 
 
 class Instance:
@@ -119,11 +145,18 @@ class Instance:
     def exchange(self, start: float = 0.0, **starts: float) -> Instance:
         """Through initialization and the first event mode into continuous-time mode."""
         self.initialise(start, **starts)
-        info = EventInfo()
-        assert self.NewDiscreteStates(c.byref(info)) == OK
-        assert not any((info.needed, info.terminate, info.nominals, info.values, info.next_defined))
+        assert self.update_discrete_states() == OK
         assert self.EnterContinuousTimeMode() == OK
         return self
+
+    def update_discrete_states(self) -> int:
+        info = EventInfo()
+        status = self.NewDiscreteStates(c.byref(info))
+        assert not any((info.needed, info.terminate, info.nominals, info.values, info.next_defined))
+        return status
+
+    def free_state(self, state: c.c_void_p) -> int:
+        return self.FreeFMUstate(c.byref(state))
 
     def set_time(self, time: float) -> int:
         return self.SetTime(c.c_double(time))
@@ -160,3 +193,94 @@ class Instance:
 
     def free(self):
         self.dll.fmi2FreeInstance(self.component)
+
+
+class Instance3(Instance):
+    """The same calls for FMI 3.0; the experiment is set up where initialization begins."""
+
+    _start, _stop = 0.0, None
+
+    def __getattr__(self, name: str):
+        function = getattr(self.dll, f"fmi3{name}")
+        return lambda *args: function(self.component, *args)
+
+    def set_reference(self, reference: int, value: float) -> int:
+        one = c.c_size_t(1)
+        return self.SetFloat64(c.byref(c.c_uint(reference)), one, c.byref(c.c_double(value)), one)
+
+    def status_of_get(self, reference: int) -> int:
+        one = c.c_size_t(1)
+        return self.GetFloat64(c.byref(c.c_uint(reference)), one, c.byref(c.c_double()), one)
+
+    def get(self, *names: str) -> list[float]:
+        references = (c.c_uint * len(names))(*(self.library.references[n] for n in names))
+        values, count = (c.c_double * len(names))(), c.c_size_t(len(names))
+        assert self.GetFloat64(references, count, values, count) == OK, self.library.messages
+        return list(values)
+
+    def setup(self, start: float = 0.0, stop: float | None = None) -> int:
+        self._start, self._stop = start, stop
+        return OK
+
+    def EnterInitializationMode(self) -> int:
+        stop = self._stop is not None, c.c_double(self._stop or 0.0)
+        enter = self.dll.fmi3EnterInitializationMode
+        return enter(self.component, False, c.c_double(0.0), c.c_double(self._start), *stop)
+
+    def step(self, time: float, size: float) -> int:
+        event, terminate, early, last = c.c_bool(True), c.c_bool(True), c.c_bool(True), c.c_double()
+        status = self.DoStep(
+            c.c_double(time), c.c_double(size), True, c.byref(event), c.byref(terminate), c.byref(early), c.byref(last)
+        )
+        assert not (event.value or terminate.value or early.value)
+        assert status != OK or abs(last.value - time - size) < 1e-9 * (1 + abs(time + size))
+        return status
+
+    def update_discrete_states(self) -> int:
+        flags, following = [c.c_bool(True) for _ in range(5)], c.c_double()
+        status = self.UpdateDiscreteStates(*(c.byref(f) for f in flags), c.byref(following))
+        assert not any(f.value for f in flags)
+        return status
+
+    def vector(self, what: str, size: int) -> list[float]:
+        return super().vector("ContinuousStateDerivatives" if what == "Derivatives" else what, size)
+
+    def directional(self, unknown: str, known: str) -> float:
+        return self._derivative("DirectionalDerivative", unknown, known)
+
+    def adjoint(self, unknown: str, known: str) -> float:
+        return self._derivative("AdjointDerivative", unknown, known)
+
+    def _derivative(self, which: str, unknown: str, known: str) -> float:
+        references, one, found = self.library.references, c.c_size_t(1), c.c_double()
+        of, to = (c.byref(c.c_uint(references[n])) for n in (unknown, known))
+        status = getattr(self, f"Get{which}")(of, one, to, one, c.byref(c.c_double(1.0)), one, c.byref(found), one)
+        assert status == OK, self.library.messages
+        return found.value
+
+    def get_state(self) -> c.c_void_p:
+        state = c.c_void_p()
+        assert self.GetFMUState(c.byref(state)) == OK
+        return state
+
+    def free_state(self, state: c.c_void_p) -> int:
+        return self.FreeFMUState(c.byref(state))
+
+    def serialized(self) -> bytes:
+        state, size = self.get_state(), c.c_size_t()
+        assert self.SerializedFMUStateSize(state, c.byref(size)) == OK
+        buffer = c.create_string_buffer(size.value)
+        assert self.SerializeFMUState(state, buffer, size) == OK
+        assert self.free_state(state) == OK
+        return buffer.raw
+
+    def restore(self, data: bytes) -> int:
+        state = c.c_void_p()
+        status = self.DeserializeFMUState(data, c.c_size_t(len(data)), c.byref(state))
+        if status == OK:
+            status = self.SetFMUState(state)
+            self.free_state(state)
+        return status
+
+    def free(self):
+        self.dll.fmi3FreeInstance(self.component)

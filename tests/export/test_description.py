@@ -162,7 +162,7 @@ def test_sources_that_do_not_compile_are_reported_with_the_compilers_words():
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"fmi": 3}, "FMI 3 is not written yet"),
+        ({"fmi": 4}, "Use fmi=2 or fmi=3"),
         ({"kind": "mee"}, "Did you mean 'me'"),
         ({"given": ["arm.angel"]}, "Did you mean 'arm.angle'"),
         ({"method": "rosenbrok"}, "no method 'rosenbrok'"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes as c
 import itertools
 import math
 import subprocess
@@ -15,13 +16,20 @@ from hydrotwin.models.language.errors import DeclarationError
 from tests.export.raw import DISCARD, ERROR, OK
 from tests.export.systems import arm_record
 from tests.export.test_agreement import WITHIN, cvodes
-from tests.export.test_description import dependencies, read, variables
+from tests.export.test_description import read
 
 ME, BOTH = ("kind", "me"), ("kind", "both")
+VERSIONS = [("fmi", 2), ("fmi", 3)]
 NAMES = ["cehA", "clocked mass", "stiff"]
+VARIANTS = list(itertools.product(NAMES, [ME, BOTH], VERSIONS))
 
 
-@pytest.fixture(params=list(itertools.product(NAMES, [ME, BOTH])), ids=lambda p: f"{p[0]} {p[1][1]}")
+def label(variant) -> str:
+    """A variant in words."""
+    return f"{variant[0]} {variant[1][1]} {variant[2][1]}"
+
+
+@pytest.fixture(params=VARIANTS, ids=label)
 def library(request, exchangers):
     return exchangers[request.param]
 
@@ -44,15 +52,14 @@ def moved(instance, share: float = 0.3) -> list[float]:
     return [a + share * b / (k + 2) for k, (a, b) in enumerate(zip(x, nominal, strict=True))]
 
 
-@pytest.mark.parametrize("kind", [ME, BOTH])
-@pytest.mark.parametrize("name", NAMES)
-def test_fmpy_finds_no_problem(variants, name, kind):
-    assert validate_fmu(str(variants[name, kind])) == []
+@pytest.mark.parametrize("variant", VARIANTS, ids=label)
+def test_fmpy_finds_no_problem(variants, variant):
+    assert validate_fmu(str(variants[variant])) == []
 
 
 def test_both_interfaces_export_the_functions_of_both(exchangers):
-    def functions(*key):
-        path = exchangers[key].path
+    def functions(kind):
+        path = exchangers["cehA", kind, ("fmi", 2)].path
         listed = subprocess.run(["nm", "-D", "--defined-only", path], capture_output=True, text=True, check=True)
         return {line.split()[-1] for line in listed.stdout.splitlines()}
 
@@ -60,29 +67,31 @@ def test_both_interfaces_export_the_functions_of_both(exchangers):
         "EnterEventMode NewDiscreteStates EnterContinuousTimeMode CompletedIntegratorStep SetTime SetContinuousStates "
         "GetDerivatives GetEventIndicators GetContinuousStates GetNominalsOfContinuousStates"
     )
-    me, both = functions("cehA", ME), functions("cehA", BOTH)
+    me, both = functions(ME), functions(BOTH)
     assert {f"fmi2{n}" for n in exchange.split()} < me < both
     assert "fmi2DoStep" in both - me
 
 
-def test_derivatives_name_their_state_and_list_what_they_follow_from(variants):
-    fmu = variants["clocked mass", ME]
-    names = [v.get("name") for v in variables(fmu)]
-    derivative = {v.get("name"): v.find("Real").get("derivative") for v in variables(fmu)}
-    assert [names[int(derivative[f"der(mass.{s})"]) - 1] for s in "sv"] == ["mass.s", "mass.v"]
-    assert dependencies(fmu, "Derivatives") == {
-        "der(mass.s)": {"mass.v"},
-        "der(mass.v)": {"mass.s", "mass.v", "force", "time"},
-    }
-    assert set(dependencies(fmu, "InitialUnknowns")) == {
-        "place", "power", "clock", "mass.s", "mass.v", "der(mass.s)", "der(mass.v)",
-    }  # fmt: skip
+@pytest.mark.parametrize("version", VERSIONS)
+def test_derivatives_name_their_state_and_list_what_they_follow_from(exchangers, version):
+    library = exchangers["clocked mass", ME, version]
+    names, first = list(library.variables), 1 if library.fmi == 2 else 0
+    for state in ("mass.s", "mass.v"):
+        row = library.variables[f"der({state})"]
+        row = row.find("Real") if library.fmi == 2 else row
+        assert names[int(row.get("derivative")) - first] == state
+    assert library.knowns("ContinuousStateDerivative", "der(mass.s)") == ["mass.v"]
+    assert set(library.knowns("ContinuousStateDerivative", "der(mass.v)")) == {"mass.s", "mass.v", "force", "time"}
+    initial = {n: set(library.knowns("InitialUnknown", n)) for n in ("mass.s", "mass.v", "der(mass.s)", "power")}
+    assert initial == {"mass.s": {"mass.s.start"}, "mass.v": set(), "der(mass.s)": set(), "power": {"force"}}
 
 
 def test_an_interface_that_is_not_offered_is_refused(exchangers, libraries):
-    assert not exchangers["cehA", ME].instantiate(kind=1)
-    assert not libraries["cehA"].instantiate(kind=0)
-    assert "interface" in libraries["cehA"].messages[-1][1]
+    stepping = [libraries["cehA"], exchangers["cehA", ("fmi", 3)]]
+    exchanging = [exchangers["cehA", ME, version] for version in VERSIONS]
+    for library, kind in [*((one, 0) for one in stepping), *((one, 1) for one in exchanging)]:
+        assert not library.instantiate(kind=kind)
+        assert "interface" in library.messages[-1][1]
 
 
 def test_time_states_and_inputs_can_be_set_in_any_order(library, instance, systems):
@@ -125,6 +134,17 @@ def test_directional_derivatives_are_exact_at_any_point(library, instance, syste
             expected = np.array(jacobians[position[f"jac_{result}_{argument}"]])
             found = [[instance.directional(row, column) for column in columns] for row in rows]
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+            if library.fmi == 3:
+                found = [[instance.adjoint(row, column) for column in columns] for row in rows]
+                np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
+_FLAGS3 = [c.c_bool() for _ in range(3)]
+_LAST3 = c.c_double()
+_ANY_STEP = {
+    2: (c.c_double(0.0), c.c_double(0.01), 1),
+    3: (c.c_double(0.0), c.c_double(0.01), True, *map(c.byref, _FLAGS3), c.byref(_LAST3)),
+}
 
 
 def test_the_state_machine_is_kept(library, instance):
@@ -133,11 +153,14 @@ def test_the_state_machine_is_kept(library, instance):
     instance.initialise()
     x = instance.vector("ContinuousStates", count)
     parameter = next(n for n in library.names("parameter") if library.variables[n].get("variability") == "tunable")
-    assert instance.step(0.0, 0.01) == ERROR if hasattr(library.dll, "fmi2DoStep") else True
+    if library.fmi == 3 or hasattr(library.dll, "fmi2DoStep"):
+        assert instance.DoStep(*_ANY_STEP[library.fmi]) == ERROR
     assert instance.set(parameter, instance.get(parameter)[0]) == OK
     assert instance.EnterEventMode() == ERROR
     assert instance.EnterContinuousTimeMode() == OK
-    assert instance.set(parameter, 1.0) == ERROR
+    assert instance.set(parameter, instance.get(parameter)[0]) == OK
+    fixed = [n for n in library.names("parameter") if library.variables[n].get("variability") == "fixed"]
+    assert [instance.set(n, 1.0) for n in fixed] == [ERROR] * len(fixed)
     assert instance.set(library.names("output")[0], 1.0) == ERROR
     assert instance.set_states([*x, 1.0]) == ERROR
     assert instance.set_states([math.nan, *x[1:]]) == DISCARD
@@ -157,8 +180,9 @@ def test_nominal_values_are_those_of_the_states(library, instance, systems):
     assert instance.vector("NominalsOfContinuousStates", len(nominals)) == nominals
 
 
-def test_a_state_of_the_other_interface_is_refused(exchangers):
-    library = exchangers["cehA", BOTH]
+@pytest.mark.parametrize("version", VERSIONS)
+def test_a_state_of_the_other_interface_is_refused(exchangers, version):
+    library = exchangers["cehA", BOTH, version]
     exchanging, stepping = library.instance(kind=0).exchange(), library.instance(kind=1).initialise()
     stored = exchanging.serialized()
     assert stepping.restore(stored) == ERROR
@@ -168,25 +192,27 @@ def test_a_state_of_the_other_interface_is_refused(exchangers):
     exchanging.free(), stepping.free()
 
 
-def test_fmpys_cvode_agrees_with_a_tight_cvodes_in_every_output(variants, systems):
+@pytest.mark.parametrize("version", VERSIONS)
+def test_fmpys_cvode_agrees_with_a_tight_cvodes_in_every_output(variants, systems, version):
     record = arm_record(2.0)
     expected = cvodes(systems["cehA"], record, {"arm.angle": 0.1})
-    found = read_fmu(variants["cehA", ME]).free_run(record)
+    found = read_fmu(variants["cehA", ME, version]).free_run(record)
     errors = {n: np.abs(found[n] - expected[n]).max() / np.ptp(expected[n]) for n in expected}
     assert max(errors.values()) < WITHIN, errors
 
 
-def test_co_simulation_is_the_same_beside_model_exchange(variants, fmus):
+@pytest.mark.parametrize("version", VERSIONS)
+def test_co_simulation_is_the_same_beside_model_exchange_and_in_both_versions(variants, fmus, version):
     record = arm_record(1.0)
-    alone, beside = (read_fmu(f).free_run(record) for f in (fmus["cehA"], variants["cehA", BOTH]))
+    alone, beside = (read_fmu(f).free_run(record) for f in (fmus["cehA"], variants["cehA", BOTH, version]))
     assert all(np.array_equal(alone[n], beside[n]) for n in alone.signals)
 
 
-@pytest.mark.parametrize("kind", ["me", "both"])
-def test_check_passes_both_kinds(systems, tmp_path, kind):
+@pytest.mark.parametrize(("kind", "fmi"), [("me", 2), ("both", 2), ("cs", 3), ("me", 3), ("both", 3)])
+def test_check_passes_every_kind(systems, tmp_path, kind, fmi):
     flat = systems["cehA"]
     reference = reference_run(flat, fine=kind == "me")
-    check = check_fmu(export_fmu(flat, tmp_path / "x.fmu", kind=kind, reference=reference))
+    check = check_fmu(export_fmu(flat, tmp_path / "x.fmu", kind=kind, fmi=fmi, reference=reference))
     assert check.passed, str(check)
     assert check["reference"].passed
 
@@ -200,4 +226,6 @@ def test_what_model_exchange_cannot_do_is_said(systems, tmp_path, name, words, k
 
 
 def test_the_documentation_names_the_interfaces(variants):
-    assert "FMI 2.0 Model Exchange and Co-Simulation" in read(variants["cehA", BOTH], "documentation/index.html")
+    assert "FMI 2.0 Model Exchange and Co-Simulation" in read(
+        variants["cehA", BOTH, VERSIONS[0]], "documentation/index.html"
+    )

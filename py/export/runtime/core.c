@@ -164,8 +164,9 @@ static int settable(ht_kind kind, ht_phase phase) {
         case HT_INSTANTIATED:
         case HT_INITIALISING: return kind <= HT_START;
         case HT_RUNNING: return kind <= HT_PARAMETER;
-        case HT_EVENT: return kind <= HT_PARAMETER || kind == HT_STATE;
-        case HT_CONTINUOUS: return kind == HT_INPUT || kind == HT_STATE;
+        case HT_EVENT:
+        case HT_CONTINUOUS: /* tunable parameters too, beyond the standard: optimisers move them without an event */
+            return kind <= HT_PARAMETER || kind == HT_STATE;
         default: return 0;
     }
 }

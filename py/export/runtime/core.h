@@ -40,6 +40,8 @@ typedef struct {
     ht_function forward;          /* (t, x, u, p, dt, dx, du, dp) -> dxdot, dy   (sampled: dy alone) */
     ht_function derivative;       /* (t, x, u, p) -> xdot */
     ht_function advance;          /* adaptive: (t, h, x, u, p) -> x; sampled: (x, u, p) -> x, y */
+    ht_function start_reverse;    /* (u, p, z, adjoint of x) -> adjoints of u, p, z   (FMI 3 alone) */
+    ht_function reverse;          /* (t, x, u, p, adjoints of xdot, y) -> adjoints of t, x, u, p   (FMI 3 alone) */
     size_t size_arg, size_res, size_iw, size_w;
 } ht_model;
 
@@ -101,5 +103,8 @@ ht_status ht_get_indicators(ht_instance *self, size_t n); /* of events: there ar
 /* sensitivity[unknown] = sum over known of d unknown / d known * seed[known], at the present point */
 ht_status ht_directional(ht_instance *self, const unsigned *unknown, size_t unknowns, const unsigned *known,
                          size_t knowns, const double *seed, double *sensitivity);
+/* sensitivity[known] = sum over unknown of seed[unknown] * d unknown / d known (adjoint.c, FMI 3 alone) */
+ht_status ht_adjoint(ht_instance *self, const unsigned *unknown, size_t unknowns, const unsigned *known, size_t knowns,
+                     const double *seed, double *sensitivity);
 
 #endif

@@ -18,19 +18,29 @@ STARTS = ("positions", "measured")
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
-    app.command(epilog=examples("hydrotwin export model.toml --out cehA.fmu"))(export)
+    app.command(
+        epilog=examples(
+            "hydrotwin export model.toml --out cehA.fmu", "hydrotwin export cehA --fmi 3 --kind both --out cehA.fmu"
+        )
+    )(export)
     app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(check)
 
 
 def export(
     model: ModelArgument,
     output: Annotated[Path, typer.Option("--out", metavar="X.fmu", help="the FMU to write")],
-    fmi: Annotated[int, typer.Option(help="version of the FMI standard: 2")] = 2,
+    fmi: Annotated[int, typer.Option(help="version of the FMI standard: 2 or 3")] = 2,
     kind: Annotated[str, typer.Option(help="cs (Co-Simulation), me (Model Exchange) or both")] = "cs",
     start: Annotated[
         str,
         typer.Option(help="start values to set: positions (the rest in equilibrium), or measured (as simulate starts)"),
     ] = "positions",
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME", help="linux64, win64, darwin64 ... or all; may be repeated; this machine by default"
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a model or a learned block as an FMU that runs without Python.
@@ -49,6 +59,7 @@ def export(
         fmi=fmi,
         kind=kind,
         given=given_starts(thing, start),
+        platforms=platform or None,
         reference=reference_run(thing, fine=_exchanges(thing, kind)),
     )
     size = output.stat().st_size

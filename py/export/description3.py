@@ -1,0 +1,82 @@
+"""modelDescription.xml and buildDescription.xml of FMI 3.0."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+
+from .description import (
+    ANNOTATION,
+    Header,
+    as_text,
+    categories_and_experiment,
+    real_attributes,
+    roles,
+    root_attributes,
+    starts_annotation,
+    unknowns,
+)
+from .unit_definitions import unit_definitions
+from .variables import Variable
+
+_ABILITIES = (
+    "canGetAndSetFMUState", "canSerializeFMUState", "providesDirectionalDerivatives", "providesAdjointDerivatives",
+)  # fmt: skip
+
+
+def description_of_fmi3(header: Header, variables: Sequence[Variable]) -> str:
+    """The XML text. All variables are Float64 and scalar, the place in the table is the value reference."""
+    own = {"fmiVersion": "3.0", "instantiationToken": header.guid}
+    root = ET.Element("fmiModelDescription", own | root_attributes(header, variables))
+    for interface in header.interfaces:
+        root.append(_interface(header, interface))
+    root.append(unit_definitions(v.unit for v in variables))
+    root.extend(categories_and_experiment(header))
+    listed = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        listed.append(_variable(reference, variable, header.sampled))
+    root.append(_model_structure(variables))
+    annotation = ET.SubElement(ET.SubElement(root, "Annotations"), "Annotation", type=ANNOTATION)
+    annotation.append(starts_annotation(variables, header))
+    return as_text(root)
+
+
+def build_description(header: Header) -> str:
+    """How to compile the sources: all of them, no options, no libraries but the C library's mathematics."""
+    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
+    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=header.identifier)
+    files = ET.SubElement(configuration, "SourceFileSet", language="C99")
+    for name in header.sources:
+        ET.SubElement(files, "SourceFile", name=name)
+    return as_text(root)
+
+
+def _interface(header: Header, interface: str) -> ET.Element:
+    """What is not named is false: no event mode, no early return and no intermediate update in Co-Simulation."""
+    if interface == "me":
+        element = ET.Element("ModelExchange", modelIdentifier=header.identifier)
+    else:
+        element = ET.Element(
+            "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true"
+        )
+    for ability in _ABILITIES:
+        element.set(ability, "true")
+    return element
+
+
+def _variable(reference: int, variable: Variable, sampled: bool) -> ET.Element:
+    attributes = {"name": variable.name, "valueReference": str(reference)}
+    if variable.description:
+        attributes["description"] = variable.description
+    derivative = {} if variable.of is None else {"derivative": str(variable.of)}
+    return ET.Element("Float64", attributes | roles(variable.kind, sampled) | real_attributes(variable) | derivative)
+
+
+def _model_structure(variables: Sequence[Variable]) -> ET.Element:
+    element = ET.Element("ModelStructure")
+    tags = {"output": "Output", "derivative": "ContinuousStateDerivative", "initial": "InitialUnknown"}
+    for what, rows in unknowns(variables).items():
+        for reference, known in rows:
+            attributes = {"valueReference": str(reference), "dependencies": " ".join(map(str, known))}
+            ET.SubElement(element, tags[what], attributes)
+    return element

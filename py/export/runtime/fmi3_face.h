@@ -1,0 +1,27 @@
+/* Shared by the files of the FMI 3.0 face: what lies behind an fmi3Instance. */
+#ifndef FMI3_FACE_H
+#define FMI3_FACE_H
+
+#include "core.h"
+
+#ifdef __clang__ /* the header of the standard declares two functions without a prototype */
+#pragma clang diagnostic push
+#pragma clang diagnostic ignored "-Wstrict-prototypes"
+#endif
+#include "fmi3Functions.h"
+#ifdef __clang__
+#pragma clang diagnostic pop
+#endif
+
+typedef struct {
+    ht_instance core;
+    fmi3InstanceEnvironment environment;
+    fmi3LogMessageCallback log;
+    fmi3Boolean logging;
+    char *name;
+} component;
+
+fmi3Status ht3_answer(component *c, ht_status status); /* log what went wrong, translate */
+fmi3Status ht3_refuse(component *c, const char *why);  /* log, fmi3Error; c may be NULL */
+
+#endif

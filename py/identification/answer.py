@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
 
 from hydrotwin.models.language.errors import SolveError
 
@@ -19,10 +18,10 @@ from .loss import Loss
 from .problem import FreeParameters, Recording
 from .shooting import Shooting
 from .uncertainty import correlation, uncertainty, without_starts
+from .valley import TROUBLE, margin
 from .whiteness import SIGNIFICANCE, ljung_box
 
 RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
-TROUBLE = 12  # iterations of free runs after which a minimum is not believed without another start
 
 
 def answer(
@@ -43,7 +42,7 @@ def answer(
     findings = [
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
-        *_rough(best),
+        *([] if ambiguous else _rough(best)),
         *_weighing(task, residuals),
         *bounds_reached(free.names, values, free.lower, free.upper, free.units, at_bound),
         *findings,
@@ -86,15 +85,17 @@ def explains(task: Task, found: Minimum) -> bool:
 def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Minimum]):
     """A covariance that reaches the other minima which explain the recordings as well, and a finding that names them.
 
-    As well: within the 99 % region of the likelihood. A curvature at one of several minima says nothing of the rest.
+    As well: within the 99 % region of the likelihood; a minimum that is higher by d is sqrt(2 d) sigmas away. The
+    curvature at one of several minima says nothing of the rest.
     """
-    best, margin = minima[0], 0.5 * chi2_distribution.ppf(0.99, len(free.names))
-    others = [m for m in minima[1:] if m.cost - best.cost < margin]
+    best = minima[0]
+    others = [m for m in minima[1:] if m.cost - best.cost < margin(len(free.names))]
     if not others:
         return covariance, []
     sigma = np.sqrt(np.diag(covariance))
     values = free.values(best.q)
-    spread = np.max([np.abs(free.values(m.q) - values) for m in others], axis=0)
+    apart_by = [np.abs(free.values(m.q) - values) / max(1.0, np.sqrt(2 * (m.cost - best.cost))) for m in others]
+    spread = np.max(apart_by, axis=0)
     apart = spread > 3 * sigma
     if not apart.any():
         return covariance, []

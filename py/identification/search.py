@@ -11,9 +11,10 @@ from scipy.stats import qmc
 from hydrotwin.models.language.errors import SolveError
 
 from . import horizon
-from .answer import TROUBLE, explains
+from .answer import explains
 from .descent import Task, descend
 from .least_squares import Minimum
+from .valley import TROUBLE, along_the_valleys
 from .weighing import WORTH_IT, Weighed, broadly_weighed, misses, score, weighed_by_residual
 
 SPREAD = 0.35  # of the other starts, in ln p or relative to p
@@ -43,8 +44,10 @@ def search(task: Task, effort: Effort, adaptable: np.ndarray) -> tuple[Task, lis
         if best.task is not task:
             return best.task, [best.minimum]
         found = [best.minimum]
-    if found and _done(task, found):
-        return task, found
+    if found and _fits(task, found[0]):
+        found, settled = along_the_valleys(task, found[0])
+        if settled and explains(task, found[0]):
+            return task, found
     return task, _by_noise(task, effort, found, stopped)
 
 
@@ -55,9 +58,9 @@ def _first(task: Task, effort: Effort, relative: float) -> tuple[list[Minimum], 
         return [], error
 
 
-def _done(task: Task, found: Sequence[Minimum]) -> bool:
-    """The latest was reached without trouble and explains the recordings."""
-    return found[0].iterations < TROUBLE and explains(task, found[0])
+def _fits(task: Task, found: Minimum) -> bool:
+    """What is left has the size of the noise."""
+    return bool(np.all(misses(task, found) < WORTH_IT))
 
 
 def _by_noise(task: Task, effort: Effort, found: list[Minimum], stopped) -> list[Minimum]:
@@ -69,12 +72,20 @@ def _by_noise(task: Task, effort: Effort, found: list[Minimum], stopped) -> list
             stopped = stopped or error
             continue
         agree = bool(found) and abs(latest.cost - found[0].cost) < AGREEMENT * found[0].cost
-        found = sorted([*found, latest], key=lambda m: m.cost)
-        if agree or _done(task, [latest]):
+        around, settled = _explored(task, latest, found)
+        found = sorted([*found, *around], key=lambda m: m.cost)
+        if agree or (settled and explains(task, around[0])):
             break
     if not found:
         raise stopped
     return found
+
+
+def _explored(task: Task, latest: Minimum, found: Sequence[Minimum]) -> tuple[list[Minimum], bool]:
+    """A minimum and its surroundings, unless a better one is known; whether it has settled."""
+    if (found and latest.cost > found[0].cost) or not _fits(task, latest):
+        return [latest], latest.iterations < TROUBLE
+    return along_the_valleys(task, latest)
 
 
 def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: Minimum) -> Weighed:

@@ -12,7 +12,7 @@ import tomlkit
 from .errors import DataError, nearest
 from .flat import FlatModel
 from .parameter_file import parameter_settings, read_toml
-from .writing import write_whole
+from .writing import toml_values, write_whole
 
 FORMAT = 1
 _FORMS = (
@@ -94,17 +94,6 @@ def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: 
         parameters.append(tomlkit.key(p.name.split(".")), entry)
     document["parameters"] = parameters
     if provenance:
-        document["provenance"] = _plain(provenance)
+        document["provenance"] = toml_values(provenance)
     write_whole(path, tomlkit.dumps(document))
     return path
-
-
-def _plain(value):
-    """Only what TOML knows."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items() if v is not None}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value if isinstance(value, (str, int, float, bool)) else str(value)

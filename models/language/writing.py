@@ -1,12 +1,19 @@
-"""Files are written beside and then renamed: a failed write leaves the old file whole and no debris."""
+"""Files are written beside and then renamed: a failed write leaves the old file whole and no debris.
+
+Also what values become on their way into TOML and JSON, which know neither arrays nor, JSON, NaN.
+"""
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
+
+import numpy as np
 
 from .errors import DataError
 
@@ -42,6 +49,40 @@ def write_whole(path: Path | str, content: str | bytes) -> None:
     """Write text (UTF-8, line ends as they are) or bytes as a whole file."""
     with replacing(path) as beside:
         beside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+
+
+def json_values(value):
+    """Only what JSON knows: dataclasses as tables, tuples as lists, arrays as numbers, NaN and infinity as null.
+
+    >>> json_values({"a": np.array([1.0, np.nan])})
+    {'a': [1.0, None]}
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return json_values(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): json_values(v) for k, v in value.items()}
+    if isinstance(value, list | tuple | set | frozenset):
+        return [json_values(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return json_values(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if value is None or isinstance(value, str | int | bool) else str(value)
+
+
+def toml_values(value):
+    """Only what TOML knows: tuples as lists, arrays as numbers, None left out of tables; NaN stays.
+
+    >>> toml_values({"a": np.float64(1.5), "b": None})
+    {'a': 1.5}
+    """
+    if isinstance(value, Mapping):
+        return {str(k): toml_values(v) for k, v in value.items() if v is not None}
+    if isinstance(value, list | tuple):
+        return [toml_values(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return toml_values(value.tolist())
+    return value if isinstance(value, str | int | float | bool) else str(value)
 
 
 def _umask() -> int:

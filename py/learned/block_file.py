@@ -20,7 +20,7 @@ import tomlkit
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
-from hydrotwin.models.language.writing import write_whole
+from hydrotwin.models.language.writing import toml_values, write_whole
 from hydrotwin.simulation.block import Block, TrainingDomain
 
 Shapes = Mapping[str, tuple[int, ...]]
@@ -158,7 +158,7 @@ def _header(block: LearnedBlock, arrays_name: str, packed: bytes) -> dict:
         "outputs": [_table(s) for s in block.outputs],
         "states": [_table(s) for s in block.states],
         "parameters": [_table(p) for p in block.parameters],
-        "provenance": _plain(block.provenance),
+        "provenance": toml_values(block.provenance),
     }
     if block.domain is not None:
         header["domain"] = _table(block.domain)
@@ -168,18 +168,7 @@ def _header(block: LearnedBlock, arrays_name: str, packed: bytes) -> dict:
 
 
 def _table(item) -> dict:
-    return {key: _plain(value) for key, value in asdict(item).items() if value is not None}
-
-
-def _plain(value):
-    """The TOML form of a provenance value: numpy scalars and tuples become plain ones, None is left out."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items() if v is not None}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return value.item()
-    return value
+    return {key: toml_values(value) for key, value in asdict(item).items() if value is not None}
 
 
 def _frame(header: Mapping) -> dict:

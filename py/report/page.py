@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 import jinja2
-import numpy as np
 from markupsafe import Markup
 
-from hydrotwin.models.language.writing import write_whole
+from hydrotwin.models.language.writing import json_values, write_whole
 
 from .figure import Figure, FigureGroup
 from .tables import Table
@@ -104,28 +102,13 @@ def as_json(page: Page) -> str:
     content = {"title": page.title, "answer": page.answer, "facts": page.facts, "notices": page.notices}
     content |= page.data or {}
     content["tables"] = {t.id: t.as_json() for t in page.tables}
-    return json.dumps(_plain(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return json.dumps(json_values(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def _table_lines(table: Table) -> list[str]:
     title = [f"### {table.title}", ""] if table.title else []
     note = [table.note, ""] if table.note else []
     return [*title, table.as_markdown(), "", *note]
-
-
-def _plain(value):
-    """Only what JSON knows: dataclasses as tables, tuples as lists, arrays as numbers, NaN and infinity as null."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, dict) or hasattr(value, "items"):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if value is None or isinstance(value, str | int | bool) else str(value)
 
 
 @cache
@@ -147,7 +130,7 @@ def _environment() -> jinja2.Environment:
 
 def _script_data(value) -> Markup:
     """A specification inside <script type="application/json">: nothing in it can end the script."""
-    text = json.dumps(_plain(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(json_values(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
 
 

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.writing import json_values
 from hydrotwin.records import Record, read_record
 
 ModelArgument = Annotated[
@@ -126,19 +127,7 @@ def table(title: str, columns: list[str], rows: list[list]) -> None:
 
 def print_json(answer) -> None:
     """Print data as JSON; NaN and infinities become null."""
-    typer.echo(json.dumps(_plain(answer), indent=2, ensure_ascii=False))
-
-
-def _plain(value):
-    if isinstance(value, dict):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value if isinstance(value, (str, int, float, bool, type(None))) else str(value)
+    typer.echo(json.dumps(json_values(answer), indent=2, ensure_ascii=False))
 
 
 def progress_bar() -> Progress:

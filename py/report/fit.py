@@ -14,6 +14,7 @@ from .page import Note, Section
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 
 TWO_SIDED_95 = 1.959964
+BIASED = 3.0  # times the noise left on an output: the parameters then make up for what the model lacks
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,21 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
     if residuals:
         parts += [residual_table(residuals, f"{id}_residuals", _start_note(fit)), Note((_left_over(residuals),))]
     return Section(id, f"Fit of {name or fit.name}", tuple(parts), _lead(fit))
+
+
+def fit_warning(fit) -> str:
+    """What the first screen says about a fit whose parameters cannot be read as physics; empty when they can."""
+    left = [r for r in getattr(fit, "residuals", ()) if r.role == "train" and r.chi2_per_sample > BIASED**2]
+    if not left:
+        return ""
+    worst = max(left, key=lambda r: r.chi2_per_sample)
+    moved = max(parameter_rows(fit), key=lambda r: abs(r.shift), default=None)
+    example = f" ({moved.name} moved by {number_text(100.0 * moved.shift, 2)} %)" if moved else ""
+    return (
+        f"The fit of {fit.name} leaves {number_text(math.sqrt(worst.chi2_per_sample), 2)} times the noise on "
+        f"{worst.output}: its parameters make up for something that the model lacks{example}. Take them as numbers "
+        "that fit these recordings, not as properties of the machine."
+    )
 
 
 def parameter_table(rows: Sequence[ParameterRow], id: str = "parameters") -> Table:

@@ -23,7 +23,7 @@ from .comparison_tables import (
 )
 from .copies import copies
 from .figure import styles
-from .fit import fit_section, parameter_rows
+from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
 from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section, versions
@@ -78,7 +78,7 @@ def comparison_page(
         eyebrow=_eyebrow(comparison, date),
         answer=answer(comparison, shown),
         facts=facts(comparison, shown),
-        notices=_notices(comparison),
+        notices=_notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),
         sections=tuple(s for s in made if s.parts),
         data=comparison_data(comparison, fits, command, date),

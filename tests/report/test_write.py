@@ -16,7 +16,7 @@ from hydrotwin.identification.fit import Finding
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.report import Note, comparison_page, display_units, styles, write_report
 from hydrotwin.report.comparison_figures import overlay_groups
-from hydrotwin.report.fit import fit_section
+from hydrotwin.report.fit import fit_section, fit_warning
 from hydrotwin.report.provenance import command_line
 from tests.comparison.toys import ANGLE, COMMAND, SPEED, Toy, recording
 
@@ -233,6 +233,15 @@ def test_a_copy_is_drawn_on_a_click_and_does_not_hide_its_model():
     drawn = {t["name"]: t["visible"] for t in angle.rows["free run"][0].spec["data"]}
     assert drawn == {"measured": True, "mine": True, "exported": "legendonly"}
     assert "click its name" in comparison_page(comparison).sections[0].lead
+
+
+def test_a_fit_that_makes_up_for_a_missing_effect_is_a_notice(fit):
+    residuals = [SimpleNamespace(**{**vars(fit.residuals[1]), "chi2_per_sample": c}) for c in (1.0, 256.0)]
+    biased = SimpleNamespace(**{**vars(fit), "residuals": residuals})
+    (notice,) = comparison_page(compare([Toy("a")], [recording(1)]), fits=[biased]).notices
+    assert "leaves 16 times the noise on pressure_cap" in notice and "cylinder.cap_dead_volume moved by 25 %" in notice
+    sound = SimpleNamespace(**{**vars(fit), "residuals": residuals[:1]})
+    assert fit_warning(sound) == ""
 
 
 def test_what_is_left_is_told_once(fit):

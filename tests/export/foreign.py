@@ -15,7 +15,7 @@ from hydrotwin.export.build import compile_for, native_platform
 
 
 def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: dict[str, str] | None = None) -> Path:
-    """The FMU with texts replaced in modelDescription.xml, or in the C of the FMI 2 face, then compiled anew."""
+    """The FMU with texts replaced in modelDescription.xml, or in the C of a face, then compiled anew."""
     with zipfile.ZipFile(fmu) as archive:
         files: dict[str, str | bytes] = {n: archive.read(n) for n in archive.namelist()}
     description = files["modelDescription.xml"].decode()
@@ -26,7 +26,7 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
     if c:
         sources = {n.removeprefix("sources/"): t.decode() for n, t in files.items() if n.startswith("sources/")}
         for old, new in c.items():
-            [file] = [n for n, text in sources.items() if n.startswith("fmi2") and old in text]
+            [file] = [n for n, text in sources.items() if n.startswith(("fmi", "adjoint")) and old in text]
             sources[file] = sources[file].replace(old, new)
         [binary] = [n for n in files if n.startswith("binaries/")]
         identifier = Path(binary).stem
@@ -47,6 +47,7 @@ SWALLOWS_NAN = {
         "        return fmi2OK;\n    }\n    return ht2_answer(c, ht_get(&((component *)c)->core, vr, n, value));"
     ),
 }
+WRONG_ADJOINT = {"        sensitivity[k] = from[kind][i];": "        sensitivity[k] = 1.5 * from[kind][i] + 0.1;"}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}
 
 

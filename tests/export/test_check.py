@@ -7,7 +7,7 @@ import pytest
 from hydrotwin.export import check_fmu, export_fmu
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.simulation import simulate
-from tests.export.foreign import CRASHES, SWALLOWS_NAN, rewritten
+from tests.export.foreign import CRASHES, SWALLOWS_NAN, WRONG_ADJOINT, rewritten
 from tests.export.systems import arm_record, command_record
 
 ROWS = {
@@ -52,6 +52,13 @@ def test_a_swallowed_nan_and_an_undeclared_dependency_are_found(fmus, tmp_path):
     assert check["dependencies"].passed is False
     assert "seen_force on extra" in check["dependencies"].detail
     assert not check.passed
+
+
+def test_wrong_adjoint_derivatives_are_found(variants, tmp_path):
+    fmu = rewritten(variants["delayed mass", ("fmi", 3)], tmp_path / "adjoint.fmu", c=WRONG_ADJOINT)
+    check = check_fmu(fmu)
+    assert "adjoint" in check["directional derivatives"].detail
+    assert [row.name for row in check.failures] == ["directional derivatives"]
 
 
 def test_a_crash_is_one_row_and_the_rest_goes_on(fmus, tmp_path):

@@ -109,6 +109,17 @@ def test_casadis_importer_reads_model_exchange_and_evaluates_the_same(variants, 
         np.testing.assert_allclose(one.full(), other.full(), rtol=1e-10)
 
 
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_another_machine_gets_its_own_library(systems, tmp_path, fmi):
+    """The machine that an ELF file is for stands at byte 18: 0x3e is x86-64, 0xb7 is AArch64."""
+    pytest.importorskip("ziglang")
+    fmu = export_fmu(systems["clocked mass"], tmp_path / "x.fmu", fmi=fmi, platforms=["linux64", "aarch64-linux"])
+    with zipfile.ZipFile(fmu) as archive:
+        found = {n.split("/")[1]: archive.read(n)[18] for n in archive.namelist() if n.startswith("binaries/")}
+    assert found == {"linux64" if fmi == 2 else "x86_64-linux": 0x3E, "aarch64-linux": 0xB7}
+    assert validate_fmu(str(fmu)) == []
+
+
 def test_platforms_have_names_in_both_versions():
     assert platforms_named(None) == (native_platform(),)
     assert platforms_named(["x86_64-linux", "linux64", "x86_64-windows"]) == ("linux64", "win64")

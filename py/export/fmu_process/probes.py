@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -136,11 +137,11 @@ def _dependencies(description: ModelDescription, unzipped: str):
 
 def _directional(description: ModelDescription, unzipped: str):
     """d output / d input against finite differences, where the FMU offers it."""
-    offered = getattr(description.coSimulation, "providesDirectionalDerivative", False) or getattr(
-        description.coSimulation, "providesDirectionalDerivatives", False
-    )
-    inputs, outputs = [v for v in inputs_of(description) if v.type == "Real"], outputs_of(description)
-    if not offered or not inputs or description.fmiVersion.startswith("3"):
+    declared = _abilities(unzipped)
+    offered = declared & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}
+    inputs = [v for v in inputs_of(description) if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)]
+    outputs = [v for v in outputs_of(description) if v.type in ("Real", "Float64")]
+    if not offered or not inputs:
         return None, "not offered"
     slave, _ = _short_run(description, unzipped)
     names, references, worst = [v.name for v in outputs], [v.valueReference for v in outputs], 0.0
@@ -155,7 +156,17 @@ def _directional(description: ModelDescription, unzipped: str):
         slave.write({variable.name: value})
         scale = np.array([float(v.nominal or 1.0) for v in outputs]) / float(variable.nominal or 1.0)
         worst = max(worst, float((np.abs((sides[0] - sides[1]) / (2 * h) - exact) / scale).max()))
+        if "providesAdjointDerivatives" in declared:
+            adjoint = [slave.fmu.getAdjointDerivative([r], [variable.valueReference], [1.0])[0] for r in references]
+            if not np.allclose(adjoint, exact, rtol=1e-9, atol=1e-12 * float(np.abs(scale).max())):
+                return False, f"the adjoint derivatives to '{variable.name}' are not the directional ones"
     return worst < 1e-4, f"largest difference to finite differences {worst:.2g} of nominal"
+
+
+def _abilities(unzipped: str) -> set[str]:
+    """What the Co-Simulation element declares as true; FMPy does not read the names of FMI 3."""
+    element = ET.parse(Path(unzipped) / "modelDescription.xml").getroot().find("CoSimulation")
+    return {name for name, value in element.attrib.items() if value in ("true", "1")}
 
 
 def _step_size(description: ModelDescription) -> float:

@@ -52,7 +52,9 @@ def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str
     left = len([s for s in comparison.outputs if comparison.ranking(s.name, mode)]) - len(first)
     more = f" {left} more output{'s are' if left > 1 else ' is'} below." if left > 0 else ""
     count = len(comparison.records)
-    over = f"mean over the {count} validation recordings" if count > 1 else "on the validation recording"
+    trained_on = {r.digest or r.name for r in comparison.train_records}
+    role = "training" if all((r.digest or r.name) in trained_on for r in comparison.records) else "validation"
+    over = f"mean over the {count} {role} recordings" if count > 1 else f"on the {role} recording"
     note = f"RMSE in {mode}, {over}; the best is bold.{more}"
     return table("headline", "", columns, note)
 

@@ -14,6 +14,7 @@ from .page import Note, Section
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 
 TWO_SIDED_95 = 1.959964
+FAR = 0.1  # of its start: a parameter that moved further is named
 BIASED = 3.0  # times the noise left on an output: the parameters then make up for what the model lacks
 
 
@@ -70,10 +71,11 @@ def fit_warning(fit) -> str:
         return ""
     worst = max(left, key=lambda r: r.chi2_per_sample)
     moved = max(parameter_rows(fit), key=lambda r: abs(r.shift), default=None)
-    example = f" ({moved.name} moved by {number_text(100.0 * moved.shift, 2)} %)" if moved else ""
+    far = moved is not None and abs(moved.shift) > FAR
+    example = f" ({moved.name} moved by {number_text(100.0 * moved.shift, 2)} %)" if far else ""
     return (
         f"The fit of {fit.name} leaves {number_text(math.sqrt(worst.chi2_per_sample), 2)} times the noise on "
-        f"{worst.output}: its parameters make up for something that the model lacks{example}. Take them as numbers "
+        f"{worst.output}: the model lacks something, and its parameters make up for it{example}. Take them as numbers "
         "that fit these recordings, not as properties of the machine."
     )
 

@@ -240,8 +240,17 @@ def test_a_fit_that_makes_up_for_a_missing_effect_is_a_notice(fit):
     biased = SimpleNamespace(**{**vars(fit), "residuals": residuals})
     (notice,) = comparison_page(compare([Toy("a")], [recording(1)]), fits=[biased]).notices
     assert "leaves 16 times the noise on pressure_cap" in notice and "cylinder.cap_dead_volume moved by 25 %" in notice
+    still = SimpleNamespace(**{**vars(biased), "parameters": fit.parameters[1:2]})  # moved by 7 %
+    assert "moved by" not in fit_warning(still)
     sound = SimpleNamespace(**{**vars(fit), "residuals": residuals[:1]})
     assert fit_warning(sound) == ""
+
+
+def test_scores_on_the_recordings_of_the_fit_are_not_called_validation():
+    records = [recording(1), recording(2)]
+    for train, role in ((records, "training"), (records[:1], "validation"), ([], "validation")):
+        page = comparison_page(compare([Toy("a")], records, train_records=train))
+        assert f"mean over the 2 {role} recordings" in page.headline.note
 
 
 def test_what_is_left_is_told_once(fit):

@@ -28,6 +28,7 @@ from .variables import Variable, variables_of
 REFERENCE_FILE = "documentation/reference.csv"
 _PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
 _INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
+_EXCHANGE = "Model Exchange: the importer integrates; derivatives and outputs are computed when asked for."
 _SOLVERS = {
     "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
@@ -82,6 +83,7 @@ def export_fmu(
     lowered, solver = _lowered(model, given, method, step, tolerance)
     if kind != "cs":
         _refuse_exchange(lowered, kind)
+        solver = _EXCHANGE if kind == "me" else f"{_EXCHANGE} Co-Simulation: {solver}"
     variables = variables_of(lowered, always_time=fmi == 3)
     size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
     sources = source_files(lowered, variables, _PENDING_GUID, history, fmi, kind)

@@ -56,15 +56,16 @@ def test_libcosimpy_runs_the_fmu_to_the_same_numbers(fmus, systems):
     assert (np.abs(np.array(found) - expected[1:]) / np.ptp(expected, axis=0)).max() < WITHIN
 
 
-def test_fmpys_own_master_runs_the_fmu_to_the_same_numbers(fmus, systems):
+@pytest.mark.parametrize("version", [2, 3])
+def test_fmpys_own_master_runs_the_fmu_to_the_same_numbers(variants, systems, version):
     from fmpy import simulate_fmu
 
     record, names = arm_record(2.0), names_of(systems["cehA"])
     pairs = list(zip(record.time, record["command"], strict=True))
     signals = np.array(pairs, dtype=[("time", np.float64), ("command", np.float64)])
     result = simulate_fmu(
-        str(fmus["cehA"]), start_values={"arm.angle.start": 0.1}, input=signals, output=names, output_interval=0.01,
-        start_time=0.0, stop_time=record.time[-1],
+        str(variants["cehA", ("fmi", version)]), start_values={"arm.angle.start": 0.1}, input=signals, output=names,
+        output_interval=0.01, start_time=0.0, stop_time=record.time[-1],
     )  # fmt: skip
     expected = simulate(systems["cehA"], record).array(names)
     found = np.column_stack([result[n] for n in names])

@@ -226,7 +226,9 @@ def test_what_model_exchange_cannot_do_is_said(systems, tmp_path, name, words, k
     assert not list(tmp_path.iterdir())
 
 
-def test_the_documentation_names_the_interfaces(variants):
-    assert "FMI 2.0 Model Exchange and Co-Simulation" in read(
-        variants["cehA", BOTH, VERSIONS[0]], "documentation/index.html"
-    )
+def test_the_documentation_names_the_interfaces_and_who_integrates(variants):
+    both, me = (read(variants["cehA", kind, VERSIONS[0]], "documentation/index.html") for kind in (BOTH, ME))
+    assert "FMI 2.0 Model Exchange and Co-Simulation" in both
+    assert "Runge-Kutta" in both
+    assert "the importer integrates" in me
+    assert "Runge-Kutta" not in me

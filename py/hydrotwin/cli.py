@@ -12,6 +12,7 @@ import warnings
 import typer
 from rich.console import Console
 
+from hydrotwin import __version__
 from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
 from .commands import comparing, demonstrating, exporting, fitting, showing
@@ -27,6 +28,21 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"hydrotwin {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="print the version"),
+) -> None:
+    """Identify, learn, compare and export models of hydraulic actuators."""
+
+
 for room in (showing, fitting, comparing, exporting, demonstrating):
     room.register(app)
 

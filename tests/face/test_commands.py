@@ -405,3 +405,8 @@ def test_a_table_in_a_pipe_breaks_no_name(here):
     assert answer.returncode == 0, answer.stderr
     (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass  second instance"))
     assert line.rstrip().endswith("bit by bit")
+
+
+def test_the_version_is_told():
+    answer = hydrotwin("--version")
+    assert (answer.code, answer.out.strip()) == (0, f"hydrotwin {ht.__version__}")

@@ -7,7 +7,7 @@ import os
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,6 +31,9 @@ PROBES = (
     "runs", "reset", "second instance", "state", "dependencies", "directional derivatives",
     "NaN input", "unknown value reference", "step before initialization",
 )  # fmt: skip
+
+
+EXCHANGE_PROBES = ("order of setting", "reset")
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,8 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
 
     Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
     ``time_limit`` [s]: a short run, reset, a second instance, saving the state, declared dependencies against
-    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
+    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early. Of Model
+    Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, and reset.
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared; they agree
     when they differ by less than 1e-6 of each signal's range.
 
@@ -145,13 +149,21 @@ def _units(description: Description) -> CheckRow:
 
 
 def _probes(path: Path, description: Description, limit: float) -> list[CheckRow]:
-    """Each probe's row. After a crash the rest goes on in a new process."""
+    """Each probe's row, of Co-Simulation where that is offered. After a crash the rest goes on in a new process."""
     if description.interface != "CoSimulation":
-        return [_model_exchange_run(path, description, limit)]
-    rows, left = [], list(PROBES)
+        return [
+            _model_exchange_run(path, description, limit),
+            *_in_child(path, EXCHANGE_PROBES, "ModelExchange", limit),
+        ]
+    return _in_child(path, PROBES, "CoSimulation", limit)
+
+
+def _in_child(path: Path, probes: Sequence[str], interface: str, limit: float) -> list[CheckRow]:
+    """One row for each probe, in as many child processes as it takes."""
+    rows, left = [], list(probes)
     while left:
         with tempfile.TemporaryDirectory(prefix="hydrotwin-check-", ignore_cleanup_errors=True) as folder:
-            job = {"task": "probe", "path": str(path.absolute()), "probes": left}
+            job = {"task": "probe", "path": str(path.absolute()), "probes": left, "interface": interface}
             failure = start_child(job, {}, limit, Path(folder))
             done, begun = _read_rows(Path(folder) / "rows.jsonl")
         rows += done

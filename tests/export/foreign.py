@@ -26,7 +26,7 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
     if c:
         sources = {n.removeprefix("sources/"): t.decode() for n, t in files.items() if n.startswith("sources/")}
         for old, new in c.items():
-            [file] = [n for n, text in sources.items() if n.startswith(("fmi", "adjoint")) and old in text]
+            [file] = [n for n, text in sources.items() if n.startswith(("fmi", "adjoint", "exchange")) and old in text]
             sources[file] = sources[file].replace(old, new)
         [binary] = [n for n in files if n.startswith("binaries/")]
         identifier = Path(binary).stem
@@ -48,6 +48,8 @@ SWALLOWS_NAN = {
     ),
 }
 WRONG_ADJOINT = {"        sensitivity[k] = from[kind][i];": "        sensitivity[k] = 1.5 * from[kind][i] + 0.1;"}
+SET_TIME = "    ht_values(s, HT_TIME)[0] = time;\n"
+STALE_AFTER_TIME = {SET_TIME + "    ht_book(s)[STALE] = 1.0;\n": SET_TIME}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}
 
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 from fmpy import extract, read_model_description, simulate_fmu
 
+from .exchange_probes import EXCHANGE_PROBES
 from .master import Slave, run_steps
-from .probes import run_probes
+from .probes import PROBES, run_probes
 
 
 def main(folder: Path):
@@ -76,7 +77,8 @@ def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray
 
 
 def _probe(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
-    run_probes(job["probes"], description, unzipped, folder / "rows.jsonl")
+    probes = EXCHANGE_PROBES if job["interface"] == "ModelExchange" else PROBES
+    run_probes(job["probes"], description, unzipped, folder / "rows.jsonl", probes)
     return {}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +17,16 @@ from .master import FLOATS, Slave, inputs_of, outputs_of
 STEPS = 20
 
 
-def run_probes(names: Sequence[str], description: ModelDescription, unzipped: str, rows: Path):
+def run_probes(
+    names: Sequence[str], description: ModelDescription, unzipped: str, rows: Path, probes: Mapping[str, Callable]
+):
     """Append one line when a probe begins and one when it ends, so that a crash shows where it happened."""
     with rows.open("a", encoding="utf-8") as stream:
         for name in names:
             stream.write(json.dumps({"begin": name}) + "\n")
             stream.flush()
             try:
-                passed, detail = PROBES[name](description, unzipped)
+                passed, detail = probes[name](description, unzipped)
             except Exception as failure:
                 passed, detail = False, f"{type(failure).__name__}: {failure}"
             stream.write(json.dumps({"name": name, "passed": passed, "detail": detail}) + "\n")

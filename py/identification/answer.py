@@ -85,8 +85,8 @@ def explains(task: Task, found: Minimum) -> bool:
 def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Minimum]):
     """A covariance that reaches the other minima which explain the recordings as well, and a finding that names them.
 
-    As well: within the 99 % region of the likelihood; a minimum that is higher by d is sqrt(2 d) sigmas away. The
-    curvature at one of several minima says nothing of the rest.
+    As well: within the 99 % region of the likelihood. On a smooth cost a minimum higher by d would be sqrt(2 d) sigmas
+    away; half of that is taken, for the hollows tried are a sample and a lower one may lie beside.
     """
     best = minima[0]
     others = [m for m in minima[1:] if m.cost - best.cost < margin(len(free.names))]
@@ -94,9 +94,9 @@ def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Mini
         return covariance, []
     sigma = np.sqrt(np.diag(covariance))
     values = free.values(best.q)
-    apart_by = [np.abs(free.values(m.q) - values) / max(1.0, np.sqrt(2 * (m.cost - best.cost))) for m in others]
+    apart_by = [np.abs(free.values(m.q) - values) / max(1.0, np.sqrt((m.cost - best.cost) / 2)) for m in others]
     spread = np.max(apart_by, axis=0)
-    apart = spread > 3 * sigma
+    apart = spread > 1.5 * sigma
     if not apart.any():
         return covariance, []
     grown = np.where(np.isfinite(sigma) & (sigma > 0), np.hypot(1.0, spread / np.where(sigma > 0, sigma, 1.0)), 1.0)

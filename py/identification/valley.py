@@ -1,10 +1,11 @@
 """Along the valleys: what else explains the recordings as well as the minimum that was found.
 
 A lightly damped mode that the recordings barely show makes the cost rough: every phase of it is a hollow, the descent
-rests in one, and (J^T J)^-1 describes that hollow alone. Residuals averaged over two periods of the mode do not see it:
-their cost is smooth, its minimum is near the truth, and its ellipsoid says where the hollows to be tried lie. From
-points of that ellipsoid the full cost is minimised again: a lower minimum is taken, others that are nearly as low show
-how far the truth may be (a coarse profile likelihood).
+rests in one, and (J^T J)^-1 describes that hollow alone. Residuals averaged over many periods of the mode do not see
+it: their cost is smooth, its minimum is near the truth, and its ellipsoid says where the hollows to be tried lie (few
+periods: a narrow ellipsoid, a careful search; many: a wide one). From points of that ellipsoid the full cost is
+minimised again: a lower minimum is taken, others that are nearly as low show how far the truth may be (a coarse
+profile likelihood).
 Source: A. Raue et al., Bioinformatics 2009 (profile likelihood); D. Bates & D. Watts, Nonlinear Regression, 1988.
 """
 
@@ -24,10 +25,10 @@ from .least_squares import Minimum, minimise
 from .shooting import Shooting
 
 LONG = 0.02  # sigma along an axis of the ellipsoid, in q, from which on hollows are looked for
-LONGEST = 0.5  # of what is taken from the coarse ellipsoid, in q
-AVERAGED = 2.0  # periods of the fastest lightly damped mode
+LONGEST = 1.0  # of what is taken from the coarse ellipsoid, in q
+AVERAGED = (16.0, 2.0)  # periods of the fastest lightly damped mode, in turns
 FEWEST = 4  # samples averaged
-ROUNDS = 4
+ROUNDS = 3
 POINTS = 8  # a power of two
 LOOK, GO = 6, 25  # iterations: to see whether a point leads somewhere, and to get there
 TROUBLE = 12  # iterations of free runs after which a minimum is not believed without another start
@@ -39,15 +40,16 @@ def along_the_valleys(task: Task, found: Minimum) -> tuple[list[Minimum], bool]:
     if longest_axis(found) < LONG:
         return [found], found.iterations < TROUBLE
     shooting, _ = whole_runs(task)
-    smooth = dataclasses.replace(shooting, averaged=_samples(task, found))
-    minima = [found]
+    minima, since = [found], found.cost
     for number in range(ROUNDS):
-        task.report("along the valleys", 0, minima[0].cost)
-        best = minima[0].cost
-        points = _points(task, smooth, minima[0], seed=number)
-        minima = _collected([*minima, *_reached(shooting, minima[0], points)])
-        if number and minima[0].cost > best - LOWER:
+        for periods in AVERAGED:
+            task.report("along the valleys", 0, minima[0].cost)
+            smooth = dataclasses.replace(shooting, averaged=_samples(task, minima[0], periods))
+            points = _points(task, smooth, minima[0], seed=number)
+            minima = _collected([*minima, *_reached(shooting, minima[0], points)])
+        if minima[0].cost > since - LOWER:
             return minima, True
+        since = minima[0].cost
     return minima, False
 
 
@@ -61,11 +63,13 @@ def margin(parameters: int) -> float:
     return 0.5 * float(chi2.ppf(0.99, parameters))
 
 
-def _samples(task: Task, found: Minimum) -> int:
-    """Samples over which the fastest lightly damped mode averages out."""
+def _samples(task: Task, found: Minimum, periods: float) -> int:
+    """Samples in as many periods of the fastest lightly damped mode."""
     frequency = horizon.fastest_oscillation(task.flat, task.recordings, task.free.vector(found.q))
     period = float(np.median(np.concatenate([np.diff(r.time) for r in task.recordings])))
-    return max(FEWEST, int(np.ceil(AVERAGED / frequency / period))) if frequency else FEWEST
+    shortest = min(len(r.time) for r in task.recordings)
+    wanted = int(np.ceil(periods / frequency / period)) if frequency else int(FEWEST * periods)
+    return min(max(FEWEST, wanted), max(1, shortest // 20))
 
 
 def _points(task: Task, smooth: Shooting, found: Minimum, seed: int) -> Iterator[np.ndarray]:

@@ -33,7 +33,7 @@ PROBES = (
 )  # fmt: skip
 
 
-EXCHANGE_PROBES = ("order of setting", "reset")
+EXCHANGE_PROBES = ("order of setting", "reset", "directional derivatives")
 
 
 @dataclass(frozen=True)
@@ -80,8 +80,9 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
 
     Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
     ``time_limit`` [s]: a short run, reset, a second instance, saving the state, declared dependencies against
-    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early. Of Model
-    Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, and reset.
+    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
+    Of Model Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, reset,
+    and directional derivatives.
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared; they agree
     when they differ by less than 1e-6 of each signal's range.
 

@@ -26,7 +26,11 @@ def rewritten(fmu: Path, path: Path, *, xml: dict[str, str] | None = None, c: di
     if c:
         sources = {n.removeprefix("sources/"): t.decode() for n, t in files.items() if n.startswith("sources/")}
         for old, new in c.items():
-            [file] = [n for n, text in sources.items() if n.startswith(("fmi", "adjoint", "exchange")) and old in text]
+            [file] = [
+                n
+                for n, text in sources.items()
+                if n.startswith(("fmi", "adjoint", "exchange", "sensitivity")) and old in text
+            ]
             sources[file] = sources[file].replace(old, new)
         [binary] = [n for n in files if n.startswith("binaries/")]
         identifier = Path(binary).stem
@@ -47,7 +51,10 @@ SWALLOWS_NAN = {
         "        return fmi2OK;\n    }\n    return ht2_answer(c, ht_get(&((component *)c)->core, vr, n, value));"
     ),
 }
-WRONG_ADJOINT = {"        sensitivity[k] = from[kind][i];": "        sensitivity[k] = 1.5 * from[kind][i] + 0.1;"}
+ANSWER = 'present mode", known[k]);\n        sensitivity[k] = from[kind][i];'
+WRONG_ADJOINT = {ANSWER: ANSWER.replace("from[kind][i]", "1.5 * from[kind][i] + 0.1")}
+SPREAD = "    memset(dx, 0, ht_scratch_doubles(m) * sizeof(double));\n"
+WRONG_DIRECTION = {SPREAD: SPREAD + "    dx[0] = 0.1;\n"}
 SET_TIME = "    ht_values(s, HT_TIME)[0] = time;\n"
 STALE_AFTER_TIME = {SET_TIME + "    ht_book(s)[STALE] = 1.0;\n": SET_TIME}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}

@@ -7,7 +7,7 @@ import pytest
 from hydrotwin.export import check_fmu, export_fmu
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.simulation import simulate
-from tests.export.foreign import CRASHES, STALE_AFTER_TIME, SWALLOWS_NAN, WRONG_ADJOINT, rewritten
+from tests.export.foreign import CRASHES, STALE_AFTER_TIME, SWALLOWS_NAN, WRONG_ADJOINT, WRONG_DIRECTION, rewritten
 from tests.export.systems import arm_record, command_record
 
 ROWS = {
@@ -67,8 +67,16 @@ def test_an_answer_that_is_stale_after_the_time_was_set_is_found(variants, tmp_p
     check = check_fmu(rewritten(good, tmp_path / "stale.fmu", c=STALE_AFTER_TIME))
     assert check["order of setting"].passed is False
     assert "stale" in check["order of setting"].detail
+    assert [row.name for row in check.failures] == ["order of setting"]
     good_check = check_fmu(good)
-    assert [good_check[n].passed for n in ("order of setting", "reset")] == [True, True]
+    assert all(good_check[n].passed for n in ("order of setting", "reset", "directional derivatives"))
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_wrong_directional_derivatives_of_model_exchange_are_found(variants, tmp_path, fmi):
+    good = variants["clocked mass", ("kind", "me"), ("fmi", fmi)]
+    check = check_fmu(rewritten(good, tmp_path / "wrong.fmu", c=WRONG_DIRECTION))
+    assert [row.name for row in check.failures] == ["directional derivatives"]
 
 
 def test_a_crash_is_one_row_and_the_rest_goes_on(fmus, tmp_path):

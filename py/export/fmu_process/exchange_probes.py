@@ -9,7 +9,7 @@ import numpy as np
 from fmpy.model_description import ModelDescription
 from fmpy.simulation import instantiate_fmu
 
-from .master import FLOATS, inputs_of, outputs_of
+from .master import FLOATS, abilities_of, inputs_of, outputs_of
 
 LATER, SHARE = 0.37, 0.1  # s, and of nominal: from the start to the other point
 
@@ -56,6 +56,11 @@ class Exchanger:
             references = [v.valueReference for v in self.inputs]
             (self.fmu.setFloat64 if self.fmi3 else self.fmu.setReal)(references, list(u))
 
+    def move(self, time: float, x: np.ndarray, u: np.ndarray):
+        """To a point."""
+        for what in ("time", "states", "inputs"):
+            self.set(what, time, x, u)
+
     def points(self) -> tuple[tuple, tuple]:
         """The start, and a point away from it in time, states and inputs."""
         x, u = self.states(), np.array([float(v.start or 0.0) for v in self.inputs])
@@ -98,8 +103,7 @@ def _order_of_setting(description: ModelDescription, unzipped: str):
 
 
 def _reached(exchanger: Exchanger, start: tuple, other: tuple, order: tuple[str, ...], ask: bool) -> np.ndarray:
-    for what in ("time", "states", "inputs"):
-        exchanger.set(what, *start)
+    exchanger.move(*start)
     exchanger.answers()
     for what in order:
         exchanger.set(what, *other)
@@ -112,8 +116,7 @@ def _reset(description: ModelDescription, unzipped: str):
     exchanger = Exchanger(description, unzipped)
     _, other = exchanger.points()
     first = np.r_[exchanger.states(), exchanger.answers()]
-    for what in ("time", "states", "inputs"):
-        exchanger.set(what, *other)
+    exchanger.move(*other)
     exchanger.answers()
     exchanger.fmu.reset()
     exchanger.initialise()
@@ -124,4 +127,33 @@ def _reset(description: ModelDescription, unzipped: str):
     return False, f"after reset the start differs by {np.abs(first - again).max():.3g}"
 
 
-EXCHANGE_PROBES = {"order of setting": _order_of_setting, "reset": _reset}
+def _directional(description: ModelDescription, unzipped: str):
+    """Derivatives and outputs by states and inputs against central differences, away from the start."""
+    declared = abilities_of(unzipped, "ModelExchange")
+    if not declared & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}:
+        return None, "not offered"
+    exchanger = Exchanger(description, unzipped)
+    time, x, u = exchanger.points()[1]
+    rates = [row.variable for row in description.derivatives]
+    unknowns = [*(v.valueReference for v in rates), *exchanger.outputs]
+    knowns = [*(v.derivative for v in rates), *exchanger.inputs]
+    worst, where = 0.0, ""
+    for column, known in enumerate(knowns):
+        h, sides = 1e-6 * abs(float(known.nominal or 1.0)), []
+        for sign in (1.0, -1.0):
+            moved = np.r_[x, u]
+            moved[column] += sign * h
+            exchanger.move(time, moved[: len(x)], moved[len(x) :])
+            sides.append(exchanger.answers())
+        exchanger.move(time, x, u)
+        exact = np.array(exchanger.fmu.getDirectionalDerivative(unknowns, [known.valueReference], [1.0]))
+        rounding = 1e-10 * np.abs(sides[0]) / h
+        scale = np.maximum(np.abs(exact), 1e-3 * np.abs(exact).max(initial=0.0)) + rounding + 1e-300
+        error = float((np.abs((sides[0] - sides[1]) / (2 * h) - exact) / scale).max(initial=0.0))
+        if not error <= worst:
+            worst, where = error, f" (to {known.name})"
+    exchanger.close()
+    return worst < 1e-3, f"largest difference to finite differences {worst:.2g}{where}, at t = {time:g} s"
+
+
+EXCHANGE_PROBES = {"order of setting": _order_of_setting, "reset": _reset, "directional derivatives": _directional}

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from fmpy.model_description import ModelDescription, ScalarVariable
@@ -86,6 +88,12 @@ def outputs_of(description: ModelDescription) -> list[ScalarVariable]:
         v for v in description.modelVariables
         if v.causality == "output" and v.type in FLOATS and not getattr(v, "dimensions", None)
     ]  # fmt: skip
+
+
+def abilities_of(unzipped: str, interface: str) -> set[str]:
+    """What an interface's element declares as true; FMPy does not read all the names of FMI 3."""
+    element = ET.parse(Path(unzipped) / "modelDescription.xml").getroot().find(interface)
+    return {name for name, value in element.attrib.items() if value in ("true", "1")}
 
 
 def run_steps(

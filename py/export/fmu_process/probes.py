@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 
-from .master import FLOATS, Slave, inputs_of, outputs_of
+from .master import FLOATS, Slave, abilities_of, inputs_of, outputs_of
 
 STEPS = 20
 
@@ -139,7 +138,7 @@ def _dependencies(description: ModelDescription, unzipped: str):
 
 def _directional(description: ModelDescription, unzipped: str):
     """d output / d input against finite differences, where the FMU offers it."""
-    declared = _abilities(unzipped)
+    declared = abilities_of(unzipped, "CoSimulation")
     offered = declared & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}
     inputs = [v for v in inputs_of(description) if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)]
     outputs = [v for v in outputs_of(description) if v.type in ("Real", "Float64")]
@@ -163,12 +162,6 @@ def _directional(description: ModelDescription, unzipped: str):
             if not np.allclose(adjoint, exact, rtol=1e-9, atol=1e-12 * float(np.abs(scale).max())):
                 return False, f"the adjoint derivatives to '{variable.name}' are not the directional ones"
     return worst < 1e-4, f"largest difference to finite differences {worst:.2g} of nominal"
-
-
-def _abilities(unzipped: str) -> set[str]:
-    """What the Co-Simulation element declares as true; FMPy does not read the names of FMI 3."""
-    element = ET.parse(Path(unzipped) / "modelDescription.xml").getroot().find("CoSimulation")
-    return {name for name, value in element.attrib.items() if value in ("true", "1")}
 
 
 def _step_size(description: ModelDescription) -> float:

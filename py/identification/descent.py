@@ -94,10 +94,12 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
     return shooting, shooting.clip(z)
 
 
-def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int, relative: float = 1e-6) -> Minimum:
+def descend(
+    task: Task, q: np.ndarray, lengths: Sequence[float], most: int, relative: float = 1e-6, thorough: bool = True
+) -> Minimum:
     """Minimise over windows of growing ``lengths`` [s], then over the whole recordings.
 
-    ``relative``: of the unexplained cost, what a free run need not gain.
+    ``relative``: of the unexplained cost, what a free run need not gain; ``thorough``: doubt slow windows.
     """
     states = None
     for seconds in lengths:
@@ -106,7 +108,7 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int, rela
         stage = f"windows of {seconds:.3g} s"
         task.report(stage, 0, np.nan)
         try:
-            found = _settled(task, shooting, q, z, stage, first=seconds == lengths[0])
+            found = _settled(task, shooting, q, z, stage, first=seconds == lengths[0], thorough=thorough)
         except SolveError:
             break
         q, states = found.q, shooting.trajectories(found.q, found.z)
@@ -118,7 +120,9 @@ def descend(task: Task, q: np.ndarray, lengths: Sequence[float], most: int, rela
     return minimise(shooting, q, z, most=most, relative=relative, on_step=task.step_report("free run"))
 
 
-def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str, first: bool) -> Minimum:
+def _settled(
+    task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage: str, first: bool, thorough: bool
+) -> Minimum:
     """A minimum over windows. One that is not found in a few steps is doubted: other points are tried.
 
     A lightly damped mode sampled near twice its frequency makes the cost rough on a small scale, gives it more than
@@ -126,6 +130,8 @@ def _settled(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, stage
     """
     on_step = task.step_report(stage)
     found = minimise(shooting, q, z, **WINDOW_STAGE, on_step=on_step)
+    if not thorough:
+        return found
     if first and (not found.converged or found.iterations >= SLOW):
         task.report(f"{stage}, other valleys", 0, found.cost)
         found = _best_from(task, shooting, found, _scattered(task, found), 6)

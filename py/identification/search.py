@@ -96,7 +96,8 @@ def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: M
         if number + 1 >= max(effort.starts, 2):
             break
         try:
-            latest = weighed_by_residual(task, _descent(broad, effort, q, ON_THE_WAY), adaptable, effort.iterations)
+            reached = _descent(broad, effort, q, ON_THE_WAY, thorough=False)
+            latest = weighed_by_residual(task, reached, adaptable, effort.iterations)
         except SolveError:
             continue
         if np.all(misses(latest.task, latest.minimum) < WORTH_IT):
@@ -108,11 +109,11 @@ def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: M
     return best
 
 
-def _descent(task: Task, effort: Effort, q: np.ndarray, relative: float = LAST) -> Minimum:
+def _descent(task: Task, effort: Effort, q: np.ndarray, relative: float = LAST, thorough: bool = True) -> Minimum:
     lengths = effort.windows
     if lengths is None:
         lengths = horizon.horizons(task.flat, task.recordings, task.free.vector(q))
-    return descend(task, q, lengths, effort.iterations, relative)
+    return descend(task, q, lengths, effort.iterations, relative, thorough)
 
 
 def _others(task: Task, starts: int) -> Iterator[np.ndarray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from . import horizon
 from .answer import explains
 from .descent import Task, descend
 from .least_squares import Minimum
-from .valley import TROUBLE, along_the_valleys
+from .valley import BLIND, TROUBLE, along_the_valleys
 from .weighing import WORTH_IT, Weighed, broadly_weighed, misses, score, weighed_by_residual
 
 SPREAD = 0.35  # of the other starts, in ln p or relative to p
@@ -36,8 +37,23 @@ class Effort:
 def search(task: Task, effort: Effort, adaptable: np.ndarray) -> tuple[Task, list[Minimum]]:
     """The minima that the starts lead to, the lowest first, and the task with the weights they belong to.
 
-    ``adaptable`` (ny,) marks outputs whose weight may follow what is left of them.
+    ``adaptable`` (ny,) marks outputs whose weight may follow what is left of them. A parameter without effect keeps the
+    value it was given.
     """
+    task, found = _searched(task, effort, adaptable)
+    return task, [_undisturbed(task, minimum) for minimum in found]
+
+
+def _undisturbed(task: Task, found: Minimum) -> Minimum:
+    """Parameters that no output depends on go back to where they started, whichever start won."""
+    information = np.diag(found.information())
+    blind = information <= BLIND * information.max()
+    if not blind.any():
+        return found
+    return dataclasses.replace(found, q=np.where(blind, task.free.scaled(task.free.start), found.q))
+
+
+def _searched(task: Task, effort: Effort, adaptable: np.ndarray) -> tuple[Task, list[Minimum]]:
     found, stopped = _first(task, effort, ON_THE_WAY if adaptable.any() else LAST)
     if found and adaptable.any() and np.any(misses(task, found[0])[adaptable] > WORTH_IT):
         best = _by_what_is_left(task, effort, adaptable, found[0])

@@ -32,6 +32,7 @@ ROUNDS = 3
 POINTS = 8  # a power of two
 LOOK, GO = 6, 25  # iterations: to see whether a point leads somewhere, and to get there
 TROUBLE = 12  # iterations of free runs after which a minimum is not believed without another start
+BLIND = 1e-14  # of the largest information: an axis without any
 LOWER = 0.5  # units of cost worth another round
 
 
@@ -81,7 +82,8 @@ def _points(task: Task, smooth: Shooting, found: Minimum, seed: int) -> Iterator
         coarse = found
     yield coarse.q
     values, vectors = np.linalg.eigh(coarse.information())
-    reach = np.minimum(1 / np.sqrt(np.maximum(values, np.finfo(float).tiny)), LONGEST)
+    seen = values > BLIND * values[-1]  # along the other axes the recordings say nothing: there is nowhere to look
+    reach = np.where(seen, np.minimum(1 / np.sqrt(np.where(seen, values, 1.0)), LONGEST), 0.0)
     for normal in norm.ppf(qmc.Sobol(len(values), seed=seed).random_base2(int(np.log2(POINTS)))):
         yield np.clip(coarse.q + vectors @ (reach * normal), lower, upper)
 

@@ -10,7 +10,9 @@ import pytest
 from hydrotwin.identification import identify
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records.record import Record
+from hydrotwin.simulation import simulate
 from tests.identification.drive import drive, recorded
+from tests.simulation.flat_cehA import flat_cehA
 
 NOISE = {"position": 0.01, "motor_speed": 0.1}
 OFF = {"motor.gain": 13.0, "motor.time_constant": 0.07}
@@ -243,3 +245,16 @@ def test_a_record_on_a_jittered_clock_is_fitted_as_well_as_an_even_one():
     held = Record(record.time[kept], {n: v[kept] for n, v in record.signals.items()}, record.units, name="jittered")
     fit = identify(drive(), [held], starts=1, noise=NOISE)
     assert fit.values["motor.gain"] == pytest.approx(10.0, rel=0.05)
+
+
+def test_a_parameter_without_effect_stays_where_it_was_whichever_start_wins():
+    """Other starts move it too; the one that wins must not leave its value in the model file."""
+    time = np.arange(0, 5, 0.01)
+    units = {"command": "V", "motor_speed": "rad/s"}
+    record = Record(time, {"command": np.sin(time), "motor_speed": 0 * time}, units, "speed")
+    model = flat_cehA()
+    noise = 0.3 * np.random.default_rng(0).standard_normal(len(time))
+    record = record.with_signals({"motor_speed": simulate(model, record)["motor_speed"] + noise}, units=units)
+    fit = identify(model, [record], free=["motor.gain", "cylinder.friction.viscous"], start={"motor.gain": 80.0})
+    assert fit.values["cylinder.friction.viscous"] == 741.36
+    assert abs(fit.values["motor.gain"] - 120.0) < 4 * fit.sigma["motor.gain"]

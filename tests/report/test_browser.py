@@ -52,7 +52,7 @@ def opened(browser, report):
     return browser
 
 
-def wait_until(browser, condition, seconds=20):
+def wait_until(browser, condition, seconds=90):
     from selenium.webdriver.support.ui import WebDriverWait
 
     WebDriverWait(browser, seconds).until(lambda b: b.execute_script(condition))

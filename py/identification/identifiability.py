@@ -89,8 +89,9 @@ def bounds_reached(names: Sequence[str], values, lower, upper, units, at_bound) 
         if hit:
             lowest = value - low <= high - value
             side, bound, wish = ("lower", low, "less") if lowest else ("upper", high, "more")
+            shown = f"{bound:g}" if unit == "1" else f"{bound:g} {unit}"
             findings.append(Finding("at_bound", (name,), (
-                f"identify: {name} rests on its {side} bound ({bound:g} {unit}). The recordings ask for {wish}. "
+                f"identify: {name} rests on its {side} bound ({shown}). The recordings ask for {wish}. "
                 "Widen the bound if physics allows, or look for an effect the model lacks."
             )))  # fmt: skip
     return findings

@@ -23,12 +23,13 @@ POSITION = {"cehA": "arm_angle", "spool_valve": "position"}
 FACTOR = 0.3
 
 
-def patterns(count: int) -> list[tuple[int, ...]]:
-    """Named hard ones first (gain alone, volumes alone), then signs of all parameters at once."""
-    random = np.random.default_rng(0)
+def patterns(names: list[str]) -> list[tuple[int, ...]]:
+    """Each parameter alone, all volumes together, then signs of all parameters at once."""
+    random, count = np.random.default_rng(0), len(names)
+    volumes = [tuple(sign * ("volume" in name) for name in names) for sign in (1, -1)]
     alone = [tuple(sign if k == j else 0 for k in range(count)) for j in range(count) for sign in (1, -1)]
     whole = [tuple(random.choice([-1, 1], count).tolist()) for _ in range(8)]
-    return alone + whole
+    return alone + [v for v in volumes if any(v)] + whole
 
 
 def recordings(machine: str, kind: str, count: int, seed: int) -> list[Record]:
@@ -49,7 +50,7 @@ def main(machine: str = "cehA", seed: int = 2) -> None:
     print(f"{machine}, seed {seed}: {', '.join(p.name for p in free)}")
     print(f"{'pattern':<26}{'cost/truth':>11}{'worst sigma':>13}{'RMSE/noise':>12}{'seconds':>9}")
     right = 0
-    chosen = patterns(len(free))
+    chosen = patterns([p.name for p in free])
     for signs in chosen:
         start = {p.name: p.value * (1 + FACTOR * s) for p, s in zip(free, signs, strict=True)}
         began = time.perf_counter()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from hydrotwin.comparison import HoldLast, ModelEntry, load_contenders, read_scenario, run_scenario
@@ -113,3 +115,14 @@ def test_a_scenario_that_does_not_exist_names_the_nearest_file(folder):
     scenario(folder, "")
     with pytest.raises(DataError, match=r"Did you mean 'scenario\.toml'"):
         read_scenario(folder / "scenaro.toml")
+
+
+def test_the_shipped_scenario_runs_and_its_full_model_beats_the_published_formula():
+    import hydrotwin
+
+    path = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "scenario.toml"
+    comparison = run_scenario(read_scenario(path), hydrotwin.load, repeats=1)
+    assert not comparison.failures
+    ranked = comparison.ranking("arm_angle")
+    names = [score.model for score in ranked]
+    assert names.index("cehA") < names.index("Eq. 17")

@@ -388,25 +388,9 @@ def test_every_command_that_answers_with_numbers_has_json():
         assert ("as_json" in names) == (command.callback.__name__ not in numberless), command.callback.__name__
 
 
-def test_a_shells_list_of_validation_recordings_belongs_to_its_option():
-    from hydrotwin.cli import spread
-
-    given = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "v2.csv", "--out", "m.toml"]
-    wanted = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "--validate", "v2.csv", "--out", "m.toml"]
-    assert spread(given) == wanted
-    assert spread(["compare", "--model", "a", "--validate", "v.csv", "--json"]) == [
-        "compare", "--model", "a", "--validate", "v.csv", "--json",
-    ]  # fmt: skip
-
-
 def test_a_table_in_a_pipe_breaks_no_name(here):
     words = [sys.executable, "-m", "hydrotwin", "check", "cehA.fmu"]
     answer = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "COLUMNS": "80"}, check=False)
     assert answer.returncode == 0, answer.stderr
     (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass  second instance"))
     assert line.rstrip().endswith("bit by bit")
-
-
-def test_the_version_is_told():
-    answer = hydrotwin("--version")
-    assert (answer.code, answer.out.strip()) == (0, f"hydrotwin {ht.__version__}")

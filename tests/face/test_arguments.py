@@ -1,0 +1,21 @@
+"""What the command line does with its arguments before a command sees them."""
+
+from __future__ import annotations
+
+import hydrotwin as ht
+from hydrotwin.cli import spread
+from tests.face.command_line import hydrotwin
+
+
+def test_a_shells_list_of_validation_recordings_belongs_to_its_option():
+    given = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "v2.csv", "--out", "m.toml"]
+    wanted = ["identify", "cehA", "t1.csv", "t2.csv", "--validate", "v1.csv", "--validate", "v2.csv", "--out", "m.toml"]
+    assert spread(given) == wanted
+    assert spread(["compare", "--model", "a", "--validate", "v.csv", "--json"]) == [
+        "compare", "--model", "a", "--validate", "v.csv", "--json",
+    ]  # fmt: skip
+
+
+def test_the_version_is_told():
+    answer = hydrotwin("--version")
+    assert (answer.code, answer.out.strip()) == (0, f"hydrotwin {ht.__version__}")

@@ -258,3 +258,14 @@ def test_a_parameter_without_effect_stays_where_it_was_whichever_start_wins():
     fit = identify(model, [record], free=["motor.gain", "cylinder.friction.viscous"], start={"motor.gain": 80.0})
     assert fit.values["cylinder.friction.viscous"] == 741.36
     assert abs(fit.values["motor.gain"] - 120.0) < 4 * fit.sigma["motor.gain"]
+
+
+@pytest.mark.parametrize(
+    ("chi2", "lag_one", "white", "explained"),
+    [(0.95, -0.02, False, True), (1.0, 0.0, True, True), (1.0, 0.4, False, False), (1.3, 0.0, True, False)],
+)
+def test_what_is_left_is_noise_when_its_size_is_right_and_neighbours_hardly_agree(chi2, lag_one, white, explained):
+    from hydrotwin.identification import OutputResidual
+
+    rest = OutputResidual("run", "angle", "train", 1.0, 1.0, "rad", 1000, chi2, lag_one, 1e-4, white)
+    assert rest.explained is explained

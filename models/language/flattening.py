@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from .component import Component
+from .additions import Addition, wire
+from .component import Component, declarations
 from .dimensions import check_units
 from .elaboration import BoundPort, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError
@@ -35,12 +36,18 @@ class Solved:
         return replace(replace(expression, self.expressions), self.bindings)
 
 
-def elaborate(root: Component, name: str, overrides: Sequence[str] = ()) -> tuple[Elaboration, Component]:
-    """Bind a component tree to symbols. Dependent parameters named in ``overrides`` become independent."""
+def elaborate(
+    root: Component, name: str, overrides: Sequence[str] = (), additions: Sequence[Addition] = ()
+) -> tuple[Elaboration, Component]:
+    """Bind a component tree to symbols and add parts to it.
+
+    Dependent parameters named in ``overrides`` become independent.
+    """
     elaboration = Elaboration(name)
     token = _current.set(elaboration)
     try:
         bound = root.bind("", elaboration)
+        wire(elaboration, additions, declarations(type(root)))
         for path, (function, scope) in list(elaboration.bindings.items()):
             elaboration.bindings[path] = ca.SX(function(scope))
     finally:
@@ -263,4 +270,3 @@ def replace(expression: ca.SX, replacements: Mapping[int, ca.SX]) -> ca.SX:
     if not symbols:
         return expression
     return ca.substitute([expression], symbols, [replacements[s.element_hash()] for s in symbols])[0]
-

@@ -9,6 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from .additions import Addition
 from .component import Component
 from .errors import DeclarationError, SolveError, TopologyError, UnitError, nearest
 from .flat import FlatModel, ParameterValue, Signal, StateVariable
@@ -26,14 +27,23 @@ class Model:
     name : used in files, errors and exports; the class name in lower camel case by default.
     settings : ``{path: value}`` in SI, or ``{path: {...}}`` with value, unit, bounds, sigma, source, free.
     step : recommended fixed integration step [s].
+    additions : parts added from outside, see `plus`.
 
     Raises
     ------
     DeclarationError, TopologyError, UnitError : when `flat` is first asked for.
     """
 
-    def __init__(self, root: Component, name: str | None = None, *, settings: Mapping = (), step: float = 1e-3,
-                 provenance: Mapping | None = None):
+    def __init__(
+        self,
+        root: Component,
+        name: str | None = None,
+        *,
+        settings: Mapping = (),
+        step: float = 1e-3,
+        provenance: Mapping | None = None,
+        additions: Iterable[Addition] = (),
+    ):
         if not isinstance(root, Component):
             raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
         self.root = root
@@ -41,6 +51,7 @@ class Model:
         self.name = name or kind[0].lower() + kind[1:]
         self.step = step
         self.provenance = dict(provenance or {})
+        self.additions = tuple(additions)
         self.settings = {
             k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()
         }
@@ -51,7 +62,9 @@ class Model:
         merged = {k: dict(v) for k, v in self.settings.items()}
         for path, change in settings.items():
             merged.setdefault(path, {}).update(change if isinstance(change, Mapping) else {"value": float(change)})
-        other = Model(self.root, self.name, settings=merged, step=self.step, provenance=provenance)
+        other = Model(
+            self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions
+        )
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
             other.__dict__["_functions"] = self._functions
@@ -64,14 +77,22 @@ class Model:
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance", "additions")}
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
+
+    def plus(self, additions: Iterable[Addition]) -> Model:
+        """The same model with further parts tied in, and further parameters free; see `Addition`."""
+        other = copy.copy(self)
+        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.additions = (*self.additions, *additions)
+        freed = {a.frees: {"free": True} for a in other.additions if a.frees}
+        return other.with_settings(freed, self.provenance) if freed else other
 
     # -- flattening --------------------------------------------------------------------------------------------
     @cached_property
     def _solved(self) -> Solved:
-        elaboration, _ = elaborate(self.root, self.name, tuple(self.settings))
+        elaboration, _ = elaborate(self.root, self.name, tuple(self.settings), self.additions)
         known = {p.path: p.unit for p in elaboration.parameters}
         for path in self.settings:
             if path not in known:
@@ -92,8 +113,9 @@ class Model:
         rates = [solved.of(e.derivatives[s.symbol.element_hash()][1]) for s in e.states]
         outputs = [solved.of(o.symbol) for o in e.outputs]
         self._refuse_mixed_delay(solved)
+        seen = self._outputs_without_additions(e, outputs)
         measured = {
-            s.path: next((o.path for o, y in zip(e.outputs, outputs, strict=True) if ca.is_equal(y, s.symbol)), None)
+            s.path: next((o.path for o, y in zip(e.outputs, seen, strict=True) if ca.is_equal(y, s.symbol)), None)
             for s in e.states
         }
         ode = ca.Function(
@@ -105,6 +127,17 @@ class Model:
             {"cse": True},
         )
         return ode, initialisation(solved, ca.SX(u), ca.SX(p), rates), measured, independent
+
+    def _outputs_without_additions(self, e, outputs: list[ca.SX]) -> list[ca.SX]:
+        """Output expressions with every added part at the values it is declared with, where it changes nothing.
+
+        A sensor whose bias is looked for measures its state nonetheless.
+        """
+        added = tuple(f"{a.name}." for a in self.additions if a.part is not None)
+        own = [q for q in e.parameters if added and q.path.startswith(added) and not callable(q.declaration.value)]
+        if not own:
+            return outputs
+        return ca.substitute(outputs, [q.symbol for q in own], [ca.SX(q.declaration.value) for q in own])
 
     def _refuse_mixed_delay(self, solved: Solved) -> None:
         """An input may be used delayed or not delayed, not both."""
@@ -125,9 +158,7 @@ class Model:
             name=self.name,
             description=(type(self.root).__doc__ or "").strip().split("\n")[0],
             inputs=tuple(self._input(i) for i in e.inputs),
-            outputs=tuple(
-                Signal(o.path, o.unit, o.declaration.description, o.declaration.nominal) for o in e.outputs
-            ),
+            outputs=tuple(Signal(o.path, o.unit, o.declaration.description, o.declaration.nominal) for o in e.outputs),
             states=tuple(
                 StateVariable(s.path, s.unit, d.description, d.nominal, d.bounds, measured[s.path])
                 for s in e.states
@@ -244,4 +275,3 @@ class Model:
             f"Model({self.name}: {len(flat.states)} states, {len(flat.inputs)} inputs, {len(flat.outputs)} outputs, "
             f"{len(flat.parameters)} parameters)"
         )
-

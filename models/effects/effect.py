@@ -1,0 +1,249 @@
+"""Effect: a named physical phenomenon, written once for a kind of site, added to any model that has such a site."""
+
+from __future__ import annotations
+
+import fnmatch
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State
+from hydrotwin.models.language.additions import Addition
+from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.places import Places
+
+SIGNAL = "signal"  # stands for the unit of the signal an effect is put into, in the units of its declarations
+
+
+@dataclass(frozen=True)
+class Site:
+    """One place of one model where an effect may act.
+
+    name : how files and reports call it; the other fields as in `Addition`.
+    unit, nominal : of the signal, where it is one.
+    values : parameter values that follow from the place, in place of the declared ones.
+    """
+
+    name: str
+    ties: Mapping[str, str] | None = None
+    reads: Mapping[str, str] | None = None
+    through: str | None = None
+    between: str | None = None
+    frees: str | None = None
+    unit: str = "1"
+    nominal: float = 1.0
+
+
+class Effect(Component):
+    """What is missing, perhaps: its equation, its parameters at the values where it is absent, where it may act.
+
+    A subclass declares ports and equations as any component does. Parameters with ``free=True`` are those to be
+    identified; every parameter is declared at its neutral value, where the effect changes nothing. In an effect on a
+    signal, ``u`` is what comes in and ``y`` what goes on, and ``"signal"`` in a unit stands for the signal's unit:
+    values, bounds and probes are then in units of its nominal value.
+
+    Class attributes
+    ----------------
+    id, title, equation, source : as reports show them.
+    family : the row of the catalogue.
+    typical : parameter -> usual range (SI, or in nominals of the signal).
+    probes : finite amplitudes from which to start, each a mapping parameter -> value.
+    refines : ids of simpler effects that this one contains.
+    confused_with : ids that leave the same traces in many recordings.
+    experiment : what tells it from those.
+    order : of effects on one signal, from the input on: 0 dead time ... 9 the last before the machine.
+    """
+
+    id: ClassVar[str] = ""
+    title: ClassVar[str] = ""
+    equation: ClassVar[str] = ""
+    source: ClassVar[str] = ""
+    family: ClassVar[str] = ""
+    typical: ClassVar[Mapping[str, tuple[float, float]]] = {}
+    probes: ClassVar[Sequence[Mapping[str, float]]] = ()
+    refines: ClassVar[tuple[str, ...]] = ()
+    confused_with: ClassVar[tuple[str, ...]] = ()
+    experiment: ClassVar[str] = ""
+    order: ClassVar[int] = 5
+
+    @classmethod
+    def sites(cls, places: Places) -> Iterator[Site]:
+        """Every site of a model that this effect fits."""
+        raise NotImplementedError
+
+    @classmethod
+    def at(cls, site: Site) -> Component | None:
+        """The part for a site: units and scales of the signal put in. None for an effect that frees a parameter."""
+        if site.frees:
+            return None
+        changes = {}
+        for name, declared in declarations(cls).items():
+            if isinstance(declared, (Parameter, State, Input, Output)) and SIGNAL in declared.unit:
+                changes[name] = _scaled(declared, site)
+        return cls(**changes)
+
+
+def _scaled(declared, site: Site):
+    """A declaration in units of the signal."""
+    power = -1 if declared.unit.startswith("1/") else 1
+    scale = site.nominal**power
+    unit = declared.unit.replace(SIGNAL, f"({site.unit})") if site.unit != "1" else _without_signal(declared.unit)
+    unit = site.unit if unit == f"({site.unit})" else unit
+    if isinstance(declared, Parameter):
+        return Parameter(
+            declared.value * scale,
+            unit,
+            declared.description,
+            bounds=tuple(b * scale for b in declared.bounds),
+            nominal=(declared.nominal or 1.0) * scale,
+            source=declared.source,
+            free=declared.free,
+        )
+    if isinstance(declared, State):
+        start = declared.start if callable(declared.start) else declared.start * scale
+        return State(start, unit, declared.description, nominal=declared.nominal * scale, fixed=declared.fixed)
+    return type(declared)(unit, declared.description, nominal=declared.nominal * scale)
+
+
+def _without_signal(unit: str) -> str:
+    """``signal/s`` -> ``1/s``; ``1/signal`` -> ``1``; ``signal`` -> ``1``."""
+    return "1" if unit == "1/signal" else unit.replace(SIGNAL, "1")
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect at a site of a model: what may be added to it.
+
+    name : path of the part; free : paths of its free parameters; neutral : their values when absent (for an effect
+    that frees a parameter, that parameter and its present value); probes : starts, by path; typical : by path.
+    """
+
+    effect: type[Effect]
+    site: Site
+    name: str
+    free: tuple[str, ...]
+    neutral: Mapping[str, float]
+    probes: tuple[Mapping[str, float], ...]
+    typical: Mapping[str, tuple[float, float]]
+
+    @property
+    def id(self) -> str:
+        return self.effect.id
+
+    @property
+    def label(self) -> str:
+        """``id at site``."""
+        return f"{self.id} at {self.site.name}"
+
+    @property
+    def addition(self) -> Addition:
+        """What to give to `Model.plus`."""
+        s = self.site
+        return Addition(
+            self.name, self.effect.at(s), s.ties or {}, s.reads or {}, s.through, s.between, s.frees, self.id, s.name
+        )
+
+
+def candidates(
+    model: Model, effects: Sequence[str] | None = None, exclude: Sequence[str] = ()
+) -> tuple[Candidate, ...]:
+    """Every effect of the catalogue at every site of a model that it fits, in the order they act.
+
+    Args: effects, exclude: globs over ids or ``id at site``; unknown ones raise DeclarationError with the nearest.
+    """
+    from .catalogue import CATALOGUE
+
+    for pattern in (*(effects or ()), *exclude):
+        word = pattern.partition(" at ")[0]
+        if not fnmatch.filter(CATALOGUE, word):
+            raise DeclarationError(f"effects: none is called '{word}'. {nearest(word, CATALOGUE)}")
+    places, found = Places(model), []
+    values = {p.name: p.value for p in model.flat.parameters}
+    for effect in sorted(CATALOGUE.values(), key=lambda e: e.order):
+        sites = list(effect.sites(places))
+        here = {(a.effect, a.site) for a in model.additions}
+        for site in sites:
+            if (effect.id, site.name) not in here:
+                found.append(_candidate(effect, site, len(sites) > 1, values))
+    return tuple(c for c in found if _wanted(c, effects, exclude))
+
+
+def _wanted(candidate: Candidate, effects, exclude) -> bool:
+    words = (candidate.id, candidate.label)
+    inside = effects is None or any(fnmatch.fnmatch(w, pattern) for w in words for pattern in effects)
+    return inside and not any(fnmatch.fnmatch(w, pattern) for w in words for pattern in exclude)
+
+
+def _candidate(effect: type[Effect], site: Site, several: bool, values: Mapping[str, float]) -> Candidate:
+    if site.frees:
+        path, value = site.frees, values[site.frees]
+        starts = tuple(dict([(path, value * factor)]) for probe in effect.probes for factor in probe.values())
+        typical = dict((path, tuple(value * f for f in t)) for t in effect.typical.values())
+        return Candidate(effect, site, "", (path,), {path: value}, starts, typical)
+    name = f"{effect.id}_{re.sub(r'[^0-9A-Za-z]+', '_', site.name).strip('_')}" if several else effect.id
+    part = effect.at(site)
+    own = {k: part.declared(k) for k, d in declarations(effect).items() if isinstance(d, Parameter)}
+    free = tuple(f"{name}.{k}" for k, p in own.items() if p.free)
+    scale = {k: _ratio(own[k], declarations(effect)[k]) for k in own}
+    probes = tuple({f"{name}.{k}": v * scale[k] for k, v in probe.items()} for probe in effect.probes)
+    typical = {f"{name}.{k}": tuple(v * scale[k] for v in t) for k, t in effect.typical.items() if k in own}
+    neutral = {f"{name}.{k}": p.value for k, p in own.items() if p.free}
+    return Candidate(effect, site, name, free, neutral, probes, typical)
+
+
+def _ratio(scaled: Parameter, declared: Parameter) -> float:
+    """By how much a declaration was scaled."""
+    if scaled is declared:
+        return 1.0
+    return (scaled.nominal or 1.0) / (declared.nominal or 1.0)
+
+
+def add_effect(model: Model, effect: str, site: str | None = None, values: Mapping[str, float] | None = None) -> Model:
+    """The model with one effect more, at neutral or at ``values`` (parameter -> SI); the model itself is unchanged.
+
+    >>> from hydrotwin.models.cehA import model
+    >>> leaking = add_effect(model(), "internal_leakage", values={"conductance": 1e-14})
+    >>> [a.site for a in leaking.additions]
+    ['cylinder.annulus-cylinder.cap']
+
+    Raises DeclarationError: no such effect, no such site (or several and none chosen), no such parameter.
+    """
+    fitting = candidates(model, [effect])
+    if not fitting:
+        raise DeclarationError(
+            f"{model.name}: '{effect}' fits nowhere here. 'hydrotwin effects' lists what fits where."
+        )
+    sites = {c.site.name: c for c in fitting}
+    if site is None and len(sites) > 1:
+        raise DeclarationError(f"{model.name}: '{effect}' fits at several sites ({', '.join(sites)}). Choose one.")
+    if site is not None and site not in sites:
+        raise DeclarationError(f"{model.name}: '{effect}' does not fit at '{site}'. {nearest(site, sites)}")
+    chosen = sites[site] if site else fitting[0]
+    added = model.plus([chosen.addition])
+    settings = {(k if "." in k else f"{chosen.name}.{k}"): float(v) for k, v in (values or {}).items()}
+    return added.with_settings(settings, model.provenance) if settings else added
+
+
+def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, times: np.ndarray) -> float:
+    """Largest relative change of rates and outputs that adding a candidate at neutral makes; 0 when it is absent.
+
+    Args: inputs (n, nu), times (n,): operating points, states drawn around the start.
+    """
+    base, added = model.flat, model.plus([candidate.addition]).flat
+    order = [s.name for s in added.states]
+    where = [order.index(s.name) for s in base.states]
+    p, q = base.parameter_vector(), added.parameter_vector()
+    z, worst = base.start_given()(inputs[0], p, []).full().ravel(), 0.0
+    start = added.start_given()(inputs[0], q, []).full().ravel()
+    for u, t in zip(inputs, times, strict=True):
+        x = start.copy()
+        x[where] = z
+        for ours, theirs in zip(base.ode(t, z, u, p), added.ode(t, x, u, q), strict=True):
+            a, b = ours.full().ravel(), theirs.full().ravel()
+            b = b[where] if len(b) == len(order) and len(a) == len(where) else b
+            worst = max(worst, float(np.max(np.abs(a - b) / (np.abs(a) + 1e-300), initial=0.0)))
+    return worst

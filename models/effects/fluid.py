@@ -1,0 +1,3 @@
+"""Family 'fluid' of the catalogue."""
+
+from __future__ import annotations

@@ -1,0 +1,3 @@
+"""Family 'sensor' of the catalogue."""
+
+from __future__ import annotations

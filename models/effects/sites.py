@@ -1,0 +1,108 @@
+"""Kinds of sites, found by kind of port: the words in which effects say where they fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+
+from hydrotwin.models.language import Flange, HydraulicPort, RotationalFlange, Shaft
+from hydrotwin.models.language.places import Places
+from hydrotwin.models.language.units import compatible
+
+from .effect import Site
+
+
+def flanges(places: Places) -> Iterator[Site]:
+    """Every moving flange; the effect's port is ``flange``."""
+    for node in places.nodes_of(Flange):
+        if not places.is_prescribed(node):
+            yield Site(node.name, ties={"flange": node.name})
+
+
+def hydraulic_nodes(places: Places) -> Iterator[Site]:
+    """Every hydraulic node whose pressure nothing prescribes; the effect's port is ``port``."""
+    for node in places.nodes_of(HydraulicPort):
+        if not places.is_prescribed(node):
+            yield Site(node.name, ties={"port": node.name})
+
+
+def hydraulic_pairs(places: Places) -> Iterator[Site]:
+    """Every two hydraulic nodes of which not both are prescribed; the effect's ports are ``a`` and ``b``."""
+    nodes = sorted(places.nodes_of(HydraulicPort), key=lambda n: n.name)
+    for one, other in combinations(nodes, 2):
+        if not (places.is_prescribed(one) and places.is_prescribed(other)):
+            yield Site(f"{one.name}-{other.name}", ties={"a": one.name, "b": other.name})
+
+
+def pumps(places: Places) -> Iterator[Site]:
+    """Every part with a shaft and two hydraulic ports: ports ``a`` (filled at positive speed, the first declared) and
+    ``b``, inputs ``w`` (shaft speed) and ``q`` (flow delivered into ``a``'s node)."""
+    for part in places.parts:
+        shafts, ports = part.ports_of(Shaft), part.ports_of(HydraulicPort)
+        if len(shafts) == 1 and len(ports) == 2 and all(places.node_at(f"{part.path}.{p}") for p in ports):
+            a, b = (f"{part.path}.{p}" for p in ports)
+            yield Site(part.path, ties={"a": a, "b": b}, reads={"w": f"{part.path}.{shafts[0]}.w", "q": f"{a}.q"})
+
+
+def model_inputs(places: Places) -> Iterator[Site]:
+    """Every input of the model."""
+    yield from (_through(wire) for wire in places.wires if wire.role == "input")
+
+
+def model_outputs(places: Places) -> Iterator[Site]:
+    """Every output of the model: its sensor."""
+    yield from (_through(wire) for wire in places.wires if wire.role == "output")
+
+
+def valve_spools(places: Places) -> Iterator[Site]:
+    """Signals that open a part with two hydraulic ports or more."""
+    hydraulic = {part.path for part in places.parts if len(part.ports_of(HydraulicPort)) >= 2}
+    for wire in places.wires:
+        if wire.role == "inside" and wire.path.rpartition(".")[0] in hydraulic:
+            yield _through(wire)
+
+
+def inside_signals(places: Places) -> Iterator[Site]:
+    """Signals between the parts of the model."""
+    yield from (_through(wire) for wire in places.wires if wire.role == "inside")
+
+
+def sources(places: Places) -> Iterator[Site]:
+    """Ports of supplies that hold their pressure; between them and their node a part with ports ``a``, ``b`` fits."""
+    for node in places.nodes_of(HydraulicPort):
+        for port in node.ports:
+            part = places.part(port.rpartition(".")[0])
+            if part and len(part.ports) == 1 and not part.states and not part.inputs:
+                yield Site(port, between=port)
+
+
+def flange_joints(places: Places) -> Iterator[Site]:
+    """Joints between two moving parts: the port of one of them, behind which a part ``a``-``b`` fits."""
+    for node in places.nodes_of(Flange):
+        moving = [p for p in node.ports if "." in p]
+        if len(moving) >= 2 and not places.is_prescribed(node):
+            hydraulic = [p for p in moving if places.part(p.rpartition(".")[0]).ports_of(HydraulicPort)]
+            yield Site((hydraulic or moving)[0], between=(hydraulic or moving)[0])
+
+
+def parameters(unit: str, wanted: Callable[[str], bool] = lambda path: True):
+    """Fixed parameters of the model in a unit, whose path is ``wanted``: a function of the places that finds them."""
+
+    def found(places: Places) -> Iterator[Site]:
+        for p in places.model.flat.parameters:
+            added = any(p.name.startswith(f"{a.name}.") for a in places.model.additions if a.part is not None)
+            if not p.free and not added and p.value != 0 and compatible(p.unit, unit) and wanted(p.name):
+                yield Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal)
+
+    return found
+
+
+def rotational_flanges(places: Places) -> Iterator[Site]:
+    """Every rotational flange; the effect's port is ``flange``."""
+    for node in places.nodes_of(RotationalFlange):
+        if not places.is_prescribed(node):
+            yield Site(node.name, ties={"flange": node.name})
+
+
+def _through(wire) -> Site:
+    return Site(wire.path, through=wire.path, unit=wire.unit, nominal=wire.nominal)

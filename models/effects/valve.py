@@ -1,0 +1,3 @@
+"""Family 'valve' of the catalogue."""
+
+from __future__ import annotations

@@ -1,0 +1,3 @@
+"""Family 'vessel' of the catalogue."""
+
+from __future__ import annotations

@@ -1,0 +1,3 @@
+"""The gap workflow: where simulation and measurement disagree, which effect is missing, and what it closes."""
+
+from __future__ import annotations

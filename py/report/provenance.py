@@ -63,6 +63,26 @@ def model_table(entrants: Sequence) -> Table | None:
     return table("model_provenance", "Models", columns, folded=True)
 
 
+def digest_table(records: Sequence) -> Table:
+    """The recordings of a fit (`Fit.records`) with role, samples and content hash."""
+    columns = [
+        texts("record", "Recording", [r.name for r in records]),
+        texts("role", "Role", [r.role for r in records]),
+        counts("samples", "Samples", [r.samples for r in records]),
+        texts("sha256", "SHA-256", [r.digest or "" for r in records]),
+    ]
+    return table("digests", "Recordings of the fit", columns)
+
+
+def item_table(provenance: Mapping, id: str = "origin", title: str = "Origin") -> Table | None:
+    """A provenance, whatever it holds, in rows for people; None when it is empty."""
+    rows = [item for k, v in provenance.items() for item in _items(str(k), v)]
+    if not rows:
+        return None
+    key, value = zip(*rows, strict=True)
+    return table(id, title, [texts("item", "Item", key), texts("value", "Value", value)], folded=len(rows) > 12)
+
+
 def _items(key: str, value) -> Iterator[tuple[str, str]]:
     """Rows of the table for one entry: a tree opens into dotted keys, a list of files into one row for each."""
     if isinstance(value, Mapping) and any(isinstance(v, Mapping) for v in value.values()):

@@ -1,0 +1,254 @@
+"""The report of the gap workflow: report.html, report.md and gap.json from one set of rows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from hydrotwin.discovery.discovery import Discovery, Step
+
+from .fit import parameter_rows, parameter_table
+from .format import number_text
+from .gap_data import gap_data
+from .gap_figures import (
+    candidate_figure,
+    experiment_figure,
+    moved,
+    overlay_groups,
+    overlay_plan,
+    region_groups,
+    shift_figure,
+    waterfall_figure,
+)
+from .gap_tables import (
+    candidate_tables,
+    effect_table,
+    headline,
+    location_table,
+    member_table,
+    noise_table,
+    recording_tables,
+    shift_table,
+    timing_table,
+    unknown_table,
+    untestable,
+    untestable_table,
+    waterfall_table,
+)
+from .gap_words import (
+    answer,
+    class_sentence,
+    display_units,
+    experiment_sentence,
+    facts,
+    joined,
+    notices,
+    percent,
+    placed,
+    sentence,
+    tried_last,
+)
+from .page import Note, Page, Section, write_page
+from .provenance import command_line, digest_table, item_table, made_table, versions
+
+
+def write_gap_report(
+    discovery: Discovery, folder: str | Path, *, command: str | None = None, date: datetime | None = None
+) -> dict[str, Path]:
+    """Write report.html, report.md and gap.json into ``folder``; the paths by "html", "markdown", "json".
+
+    command : as printed under provenance; by default the running command.
+    """
+    return write_page(gap_page(discovery, command=command, date=date), folder, data_name="gap.json")
+
+
+def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime | None = None) -> Page:
+    """The page of a discovery, not yet written."""
+    date = date or datetime.now().astimezone()
+    command = command_line() if command is None else command
+    shown = display_units(discovery)
+    made = (
+        _where(discovery, shown),
+        _candidates(discovery),
+        _effects(discovery),
+        _plots(discovery, shown),
+        _waterfall(discovery),
+        _shifts(discovery),
+        _apart(discovery),
+        _recordings(discovery, shown),
+        _unknown(discovery),
+        _untestable(discovery),
+        _findings(discovery),
+        _noise(discovery, shown),
+        _provenance(discovery, command, date),
+    )
+    extra = {"created": date.isoformat(timespec="seconds"), "command": command, "versions": versions()}
+    return Page(
+        title=f"{discovery.name}: {TITLES[discovery.verdict]}",
+        eyebrow=_eyebrow(discovery, date),
+        answer=answer(discovery),
+        facts=facts(discovery, shown),
+        notices=notices(discovery, shown),
+        headline=headline(discovery, shown),
+        sections=tuple(s for s in made if s.parts),
+        data=gap_data(discovery) | extra,
+    )
+
+
+TITLES = {
+    "named": "the missing effect",
+    "class": "the missing effect, one of several",
+    "none": "no gap",
+    "unknown": "a gap without a name",
+}
+
+
+def _eyebrow(discovery: Discovery, date: datetime) -> str:
+    records = len(discovery.recordings)
+    tried = len({(r.effect, r.site) for r in (*discovery.last_ranked, *(r for s in discovery.steps for r in s.ranked))})
+    words = [f"Gap of {discovery.name}"]
+    words += [f"{records} recording{'s' * (records != 1)}"] * bool(records)
+    words += [f"{tried} candidate{'s' * (tried != 1)}"] * bool(tried)
+    return " · ".join([*words, f"{number_text(discovery.seconds, 2)} s", f"{date:%-d %B %Y}"])
+
+
+def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
+    lead = (
+        "The free run of the identified model against the measurement. The maps show the mean residual in bins of one "
+        "quantity with plus and minus one standard error; a filled marker differs from zero (after Holm, "
+        "autocorrelation counted), an open one does not."
+    )
+    if discovery.steps:
+        lead += " Before and after share one scale."
+    parts = (*((location_table(discovery),) if discovery.locations else ()), *region_groups(discovery, shown))
+    return Section("where", "Where model and measurement disagree", parts, lead)
+
+
+def _candidates(discovery: Discovery) -> Section:
+    lead = (
+        "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
+        "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
+        "the fit, paired t and gap closed on the recordings that chose, not used in the fit."
+    )
+    parts: list = []
+    for k, step in enumerate(discovery.steps, 1):
+        title = "First look" if k == 1 else f"Look {k}: after {joined([placed(s) for s in discovery.steps[: k - 1]])}"
+        parts += _look(step.ranked, f"candidates_{k}", title)
+    if discovery.last_ranked:
+        parts += _look(discovery.last_ranked, "candidates_last", "Last look" if discovery.steps else "")
+    return Section("candidates", "Candidates and their evidence", tuple(parts), lead)
+
+
+def _look(ranked, id: str, title: str) -> list:
+    if not ranked:
+        return []
+    first, *rest = candidate_tables(ranked, id, title)
+    figure = candidate_figure(ranked, id.replace("_", "-"))
+    return [first, *([figure] if figure else []), *rest]
+
+
+def _effects(discovery: Discovery) -> Section:
+    parts: list = []
+    for k, step in enumerate(discovery.steps, 1):
+        parts += [Note(_about(step, k, len(discovery.steps))), effect_table(step, f"effect_{k}")]
+        if len(step.members) > 1:
+            parts.append(member_table(step, f"members_{k}"))
+    title = "The missing effect" if len(discovery.steps) == 1 else "The missing effects"
+    lead = "Fitted together with the base parameters on all recordings of the fit; intervals allow for coloured errors."
+    return Section("effects", title, tuple(parts), lead)
+
+
+def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
+    order = f"{number}. " if of > 1 else ""
+    told = [f"{order}{placed(step)}{': ' if step.equation else ''}{step.equation}"]
+    closed = f" It closes {percent(step.gap_closed)} of the gap that it met."
+    told.append(f"Probability {percent(step.probability)}.{closed if percent(step.gap_closed) != '–' else ''}")
+    if step.sentence:
+        told.append(sentence(step.sentence))
+    return tuple(told)
+
+
+def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
+    lead = "Measured, before and after; the error below each plot is model minus measurement."
+    if not discovery.steps:
+        lead = "Measured and simulated; the error below each plot is model minus measurement."
+    lead += " All numbers come from the full recordings, and the curves keep every peak."
+    drawn = len(overlay_plan(discovery)[1])
+    if drawn < len(discovery.overlays):
+        lead += f" {drawn} of {len(discovery.overlays)} recordings are drawn, those never used for fitting first."
+    return Section("plots", "Measured, before and after", tuple(overlay_groups(discovery, shown)), lead)
+
+
+def _waterfall(discovery: Discovery) -> Section:
+    parts = (waterfall_figure(discovery), waterfall_table(discovery)) if len(discovery.waterfall) > 1 else ()
+    lead = (
+        "The root of the mean squared error over noise of all outputs on unseen recordings: 1 is the noise of the "
+        "sensors. Gap closed is the share of the squared gap."
+    )
+    return Section("waterfall", "What each effect closes", parts, lead)
+
+
+def _shifts(discovery: Discovery) -> Section:
+    if not (discovery.shifts and discovery.steps):
+        return Section("shifts", "How the base parameters moved", ())
+    lead = "Without the missing effect the free parameters of the base model made up for it as far as they could."
+    known = any(moved(s) == moved(s) for s in discovery.shifts)
+    parts: list = [shift_table(discovery), *([shift_figure(discovery.shifts)] if known else [])]
+    if getattr(discovery.fit_after, "parameters", ()):
+        rows = parameter_table(parameter_rows(discovery.fit_after), "fit_after")
+        parts.append(replace(rows, title="All free parameters of the model with its effects", folded=True))
+    return Section("shifts", "How the base parameters moved", tuple(parts), lead)
+
+
+def _apart(discovery: Discovery) -> Section:
+    told = tuple(t for t in (class_sentence(discovery), experiment_sentence(discovery)) if t)
+    if not told and discovery.steps:
+        told = ("Every other candidate explains the recordings clearly worse than what was named.",)
+    e = discovery.experiment
+    figure = (experiment_figure(e),) if e is not None and len(e.time) else ()
+    return Section("apart", "What could not be told apart", (Note(told), *figure) if told else ())
+
+
+def _recordings(discovery: Discovery, shown: Mapping[str, str]) -> Section:
+    lead = (
+        "Every recording is an operating point: an effect that helps one and ruins another is not the effect. "
+        "“Never used” is neither fitted to nor used to choose."
+    )
+    return Section("recordings", "Recording by recording", tuple(recording_tables(discovery, shown)), lead)
+
+
+def _unknown(discovery: Discovery) -> Section:
+    rows = discovery.unknown
+    told = tuple(sentence(u.sentence) for u in rows if u.sentence)
+    lead = "What is left, described by what was recorded. It has no physical name: take it as a hint where to look."
+    parts = (*((Note(told),) if told else ()), *((unknown_table(rows),) if rows else ()))
+    if discovery.verdict == "unknown" and not rows:
+        near = tried_last(discovery)
+        parts = (Note((f"None of {len(near)} candidates explains what is left, and no description of it was found.",)),)
+    return Section("unknown", "What remains unknown", parts, lead if rows else "")
+
+
+def _untestable(discovery: Discovery) -> Section:
+    rows = untestable(discovery)
+    lead = "These effects may be there: with the excitation and the sensors of these recordings nobody could see them."
+    return Section("not-testable", "What these recordings cannot test", (untestable_table(rows),) if rows else (), lead)
+
+
+def _findings(discovery: Discovery) -> Section:
+    told = tuple(sentence(str(f)) for f in discovery.findings)
+    return Section("findings", "What else was found", (Note(told),) if told else ())
+
+
+def _noise(discovery: Discovery, shown: Mapping[str, str]) -> Section:
+    lead = "From the fourth differences of the measured signals, in quiet blocks: what no model can explain."
+    return Section("noise", "Noise of the sensors", (noise_table(discovery, shown),) if discovery.noise else (), lead)
+
+
+def _provenance(discovery: Discovery, command: str, date: datetime) -> Section:
+    records = getattr(discovery.fit_after, "records", ())
+    digests = digest_table(records) if records else None
+    origin = item_table(discovery.provenance)
+    parts = [p for p in (digests, origin) if p]
+    return Section("provenance", "Provenance", (*parts, timing_table(discovery), made_table(command, date)))

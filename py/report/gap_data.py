@@ -1,0 +1,95 @@
+"""gap.json: everything a gap report says, in SI, for machines."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+
+from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
+from hydrotwin.models.language.writing import json_values
+
+from .gap_words import answer
+
+
+def gap_data(discovery: Discovery) -> dict:
+    """The content of gap.json, only what JSON knows: numbers that do not exist are null.
+
+    The keys model, verdict, steps, noise, train, validate, separating_experiment and seconds are a contract.
+    """
+    content = {
+        "model": discovery.name,
+        "verdict": discovery.verdict,
+        "answer": answer(discovery),
+        "steps": [_step(s) for s in discovery.steps],
+        "noise": dict(discovery.noise),
+        "train": _outputs(discovery.outputs.get("train", ())),
+        "validate": _outputs(discovery.outputs.get("validate", ())),
+        "separating_experiment": _experiment(discovery.experiment),
+        "seconds": discovery.seconds,
+        "candidates": [
+            *(_candidate(r, k) for k, s in enumerate(discovery.steps, 1) for r in s.ranked),
+            *(_candidate(r, len(discovery.steps) + 1) for r in discovery.last_ranked),
+        ],
+        "not_testable": [_ranked(r) for r in discovery.not_testable],
+        "recordings": [
+            {"record": r.record, "role": r.role, "outputs": _outputs(r.outputs)} for r in discovery.recordings
+        ],
+        "locations": [_location(place) for place in discovery.locations],
+        "regions": [asdict(r) for r in discovery.regions],
+        "shifts": [asdict(s) for s in discovery.shifts],
+        "waterfall": [asdict(r) for r in discovery.waterfall],
+        "unknown": [asdict(u) for u in discovery.unknown],
+        "findings": [str(f) for f in discovery.findings],
+        "timings": dict(discovery.timings),
+        "provenance": dict(discovery.provenance),
+    }
+    return json_values(content)
+
+
+def _step(step: Step) -> dict:
+    effects = dict.fromkeys([step.effect, *(effect for effect, _ in step.members)])
+    if step.members:
+        effects = dict.fromkeys(effect for effect, _ in step.members)
+    return {
+        "effect": step.effect,
+        "site": step.site,
+        "title": step.title,
+        "equation": step.equation,
+        "source": step.source,
+        "class": list(effects),
+        "members": _places(step.members),
+        "together": _places(step.together),
+        "probability": step.probability,
+        "parameters": _parameters(step.parameters),
+        "gap_closed": step.gap_closed,
+        "sentence": step.sentence,
+    }
+
+
+def _parameters(rows: Iterable[EffectParameter]) -> dict:
+    return {p.name: {k: v for k, v in asdict(p).items() if k != "name"} for p in rows}
+
+
+def _ranked(row: Ranked) -> dict:
+    return asdict(row) | {"parameters": _parameters(row.parameters)}
+
+
+def _candidate(row: Ranked, step: int) -> dict:
+    return {"step": step} | _ranked(row)
+
+
+def _outputs(rows: Iterable[OutputGap]) -> dict:
+    return {o.output: {k: v for k, v in asdict(o).items() if k != "output"} for o in rows}
+
+
+def _places(pairs: Iterable[tuple[str, str]]) -> list[dict]:
+    return [{"effect": effect, "site": site} for effect, site in pairs]
+
+
+def _location(place) -> dict:
+    drivers = [{"name": n, "correlation": c, "lag": lag} for n, c, lag in place.drivers]
+    return asdict(place) | {"drivers": drivers}
+
+
+def _experiment(experiment: Experiment | None) -> dict | None:
+    return None if experiment is None else asdict(experiment)

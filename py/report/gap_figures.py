@@ -1,0 +1,254 @@
+"""The figures of a gap report: residual maps, overlays, the waterfall, the parameter shifts, the proposed input."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+
+from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
+
+from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
+from .format import difference_to_shown, shown_unit, to_shown
+from .gap_words import ROLES, percent, unit_label
+
+BEFORE, AFTER = PALETTE[1], PALETTE[0]
+FAINT = "#c3c9cf"
+BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
+BUDGET = 1.6e6  # bytes of curves in one page
+MOST, FEWEST = 2000, 250  # points of one curve
+BARS = 14  # candidates drawn
+
+
+def region_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[FigureGroup]:
+    """For each output a group: the mean residual over one quantity after the other."""
+    changed = bool(discovery.steps)
+    outputs = dict.fromkeys(r.output for r in discovery.regions)
+    groups = []
+    for output in outputs:
+        rows = [r for r in discovery.regions if r.output == output]
+        figures = tuple(_region(r, shown.get(output, r.unit), changed) for r in rows)
+        groups.append(FigureGroup(f"map-{output}", output, figures))
+    return groups
+
+
+def _region(region: Region, unit: str, changed: bool) -> Figure:
+    over = shown_unit(region.over_unit, peak=float(np.nanmax(np.abs(region.edges))))
+    edges = to_shown(region.edges, region.over_unit, over)
+    named = [("before", BEFORE, region.mean_before, region.error_before, region.significant_before)]
+    if changed:
+        named.append(("after", AFTER, region.mean_after, region.error_after, region.significant_after))
+    data = []
+    for k, (name, colour, mean, error, significant) in enumerate(named):
+        mean, error = (difference_to_shown(v, region.unit, unit) for v in (mean, error))
+        nudge = (k - (len(named) - 1) / 2) * 0.16
+        data += _binned(name, colour, edges, mean, error, np.asarray(significant, bool), nudge)
+    plan = layout(f"{region.over}{unit_label(over)}", [f"mean residual{unit_label(unit)}"], height=360)
+    plan |= {"hovermode": "closest"}
+    plan["yaxis"] |= {"zerolinecolor": "#57606a"}
+    count = sum(int(np.sum(s)) for s in (region.significant_before,))
+    caption = f"{count} of {len(edges) - 1} bins differ from zero before"
+    caption += f", {int(np.sum(region.significant_after))} after." if changed else "."
+    return Figure(f"map-{region.output}-{region.over}", region.over, {"data": data, "layout": plan}, caption=caption)
+
+
+def _binned(name, colour, edges, mean, error, significant, nudge) -> list[dict]:
+    """Steps over the bins, and on each a marker with its standard error, filled where it differs from zero."""
+    centres, width = (edges[:-1] + edges[1:]) / 2, np.diff(edges)
+    steps = {
+        "type": "scatter",
+        "mode": "lines",
+        "line": {"color": colour, "width": 1.2, "shape": "hv"},
+        "x": edges.tolist(),
+        "y": [*mean.tolist(), float(mean[-1])],
+        "opacity": 0.45,
+        "hoverinfo": "skip",
+        "showlegend": False,
+        "legendgroup": name,
+    }
+    told = [
+        f"{m:.3g} ± {e:.2g} in {a:.4g} … {b:.4g}{', differs from zero' if s else ''}"
+        for m, e, a, b, s in zip(mean, error, edges[:-1], edges[1:], significant, strict=True)
+    ]
+    points = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": name,
+        "legendgroup": name,
+        "x": (centres + nudge * width).tolist(),
+        "y": mean.tolist(),
+        "error_y": {"type": "data", "array": error.tolist(), "color": colour, "thickness": 1.6, "width": 4},
+        "marker": {
+            "size": [11 if s else 8 for s in significant],
+            "color": [colour if s else "#ffffff" for s in significant],
+            "line": {"color": colour, "width": 1.8},
+        },
+        "text": told,
+        "hovertemplate": "%{text}<extra>" + name + "</extra>",
+        "showlegend": False,
+    }
+    key = {"type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "x": [None], "y": [None]}
+    return [steps, points, key | {"marker": {"size": 10, "color": colour}}]
+
+
+def overlay_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[FigureGroup]:
+    """For each output a group: one figure per recording, rows by role; measured, before and after, errors below."""
+    changed = bool(discovery.steps)
+    points, drawn = overlay_plan(discovery)
+    units = _units(discovery)
+    groups = []
+    for output in dict.fromkeys(name for o in drawn for name in o.measured):
+        figures = [
+            _overlay(o, output, units.get(output, "1"), shown.get(output, units.get(output, "1")), points, changed)
+            for o in drawn
+            if output in o.measured and output in o.before
+        ]
+        if figures:
+            groups.append(FigureGroup(f"plot-{output}", output, tuple(figures)))
+    return groups
+
+
+def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:
+    """Points per curve and the recordings drawn, those never used first, such that all curves fit into BUDGET."""
+    order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
+    overlays = sorted(discovery.overlays, key=lambda o: order.get(o.role, 3))
+    curves = 5 if discovery.steps else 3
+    each = max(1, curves * max((len(o.measured) for o in overlays), default=1))
+    count = max(1, min(len(overlays), int(BUDGET / BYTES_PER_POINT / FEWEST) // each))
+    points = int(BUDGET / BYTES_PER_POINT / (each * count))
+    return max(FEWEST, min(MOST, points)), tuple(overlays[:count])
+
+
+def _overlay(o: Overlay, output: str, si: str, unit: str, points: int, changed: bool) -> Figure:
+    measured = np.asarray(o.measured[output], float)
+    runs = [("before", BEFORE, 1.8, np.asarray(o.before[output], float))]
+    if changed and output in o.after:
+        runs.append(("after", AFTER, 1.5, np.asarray(o.after[output], float)))
+    data = [line(o.time, to_shown(measured, si, unit), "measured", MEASURED, width=3.0, points=points)]
+    for name, colour, width, values in runs:
+        data.append(line(o.time, to_shown(values, si, unit), name, colour, width=width, points=points))
+    for name, colour, width, values in runs:
+        error = difference_to_shown(values - measured, si, unit)
+        data.append(line(o.time, error, name, colour, width=width, points=points, row=2, legend=False))
+    label = unit_label(unit)
+    plan = layout("time [s]", [f"{output}{label}", f"model − measured{label}"], shares=(0.6, 0.4), height=500)
+    return Figure(f"plot-{output}-{o.record}", o.record, {"data": data, "layout": plan}, row=ROLES.get(o.role, o.role))
+
+
+def waterfall_figure(discovery: Discovery) -> Figure:
+    """What is left after each effect, in noises; the drop of each, and the noise itself as a line at 1."""
+    rungs = discovery.waterfall
+    left = [r.times_noise for r in rungs]
+    first, *later = rungs
+    labels = [first.label, *(r.label for r in later), "what is left"]
+    base = [0.0, *left[1:], 0.0]
+    size = [left[0], *(a - b for a, b in pairwise(left)), left[-1]]
+    colours = [BEFORE, *("#56B4E9" for _ in later), AFTER]
+    words = [f"{left[0]:.3g}", *(f"−{s:.3g}" if s >= 0 else f"+{-s:.3g}" for s in size[1:-1]), f"{left[-1]:.3g}"]
+    bars = {
+        "type": "bar",
+        "x": list(range(len(labels))),
+        "y": size,
+        "base": base,
+        "marker": {"color": colours},
+        "text": words,
+        "textposition": "outside",
+        "cliponaxis": False,
+        "width": 0.62,
+        "hovertemplate": "%{text} times the noise<extra></extra>",
+        "showlegend": False,
+    }
+    plan = layout("", ["error over noise"], height=360)
+    plan |= {"hovermode": "closest", "shapes": [_level(1.0)], "annotations": [_level_note(1.0, "noise")]}
+    ticks = {"tickvals": list(range(len(labels))), "ticktext": [_wrapped(t) for t in labels]}
+    plan["xaxis"] |= ticks | {"showgrid": False, "zeroline": False, "range": [-0.6, len(labels) - 0.4]}
+    plan["yaxis"] |= {"range": [0, 1.15 * max(left)]}
+    return Figure("waterfall", "", {"data": [bars], "layout": plan})
+
+
+def shift_figure(shifts: tuple[Shift, ...]) -> Figure:
+    """How far each parameter moved in sigmas of the difference; one that rests on a bound is a cross."""
+    rows = [s for s in shifts[::-1] if math.isfinite(moved(s))]
+    data = []
+    for bound, name, colour, symbol in ((False, "moved", AFTER, "circle"), (True, "rests on a bound", BEFORE, "x")):
+        of = [s for s in rows if s.at_bound is bound]
+        if not of:
+            continue
+        marker = {"size": 11, "color": colour, "symbol": symbol}
+        trace = {"type": "scatter", "mode": "markers", "name": name, "marker": marker}
+        trace |= {"x": [moved(s) for s in of], "y": [s.name for s in of]}
+        data.append(trace | {"hovertemplate": "%{y}: %{x:.3g} sigma<extra></extra>"})
+    plan = layout("after − before, in sigmas", [""], height=130 + 34 * len(rows))
+    plan |= {"hovermode": "closest"}
+    stems = [
+        {"type": "line", "x0": 0, "x1": moved(s), "y0": s.name, "y1": s.name, "line": {"color": FAINT, "width": 2}}
+        for s in rows
+    ]
+    band = {"type": "rect", "x0": -1.96, "x1": 1.96, "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
+    plan["shapes"] = [band | {"fillcolor": "#eef3f7", "line": {"width": 0}}, *(s | {"layer": "below"} for s in stems)]
+    plan["yaxis"] |= {"categoryorder": "array", "categoryarray": [s.name for s in rows], "zeroline": False}
+    return Figure("shifts", "", {"data": data, "layout": plan}, caption="Shaded: within 95 % of no move.")
+
+
+def moved(shift: Shift) -> float:
+    """The move in standard deviations of the difference; nan when neither sigma is known."""
+    squares = [s**2 for s in (shift.sigma_before, shift.sigma_after) if math.isfinite(s)]
+    size = math.sqrt(sum(squares))
+    return (shift.after - shift.before) / size if size > 0.0 else math.nan
+
+
+def experiment_figure(experiment: Experiment) -> Figure:
+    """The proposed input over time."""
+    values = np.asarray(experiment.values, float)
+    unit = shown_unit(experiment.unit, peak=float(np.nanmax(np.abs(values))))
+    trace = line(experiment.time, to_shown(values, experiment.unit, unit), experiment.input, AFTER, legend=False)
+    plan = layout("time [s]", [f"{experiment.input}{unit_label(unit)}"], height=320)
+    return Figure("experiment", "", {"data": [trace], "layout": plan})
+
+
+def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
+    """Gap closed by each refitted candidate; what was named or could be as well is coloured. None without any."""
+    rows = [r for r in ranked if math.isfinite(r.gap_closed)][:BARS][::-1]
+    if not rows:
+        return None
+    colour = {"named": AFTER, "in class": "#56B4E9"}
+    bars = {
+        "type": "bar",
+        "orientation": "h",
+        "y": [r.label for r in rows],
+        "x": [100.0 * max(r.gap_closed, -0.2) for r in rows],
+        "marker": {"color": [colour.get(r.fate, FAINT) for r in rows]},
+        "text": [percent(r.gap_closed) for r in rows],
+        "textposition": "outside",
+        "cliponaxis": False,
+        "hovertemplate": "%{y}: %{text}<extra></extra>",
+        "showlegend": False,
+    }
+    plan = layout("gap closed on the recordings that chose [%]", [""], height=110 + 30 * len(rows))
+    plan |= {"hovermode": "closest"}
+    high = max(bars["x"])
+    plan["xaxis"] |= {"range": [min(0.0, *bars["x"]) * 1.25, max(high, 10.0) * 1.15]}
+    caption = "Dark: named. Light blue: explains the recordings as well. Grey: turned down."
+    return Figure(id, "", {"data": [bars], "layout": plan}, caption=caption)
+
+
+def _units(discovery: Discovery) -> dict[str, str]:
+    units = {r.output: r.unit for r in discovery.regions}
+    units |= {o.output: o.unit for r in discovery.recordings for o in r.outputs}
+    return units | {o.output: o.unit for rows in discovery.outputs.values() for o in rows}
+
+
+def _level(y: float) -> dict:
+    dashed = {"color": MEASURED, "width": 1.2, "dash": "dash"}
+    return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": dashed}
+
+
+def _level_note(y: float, text: str) -> dict:
+    place = {"xref": "paper", "x": 1, "xanchor": "right", "y": y, "yanchor": "bottom", "showarrow": False}
+    return place | {"text": text, "font": {"size": 12, "color": MEASURED}}
+
+
+def _wrapped(label: str) -> str:
+    return label.replace(" at ", "<br>at ")

@@ -1,0 +1,269 @@
+"""Hand-made answers of the gap workflow with realistic numbers, one for each verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+
+from hydrotwin.discovery.discovery import (
+    Discovery,
+    EffectParameter,
+    Experiment,
+    Location,
+    OutputGap,
+    Overlay,
+    Ranked,
+    RecordingGap,
+    Region,
+    Rung,
+    Shift,
+    Step,
+    Unknown,
+)
+from hydrotwin.models.language import Component, Flange, Model, Parameter
+
+NAN = float("nan")
+UNITS = {"arm_angle": "rad", "pressure_cap": "Pa", "motor_speed": "rad/s"}
+NOISE = {"arm_angle": 1.1e-4, "pressure_cap": 8.0e3, "motor_speed": 0.8}
+GAP = {"arm_angle": 1.1e-2, "pressure_cap": 2.4e5, "motor_speed": 0.0}  # size of the gap where the arm sinks
+ROLES = {"run_1": "fit", "run_2": "fit", "run_3": "select", "run_4": "report", "slow_5": "report"}
+
+
+class Spring(Component):
+    """The smallest model there is."""
+
+    end = Flange("free end")
+    stiffness = Parameter(1e5, "N/m", "spring rate", bounds=(0, 1e12))
+
+    def equations(self):
+        yield self.end.f == self.stiffness * self.end.s
+
+
+def parameter(name, value, unit, sigma, description="", typical=None):
+    reach = 1.96 * sigma
+    return EffectParameter(name, value, unit, sigma, value - reach, value + reach, description, typical)
+
+
+FORCE = parameter("rod_friction.force", 1234.0, "N", 15.0, "kinetic friction", (100.0, 5000.0))
+CONDUCTANCE = parameter("leak.conductance", 1.2e-12, "m3/(s.Pa)", 3e-14, "leakage conductance", (1e-14, 1e-11))
+SLIP = parameter("slip.conductance", 1.25e-12, "m3/(s.Pa)", 5e-14, "pump slip", (1e-14, 1e-11))
+DELAY = parameter("delay.time", 0.031, "s", 0.002, "dead time", (2e-3, 0.24))
+
+FRICTION = Ranked(
+    *("coulomb_friction", "cylinder.rod", "Coulomb friction", "F = Fc sign(v)"),
+    *(0.83, 5210.0, 14.2, 0.9873, 0.981, "named", "Passes every test", (FORCE,)),
+)
+STRIBECK = Ranked(
+    *("stribeck_friction", "cylinder.rod", "Stribeck friction", "F = (Fs - Fc) exp(-(v/vs)^2) sign(v)"),
+    *(0.84, 5214.0, 13.9, 0.9874, 0.019, "rejected", "Refines Coulomb friction by 4 BIC: not worth its name"),
+)
+LEAK = Ranked(
+    *("internal_leakage", "cylinder.cap-cylinder.annulus", "Internal leakage", "q = G (p_A - p_B)"),
+    *(0.41, 812.0, 4.4, 0.46, 0.62, "rejected", "Closes less than half of what friction closes", (CONDUCTANCE,)),
+)
+PUMP_SLIP = Ranked(
+    *("pump_slip", "pump", "Pump slip", "q = G dp / (1 + w/w0)", 0.4, 806.0, 4.3, 0.455, 0.36, "in class", "", (SLIP,)),
+)
+DEAD_TIME = Ranked(
+    *(
+        "dead_time",
+        "command",
+        "Dead time",
+        "y(t) = u(t - T)",
+        0.12,
+        60.0,
+        0.9,
+        0.11,
+        1e-6,
+        "rejected",
+        "Paired t is 0.9",
+    ),
+    parameters=(DELAY,),
+)
+SCREENED = tuple(
+    Ranked(e, s, t, "", share, NAN, NAN, NAN, 0.0, "not refitted", "Its share in the screen is too small")
+    for e, s, t, share in (
+        ("command_deadband", "command", "Deadband", 0.031),
+        ("sensor_bias", "arm_angle", "Bias of a sensor", 0.004),
+        ("backlash", "cylinder.rod", "Play", 0.0),
+    )
+)
+AIR = Ranked(
+    *("entrained_air", "cylinder.cap", "Entrained air", "", 0.0, NAN, NAN, NAN, NAN, "not testable"),
+    "Predicted |t| of 0.4: the pressure never falls below 12 bar",
+)
+
+
+def step(ranked, first, *, members=(), source="Armstrong-Hélouvry, Dupont, Canudas de Wit 1994, Eq. 2", sentence=""):
+    members = tuple((r.effect, r.site) for r in (first, *members))
+    return Step(
+        *(first.effect, first.site, first.title, first.equation, source, members, first.probability),
+        *(first.parameters, first.gap_closed, ranked),
+        sentence=sentence,
+    )
+
+
+def output_gaps(before=1.0, after=0.0, jitter=0.0):
+    """OutputGap of every output when ``before`` and ``after`` of the gap are there."""
+    rows = []
+    for name, unit in UNITS.items():
+        noise = NOISE[name] * (1.0 + jitter)
+        first, last = np.hypot(noise, before * GAP[name]), np.hypot(noise, after * GAP[name])
+        closed = 1.0 - (last**2 - noise**2) / (first**2 - noise**2) if first > 1.01 * noise else NAN
+        rows.append(OutputGap(name, unit, NOISE[name], float(first), float(last), float(closed)))
+    return tuple(rows)
+
+
+def signals(seed, seconds=40.0, period=0.01):
+    """Time, command and the three outputs of an arm that is lifted and lowered."""
+    random = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, period)
+    waves = zip(random.uniform(0.05, 0.4, 4), random.uniform(0.0, 6.28, 4), strict=True)
+    command = sum(np.sin(2 * np.pi * f * time + p) for f, p in waves)
+    angle = 0.4 + period * np.cumsum(0.05 * command)
+    pressure = 2.4e6 + 4e5 * np.cos(angle) + 1e5 * command
+    return time, command, {"arm_angle": angle, "pressure_cap": pressure, "motor_speed": 120.0 * command}
+
+
+def overlay(record, role, seed, after=0.0, seconds=40.0):
+    """Measured, before and after: the gap is there where the arm sinks."""
+    time, command, true = signals(seed, seconds)
+    random = np.random.default_rng(seed + 100)
+    measured = {n: v + NOISE[n] * random.standard_normal(len(time)) for n, v in true.items()}
+    shape = np.where(command < 0.0, -1.4 - 0.2 * command, 0.1)
+    before = {n: v + GAP[n] * shape for n, v in true.items()}
+    done = {n: v + after * GAP[n] * shape for n, v in true.items()}
+    return Overlay(record, role, time, measured, before, done, {"command": command})
+
+
+def region(output, over, over_unit, low, high, after=0.0, bins=12):
+    edges = np.linspace(low, high, bins + 1)
+    centres = (edges[:-1] + edges[1:]) / 2
+    below = centres < (low + high) / 2
+    mean = np.where(below, -1.4, 0.1) * (GAP[output] or NOISE[output] * 0.1)
+    error = np.full(bins, 0.3 * NOISE[output]) * (1 + np.linspace(0, 1, bins))
+    rest = after * mean + 0.5 * error * np.sin(np.arange(bins))
+    sure = np.abs(mean) > 3 * error
+    return Region(
+        *(output, UNITS[output], over, over_unit, edges, mean, error, sure),
+        *(rest, error, np.abs(rest) > 3 * error),
+    )
+
+
+def regions(after=0.0):
+    return tuple(
+        region(output, *over, after)
+        for output in ("arm_angle", "pressure_cap")
+        for over in (("cylinder.rod.v", "m/s", -0.05, 0.05), ("command", "V", -3.0, 3.0), ("time", "s", 0.0, 40.0))
+    )
+
+
+def discovery(verdict, steps=(), *, after=0.0, **more):
+    """A Discovery with everything that does not depend on the verdict."""
+    gap = 1.0 if steps or verdict == "unknown" else 0.0
+    left = after if steps else gap
+    recordings = tuple(
+        RecordingGap(name, role, output_gaps(gap * (1.0 + 0.1 * k), left, 0.004 * k))
+        for k, (name, role) in enumerate(ROLES.items())
+    )
+    fit = SimpleNamespace(
+        name="cehA",
+        parameters=(),
+        records=[SimpleNamespace(name=n, role="train", samples=4000, digest=f"{k:064x}") for k, n in enumerate(ROLES)],
+    )
+    model = Model(Spring(), "cehA")
+    content = {
+        "name": "cehA",
+        "verdict": verdict,
+        "answer": "",
+        "steps": tuple(steps),
+        "base": model,
+        "model": model,
+        "fit_before": fit,
+        "fit_after": fit,
+        "noise": NOISE,
+        "outputs": {"train": output_gaps(gap, left), "validate": output_gaps(1.2 * gap, 1.2 * left, 0.01)},
+        "recordings": recordings,
+        "locations": (),
+        "regions": regions(left) if gap else (),
+        "overlays": tuple(overlay(n, r, k, left) for k, (n, r) in enumerate(ROLES.items()) if r != "fit"),
+        "shifts": (),
+        "waterfall": (),
+        "not_testable": (AIR,),
+        "seconds": 31.4,
+        "timings": {"locate": 1.2, "screen": 2.9, "refit": 19.8},
+        "provenance": {"version": "0.3.0", "thresholds": {"bic": 10.0, "paired_t": 2.0}},
+    }
+    return Discovery(**(content | more))
+
+
+LOCATIONS = (
+    Location(
+        *("arm_angle", 102.0, False, "arm_angle is 102 noise off where cylinder.rod.v < -0.01 m/s"),
+        (("command", -0.83, 0.02),),
+    ),
+    Location("pressure_cap", 30.1, False, "pressure_cap is 30 noise off where cylinder.rod.v < -0.01 m/s"),
+    Location("motor_speed", 1.0, True, ""),
+)
+SHIFTS = (
+    Shift("motor.gain", "rad/(s.V)", 118.1, 0.4, 119.9, 0.05),
+    Shift("motor.lag", "s", 0.051, 0.002, 0.0304, 0.0002),
+    Shift("cylinder.friction.viscous", "N.s/m", 9.1e3, 4e2, 5.02e3, 40.0),
+    Shift("cylinder.oil.bulk_modulus", "Pa", 1.61e9, 3e7, 1.74e9, 8e6),
+)
+
+
+def named():
+    """Coulomb friction, closed to the noise."""
+    first = step((FRICTION, STRIBECK, LEAK, DEAD_TIME, *SCREENED), FRICTION)
+    rungs = (Rung("base model", 68.0), Rung("Coulomb friction at cylinder.rod", 1.01))
+    return discovery("named", (first,), after=0.004, locations=LOCATIONS, shifts=SHIFTS, waterfall=rungs)
+
+
+def one_of_a_class():
+    """A leak: inside the cylinder or inside the pump."""
+    members = replace(LEAK, fate="named", reason="", gap_closed=0.991), replace(PUMP_SLIP, gap_closed=0.99)
+    first = step((*members, DEAD_TIME, *SCREENED), members[0], members=members[1:], source="Merritt 1967, ch. 6")
+    time = np.linspace(0.0, 30.0, 1501)
+    experiment = Experiment(
+        *("command", "V", time, 2.0 * np.sign(np.sin(0.6 * time)) * (time > 2), "holding steps", 7.3, 0.8),
+        "Hold the arm at standstill under load for 10 s, then at two speeds.",
+    )
+    rungs = (Rung("base model", 68.0), Rung("Internal leakage at cylinder.cap-cylinder.annulus", 1.02))
+    return discovery("class", (first,), locations=LOCATIONS, shifts=SHIFTS[:2], waterfall=rungs, experiment=experiment)
+
+
+def none():
+    """Noise and nothing else."""
+    at_noise = tuple(Location(name, 1.0, True, "") for name in UNITS)
+    tried = tuple(replace(r, fate="rejected", gap_closed=NAN) for r in (DEAD_TIME, LEAK)) + SCREENED
+    return discovery("none", locations=at_noise, last_ranked=tried)
+
+
+def unknown():
+    """A gap that follows the velocity and fits no effect."""
+    told = Unknown(
+        *("arm_angle", "rad", ("cylinder.rod.v", "arm_angle"), 0.87),
+        "What is left of arm_angle grows with the fifth power of the velocity and vanishes above 20°",
+        "0.013 v^5",
+    )
+    findings = ("motor.gain and pump.displacement cannot be told apart in these recordings",)
+    tried = (LEAK, DEAD_TIME, *SCREENED)
+    return discovery("unknown", locations=LOCATIONS, last_ranked=tried, unknown=(told,), findings=findings)
+
+
+def two_effects():
+    """Friction and a leak that ruins one recording, with a value that no cylinder has and a parameter at its bound."""
+    wild = parameter("leak.conductance", 3e-10, "m3/(s.Pa)", 1e-12, "leakage conductance", (1e-14, 1e-11))
+    leak = replace(LEAK, fate="named", gap_closed=0.9, parameters=(wild,), probability=0.71)
+    steps = (step((FRICTION, STRIBECK, LEAK), FRICTION), step((leak, DEAD_TIME), leak, source="Merritt 1967"))
+    rungs = (Rung("base model", 68.0), Rung("Coulomb friction at cylinder.rod", 12.0), Rung("Internal leakage", 2.6))
+    shifts = (*SHIFTS, Shift("cylinder.cap_dead_volume", "m3", 8e-5, NAN, 1e-6, NAN, at_bound=True))
+    made = discovery("named", steps, after=0.03, locations=LOCATIONS, shifts=shifts, waterfall=rungs)
+    ruined = replace(made.recordings[-1], outputs=output_gaps(0.2, 0.6))
+    return replace(made, recordings=(*made.recordings[:-1], ruined))
+
+
+ALL = {"named": named, "class": one_of_a_class, "none": none, "unknown": unknown, "two": two_effects}

@@ -61,6 +61,8 @@ FIELDS = {
     "speed_dependent_efficiency": _field(("cehA",), share=("lost_share", 0.1), speed=("lost_speed", 50.0)),
     "entrained_air": _field(fraction=("air", 0.02), exponent=("air_exponent", 1.3)),
     "line_compliance": _field(cap=("hose_a", 3e-14), rod=("hose_b", 0.0)),
+    "cavitation": _field(pressure=("lowest_pressure", 1.9e6)),
+    "line_friction": _field(("spool_valve",), laminar=("line_laminar", 0.0), turbulent=("line_turbulent", 3e13)),
     "relief_saturation": _field(pressure=("relief_pressure", 3.6e6), conductance=("relief_conductance", 1e-11)),
     "check_valve_cracking": _field(pressure=("refill_pressure", 1.9e6), conductance=("refill_conductance", 1e-13)),
     "end_stop": _field(
@@ -117,6 +119,7 @@ SPOOL_DEFAULTS = {  # where the bigger machine needs another size to show the ef
     "turbulent_leakage": {"coefficient": 1e-9},
     "external_leakage": {"cap": 1e-12},
     "line_compliance": {"cap": 5e-13},
+    "cavitation": {"pressure": 6.1e6},
     "relief_saturation": {"pressure": 10e6},
     "check_valve_cracking": {"pressure": 6.2e6, "conductance": 1e-11},
     "end_stop": {"low": 0.42, "high": 0.48},
@@ -172,7 +175,16 @@ def true_values(machine: str, changes: Mapping[str, float], effects) -> tuple[di
             fields |= dict.fromkeys(("overlap_pa", "overlap_at", "overlap_pb", "overlap_bt"), options["share"])
         elif effect.kind == "field":
             fields |= {effect.fields[option]: float(value) for option, value in options.items()}
+        if name == "cavitation":
+            fields["separates"] = 1.0
+    _oil_is_one_kind(machine, fields)
     return parameters, fields
+
+
+def _oil_is_one_kind(machine, fields):
+    """Column separation follows the amount of oil, which free air or a hose that yields would have to be part of."""
+    if fields.get("separates") and any(fields.get(name) for name in ("air", "hose_a", "hose_b")):
+        raise ValueError(f"rig: {machine} cannot have cavitation beside entrained_air or line_compliance.")
 
 
 def changed_command(signal, effects):

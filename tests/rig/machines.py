@@ -54,7 +54,13 @@ def _cehA_start(p, fields, theta, command):
     force = mass * GRAVITY * p["arm.length"] * np.cos(theta) / lever
     rod, x = p["precharge"], s - p["arm.retracted_length"]
     cap = (force + rod * p["cylinder.rod_area"]) / p["cylinder.cap_area"]
-    return [0.0, cap, rod, theta, 0.0, x + _preload(fields, force), 0.0, 0.0, command, 0.0]
+    xr = x + _preload(fields, force)
+    volumes = (
+        p["cylinder.cap_dead_volume"] + p["cylinder.cap_area"] * xr,
+        p["cylinder.rod_dead_volume"] - p["cylinder.rod_area"] * xr,
+    )
+    oil = _oil(fields, (cap, rod), volumes, p["cylinder.oil.bulk_modulus"])
+    return [0.0, cap, rod, theta, 0.0, xr, 0.0, 0.0, command, 0.0, *oil]
 
 
 def _spool_start(p, fields, x, command):
@@ -63,7 +69,18 @@ def _spool_start(p, fields, x, command):
     a = (p["load.load_force"] + b * p["cylinder.rod_area"]) / p["cylinder.cap_area"]
     s = p["solenoid.gain"] * command + p["solenoid.offset"]
     rod = x + _preload(fields, p["load.load_force"])
-    return [s, 0.0, a, b, x, 0.0, rod, 0.0, 0.0, command, p["supply.pressure"]]
+    volumes = (
+        p["cylinder.cap_dead_volume"] + p["cylinder.cap_area"] * rod,
+        p["cylinder.rod_dead_volume"] + p["cylinder.rod_area"] * (p["cylinder.rod_reference"] - rod),
+    )
+    oil = _oil(fields, (a, b), volumes, p["cylinder.oil.bulk_modulus"])
+    return [s, 0.0, a, b, x, 0.0, rod, 0.0, 0.0, command, p["supply.pressure"], *oil]
+
+
+def _oil(fields, pressures, volumes, beta):
+    """Oil in each chamber as a volume at the lowest pressure it bears [m3]; below it, only the volume itself."""
+    above = [max(p - fields["lowest_pressure"], 0.0) for p in pressures]
+    return [V * np.exp(p / beta) for p, V in zip(above, volumes, strict=True)]
 
 
 def _preload(fields, force):

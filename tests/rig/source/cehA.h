@@ -10,7 +10,7 @@
     X(cogging) X(poles)
 typedef struct { CEHA(RIG_FIELD) } CehA;
 
-enum { C_W, C_PA, C_PB, C_THETA, C_OMEGA, C_XR, C_VR, C_Z, C_U, C_PHI, C_STATES };
+enum { C_W, C_PA, C_PB, C_THETA, C_OMEGA, C_XR, C_VR, C_Z, C_U, C_PHI, C_OA, C_OB, C_STATES };
 
 typedef struct { double s, lever, x, v; } Link;
 
@@ -24,6 +24,23 @@ static Link link_of(const CehA *p, double theta, double omega) {
 }
 
 static int cehA_loose(const CehA *p) { return p->coupling_stiffness > 0; }
+
+static double cehA_rod(const CehA *p, const double *x) {
+    return cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
+}
+
+typedef struct { double Va, Vb, pa, pb; } Chambers;
+
+static Chambers cehA_chambers(const CehA *p, const double *x) {
+    const Common *c = (const Common *)p;
+    double xr = cehA_rod(p, x);
+    Chambers k = {p->dead_a + p->area_a * xr, p->dead_b - p->area_b * xr, x[C_PA], x[C_PB]};
+    if (c->separates > 0) {
+        k.pa = separated_pressure(c, x[C_OA], k.Va, p->beta);
+        k.pb = separated_pressure(c, x[C_OB], k.Vb, p->beta);
+    }
+    return k;
+}
 
 /* The base friction of the paper (Eq. 8): smoothed sign, or only the viscous part when the dry part is exact. */
 static double cehA_smooth_friction(const CehA *p, double t, double v) {
@@ -47,7 +64,8 @@ static double cehA_drive(const CehA *p, double t, const double *x, double *dz, d
     Link k = link_of(p, x[C_THETA], x[C_OMEGA]);
     int loose = cehA_loose(p);
     double xr = loose ? x[C_XR] : k.x, vr = loose ? x[C_VR] : k.v;
-    double F = x[C_PA] * p->area_a - x[C_PB] * p->area_b;
+    Chambers o = cehA_chambers(p, x);
+    double F = o.pa * p->area_a - o.pb * p->area_b;
     double force = F - cehA_smooth_friction(p, t, vr) - bristles(c, vr, x[C_Z], dz) + stop_force(c, xr, vr);
     if (loose) {
         *pin_force = coupling_force(c, xr - k.x, vr - k.v);
@@ -87,7 +105,8 @@ static void cehA_derivative(double t, const double *x, double u, const void *pv,
     const Common *c = pv;
     Link k = link_of(p, x[C_THETA], x[C_OMEGA]);
     double xr = cehA_loose(p) ? x[C_XR] : k.x, vr = cehA_loose(p) ? x[C_VR] : k.v;
-    double pa = x[C_PA], pb = x[C_PB], ratio = p->area_b / p->area_a;
+    Chambers o = cehA_chambers(p, x);
+    double pa = o.pa, pb = o.pb, ratio = p->area_b / p->area_a;
     double command = c->command_lag > 0 ? x[C_U] : u;
     dx[C_U] = c->command_lag > 0 ? (u - x[C_U]) / c->command_lag : 0;
     double torque = p->displacement * (pa - ratio * pb);
@@ -98,19 +117,21 @@ static void cehA_derivative(double t, const double *x, double u, const void *pv,
     double q = cehA_flow(p, x);
     double slip = p->slip > 0 ? p->slip * (pa - pb) / (1 + fabs(x[C_W]) / p->slip_speed) : 0;
     double across = internal_leak(c, pa, pb) + slip;
-    double Ca = capacity(c, p->dead_a + p->area_a * xr, pa, p->beta, c->hose_a);
-    double Cb = capacity(c, p->dead_b - p->area_b * xr, pb, p->beta, c->hose_b);
-    dx[C_PA] = (q - p->area_a * vr - across - loss(c, c->leak_a, pa)) / Ca;
-    dx[C_PB] = (p->area_b * vr - ratio * q + across - loss(c, c->leak_b, pb)) / Cb;
+    double qa = q - across - loss(c, c->leak_a, pa), qb = across - ratio * q - loss(c, c->leak_b, pb);
+    dx[C_PA] = (qa - p->area_a * vr) / capacity(c, o.Va, pa, p->beta, c->hose_a);
+    dx[C_PB] = (qb + p->area_b * vr) / capacity(c, o.Vb, pb, p->beta, c->hose_b);
+    dx[C_OA] = c->separates > 0 ? oil_gained(qa, x[C_OA], o.Va) : 0;
+    dx[C_OB] = c->separates > 0 ? oil_gained(qb, x[C_OB], o.Vb) : 0;
     cehA_motion(p, t, x, direction, cehA_dry(p, fabs(vr), xr, pa, pb, direction), dx);
 }
 
 static Contact cehA_contact(double t, const double *x, double u, const void *pv) {
     const CehA *p = pv;
-    double dz, pin, xr = cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
+    double dz, pin;
+    Chambers o = cehA_chambers(p, x);
     (void)u;
     Contact contact = {cehA_drive(p, t, x, &dz, &pin), 0};
-    contact.hold = cehA_dry(p, 0, xr, x[C_PA], x[C_PB], (int)sign_of(contact.drive));
+    contact.hold = cehA_dry(p, 0, cehA_rod(p, x), o.pa, o.pb, (int)sign_of(contact.drive));
     return contact;
 }
 
@@ -122,18 +143,19 @@ static int cehA_sliding_state(const void *pv) {
 
 static int cehA_inside(const double *x, const void *pv) {
     const CehA *p = pv;
-    double xr = cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
-    return fabs(x[C_THETA]) < 1.5 && p->dead_a + p->area_a * xr > 0 && p->dead_b - p->area_b * xr > 0;
+    Chambers o = cehA_chambers(p, x);
+    return fabs(x[C_THETA]) < 1.5 && o.Va > 0 && o.Vb > 0;
 }
 
 static void cehA_output(const double *x, const void *pv, double *y) {
     const CehA *p = pv;
     y[0] = x[C_THETA];
     y[1] = x[C_W];
-    y[2] = cehA_loose(p) ? x[C_XR] : link_of(p, x[C_THETA], 0).x;
-    y[3] = x[C_PA];
-    y[4] = x[C_PB];
-    y[5] = x[C_PA] * p->area_a - x[C_PB] * p->area_b;
+    Chambers o = cehA_chambers(p, x);
+    y[2] = cehA_rod(p, x);
+    y[3] = o.pa;
+    y[4] = o.pb;
+    y[5] = o.pa * p->area_a - o.pb * p->area_b;
 }
 
 static const Machine cehA = {

@@ -11,7 +11,8 @@
     X(bristle_stiffness) X(bristle_damping) X(bristle_kinetic) X(bristle_static) X(bristle_velocity)
 #define OIL(X)                                                                                             \
     X(leak) X(leak_turbulent) X(leak_a) X(leak_b) X(air) X(air_exponent) X(hose_a) X(hose_b)                 \
-    X(relief_pressure) X(relief_conductance) X(refill_pressure) X(refill_conductance)
+    X(relief_pressure) X(relief_conductance) X(refill_pressure) X(refill_conductance)                        \
+    X(separates) X(lowest_pressure)
 #define BODY(X)                                                                                            \
     X(stop_low) X(stop_high) X(stop_stiffness) X(stop_damping) X(coupling_stiffness) X(coupling_damping)     \
     X(coupling_gap) X(rod_mass) X(constant_force) X(push_force) X(push_start) X(push_end)                    \
@@ -78,6 +79,16 @@ static inline double capacity(const Common *c, double V, double p, double beta, 
     double liquid = (1 - c->air) * exp(-(q - p0) / beta);
     return V * (liquid / beta + gas / (c->air_exponent * q)) / (liquid + gas) + hose;
 }
+
+/* Column separation: the state is the oil in a chamber as a volume `oil` at the lowest pressure it bears (release of
+ * air, vapour). The chamber holds more than its volume: the oil is compressed, rho = rho_0 exp((p - p_0)/beta); less: a
+ * void of V - oil opens, at p_0, and must be refilled before pressure can rise. */
+static inline double separated_pressure(const Common *c, double oil, double V, double beta) {
+    return oil > V ? c->lowest_pressure + beta * log(oil / V) : c->lowest_pressure;
+}
+
+/* A flow at the pressure of the chamber as a flow of oil at its lowest pressure. */
+static inline double oil_gained(double flow, double oil, double V) { return oil > V ? flow * oil / V : flow; }
 
 /* End stops (Hunt-Crossley: no pull, continuous at contact); the force pushes back into the stroke. */
 static inline double stop_force(const Common *c, double x, double v) {

@@ -33,22 +33,21 @@ from .gap_tables import (
     shift_table,
     timing_table,
     unknown_table,
-    untestable,
     untestable_table,
     waterfall_table,
 )
+from .gap_text import joined, percent, sentence
 from .gap_words import (
     answer,
     class_sentence,
     display_units,
     experiment_sentence,
     facts,
-    joined,
     notices,
-    percent,
     placed,
-    sentence,
+    results,
     tried_last,
+    untestable,
 )
 from .page import Note, Page, Section, write_page
 from .provenance import command_line, digest_table, item_table, made_table, versions
@@ -89,6 +88,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         title=f"{discovery.name}: {TITLES[discovery.verdict]}",
         eyebrow=_eyebrow(discovery, date),
         answer=answer(discovery),
+        results=results(discovery),
         facts=facts(discovery, shown),
         notices=notices(discovery, shown),
         headline=headline(discovery, shown),
@@ -130,7 +130,7 @@ def _candidates(discovery: Discovery) -> Section:
     lead = (
         "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
         "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
-        "the fit, paired t and gap closed on the recordings that chose, not used in the fit."
+        "the fit, paired t and gap closed on the recordings for choosing, which are not fitted to."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
@@ -205,7 +205,7 @@ def _shifts(discovery: Discovery) -> Section:
 def _apart(discovery: Discovery) -> Section:
     told = tuple(t for t in (class_sentence(discovery), experiment_sentence(discovery)) if t)
     if not told and discovery.steps:
-        told = ("Every other candidate explains the recordings clearly worse than what was named.",)
+        told = ("No other candidate explains the recordings as well and as simply as what was named.",)
     e = discovery.experiment
     figure = (experiment_figure(e),) if e is not None and len(e.time) else ()
     return Section("apart", "What could not be told apart", (Note(told), *figure) if told else ())
@@ -214,7 +214,7 @@ def _apart(discovery: Discovery) -> Section:
 def _recordings(discovery: Discovery, shown: Mapping[str, str]) -> Section:
     lead = (
         "Every recording is an operating point: an effect that helps one and ruins another is not the effect. "
-        "“Never used” is neither fitted to nor used to choose."
+        "“Never used” recordings are neither fitted to nor used for choosing among the candidates."
     )
     return Section("recordings", "Recording by recording", tuple(recording_tables(discovery, shown)), lead)
 

@@ -12,7 +12,8 @@ from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, shown_unit, to_shown
-from .gap_words import ROLES, percent, unit_label
+from .gap_text import percent, unit_label
+from .gap_words import ROLES, placed
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
 FAINT = "#c3c9cf"
@@ -37,7 +38,15 @@ def region_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[Figure
 def _region(region: Region, unit: str, changed: bool) -> Figure:
     over = shown_unit(region.over_unit, peak=float(np.nanmax(np.abs(region.edges))))
     edges = to_shown(region.edges, region.over_unit, over)
-    named = [("before", BEFORE, region.mean_before, region.error_before, region.significant_before)]
+    named = [
+        (
+            "before" if changed else "base model",
+            BEFORE,
+            region.mean_before,
+            region.error_before,
+            region.significant_before,
+        )
+    ]
     if changed:
         named.append(("after", AFTER, region.mean_after, region.error_after, region.significant_after))
     data = []
@@ -48,9 +57,8 @@ def _region(region: Region, unit: str, changed: bool) -> Figure:
     plan = layout(f"{region.over}{unit_label(over)}", [f"mean residual{unit_label(unit)}"], height=360)
     plan |= {"hovermode": "closest"}
     plan["yaxis"] |= {"zerolinecolor": "#57606a"}
-    count = sum(int(np.sum(s)) for s in (region.significant_before,))
-    caption = f"{count} of {len(edges) - 1} bins differ from zero before"
-    caption += f", {int(np.sum(region.significant_after))} after." if changed else "."
+    caption = f"{int(np.sum(region.significant_before))} of {len(edges) - 1} bins differ from zero"
+    caption += f" before, {int(np.sum(region.significant_after))} after." if changed else "."
     return Figure(f"map-{region.output}-{region.over}", region.over, {"data": data, "layout": plan}, caption=caption)
 
 
@@ -69,7 +77,7 @@ def _binned(name, colour, edges, mean, error, significant, nudge) -> list[dict]:
         "legendgroup": name,
     }
     told = [
-        f"{m:.3g} ± {e:.2g} in {a:.4g} … {b:.4g}{', differs from zero' if s else ''}"
+        f"{m:.3g} ± {e:.2g} in {a:.4g} … {b:.4g}{', differs from zero' if s else ''}" if math.isfinite(m) else ""
         for m, e, a, b, s in zip(mean, error, edges[:-1], edges[1:], significant, strict=True)
     ]
     points = {
@@ -95,13 +103,12 @@ def _binned(name, colour, edges, mean, error, significant, nudge) -> list[dict]:
 
 def overlay_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[FigureGroup]:
     """For each output a group: one figure per recording, rows by role; measured, before and after, errors below."""
-    changed = bool(discovery.steps)
     points, drawn = overlay_plan(discovery)
     units = _units(discovery)
     groups = []
     for output in dict.fromkeys(name for o in drawn for name in o.measured):
         figures = [
-            _overlay(o, output, units.get(output, "1"), shown.get(output, units.get(output, "1")), points, changed)
+            _overlay(discovery, o, output, units.get(output, "1"), shown.get(output, "1"), points)
             for o in drawn
             if output in o.measured and output in o.before
         ]
@@ -114,17 +121,17 @@ def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:
     """Points per curve and the recordings drawn, those never used first, such that all curves fit into BUDGET."""
     order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
     overlays = sorted(discovery.overlays, key=lambda o: order.get(o.role, 3))
-    curves = 5 if discovery.steps else 3
+    curves = 6 if discovery.steps else 4
     each = max(1, curves * max((len(o.measured) for o in overlays), default=1))
     count = max(1, min(len(overlays), int(BUDGET / BYTES_PER_POINT / FEWEST) // each))
     points = int(BUDGET / BYTES_PER_POINT / (each * count))
     return max(FEWEST, min(MOST, points)), tuple(overlays[:count])
 
 
-def _overlay(o: Overlay, output: str, si: str, unit: str, points: int, changed: bool) -> Figure:
+def _overlay(discovery: Discovery, o: Overlay, output: str, si: str, unit: str, points: int) -> Figure:
     measured = np.asarray(o.measured[output], float)
-    runs = [("before", BEFORE, 1.8, np.asarray(o.before[output], float))]
-    if changed and output in o.after:
+    runs = [("before" if discovery.steps else "base model", BEFORE, 1.8, np.asarray(o.before[output], float))]
+    if discovery.steps and output in o.after:
         runs.append(("after", AFTER, 1.5, np.asarray(o.after[output], float)))
     data = [line(o.time, to_shown(measured, si, unit), "measured", MEASURED, width=3.0, points=points)]
     for name, colour, width, values in runs:
@@ -133,8 +140,20 @@ def _overlay(o: Overlay, output: str, si: str, unit: str, points: int, changed: 
         error = difference_to_shown(values - measured, si, unit)
         data.append(line(o.time, error, name, colour, width=width, points=points, row=2, legend=False))
     label = unit_label(unit)
-    plan = layout("time [s]", [f"{output}{label}", f"model − measured{label}"], shares=(0.6, 0.4), height=500)
+    titles, shares = [f"{output}{label}", f"error{label}"], [0.6, 0.4]
+    for name, values in list(o.inputs.items())[:1]:
+        title, values = _input(discovery, name, np.asarray(values, float))
+        data.append(line(o.time, values, name, "#57606a", width=1.2, points=points, row=3, legend=False))
+        titles, shares = [*titles, title], [*shares, 0.22]
+    plan = layout("time [s]", titles, shares=shares, height=500 if len(shares) == 2 else 580)
     return Figure(f"plot-{output}-{o.record}", o.record, {"data": data, "layout": plan}, row=ROLES.get(o.role, o.role))
+
+
+def _input(discovery: Discovery, name: str, values: np.ndarray) -> tuple[str, np.ndarray]:
+    """Axis title and shown values of an input of the model."""
+    si = next((s.unit for s in discovery.base.flat.inputs if s.name == name), "1")
+    unit = shown_unit(si, peak=float(np.nanmax(np.abs(values))))
+    return f"{name}{unit_label(unit)}", to_shown(values, si, unit)
 
 
 def waterfall_figure(discovery: Discovery) -> Figure:
@@ -217,7 +236,7 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
     bars = {
         "type": "bar",
         "orientation": "h",
-        "y": [r.label for r in rows],
+        "y": [placed(r) for r in rows],
         "x": [100.0 * max(r.gap_closed, -0.2) for r in rows],
         "marker": {"color": [colour.get(r.fate, FAINT) for r in rows]},
         "text": [percent(r.gap_closed) for r in rows],
@@ -226,7 +245,7 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
         "hovertemplate": "%{y}: %{text}<extra></extra>",
         "showlegend": False,
     }
-    plan = layout("gap closed on the recordings that chose [%]", [""], height=110 + 30 * len(rows))
+    plan = layout("gap closed on the recordings for choosing [%]", [""], height=110 + 30 * len(rows))
     plan |= {"hovermode": "closest"}
     high = max(bars["x"])
     plan["xaxis"] |= {"range": [min(0.0, *bars["x"]) * 1.25, max(high, 10.0) * 1.15]}

@@ -11,21 +11,8 @@ from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Recordin
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
 from .gap_figures import moved
-from .gap_words import (
-    AT_NOISE,
-    ROLES,
-    WORSE,
-    driver_words,
-    joined,
-    parameter_unit,
-    percent,
-    placed,
-    sentence,
-    typical_remark,
-    typical_text,
-    unseen,
-    value_texts,
-)
+from .gap_text import joined, parameter_unit, percent, sentence, typical_remark, typical_text, value_texts
+from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, placed, unseen
 from .tables import Cell, Column, Table, numbers, table, texts, warned
 
 FULL = 12  # candidates shown before the rest is folded
@@ -229,18 +216,18 @@ def _by_recording(output: str, recordings: Sequence[RecordingGap], shown: Mappin
     rows = [o for _, o in pairs]
     si, unit = rows[0].unit, shown.get(output, rows[0].unit)
     values = [v for o in rows for v in (o.rmse_before, o.rmse_after)]
-    decimals = common_decimals([float(difference_to_shown(v, si, unit)) for v in values])
+    decimals = common_decimals([float(difference_to_shown(v, si, unit)) for v in values], 2)
 
     def errors(key: str, title: str) -> Column:
         return numbers(key, title, [getattr(o, key) for o in rows], si, unit, decimals=decimals)
 
     columns = [
         texts("record", "Recording", [r.record for r, _ in pairs]),
-        texts("role", "Used for", [ROLES.get(r.role, r.role) for r, _ in pairs]),
+        texts("role", "Role", [ROLES.get(r.role, r.role) for r, _ in pairs]),
         errors("rmse_before", "RMSE before" if changed else "RMSE"),
     ]
     if changed:
-        worse = [o.rmse_after > WORSE * max(o.rmse_before, o.noise) for o in rows]
+        worse = [got_worse(o) for o in rows]
         columns.append(warned(errors("rmse_after", "After"), worse))
     columns.append(left_column(rows))
     if changed:
@@ -256,15 +243,9 @@ def unknown_table(rows: Sequence[Unknown]) -> Table:
         _percents("explained", "Explains of it", [u.explained for u in rows]),
         texts("formula", "Formula", [u.formula or NONE for u in rows]),
     ]
-    return table("unknown", "", columns, "Shares of the squared residual on the recordings that chose; formulas in SI.")
-
-
-def untestable(discovery: Discovery) -> tuple[Ranked, ...]:
-    """Candidates that these recordings cannot judge, each once."""
-    ranked = [*discovery.not_testable, *discovery.last_ranked, *(r for s in discovery.steps for r in s.ranked)]
-    out = ("not testable", "cannot be added")
-    named = {(r.effect, r.site): r for r in ranked[::-1] if r in discovery.not_testable or r.fate in out}
-    return tuple(named.values())[::-1]
+    return table(
+        "unknown", "", columns, "Shares of the squared residual on the recordings for choosing; formulas in SI."
+    )
 
 
 def untestable_table(rows: Sequence[Ranked]) -> Table:

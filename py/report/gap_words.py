@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
+from hydrotwin.discovery.discovery import Discovery, Experiment, OutputGap, Ranked, Step
 
-from .format import NONE, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown, with_unit
+from .format import difference_to_shown, number_text, shown_unit, with_unit
+from .gap_text import interval_words, joined, lowered, percent, sentence, typical_remark, typical_text, value_text
 
 AT_NOISE = 1.1  # times the noise: nothing worth a name is left below this
 WORSE = 1.1  # a recording whose RMSE grew by more speaks against the effect
+NOT_JUDGED = ("not testable", "cannot be added")
 TOLD = 3  # outputs, places and effects told on the first screen; the tables below have all
 
 
@@ -39,35 +41,46 @@ def answer(discovery: Discovery) -> str:
     if discovery.verdict == "unknown":
         named = f" beyond {joined([placed(s) for s in discovery.steps])}" if discovery.steps else ""
         return f"Something is missing{named}, and no effect of the catalogue explains it: it gets no physical name."
-    found = [_class_words(s) if s.is_class else placed(s) for s in discovery.steps]
+    found = [_class_words(s) if len(s.members) > 1 else placed(s) for s in discovery.steps]
     return f"Missing in the model: {joined(found)}."
+
+
+def results(discovery: Discovery) -> tuple[str, ...]:
+    """What was named, each with equation, values, intervals and probability; every member of a class."""
+    many = len(discovery.steps) > 1
+    told = []
+    for k, step in enumerate(discovery.steps[:TOLD], 1):
+        lines = member_sentences(step) if len(step.members) > 1 else [step_sentence(step)]
+        told += [f"{k}. {line}" if many and n == 0 else line for n, line in enumerate(lines)]
+    if len(discovery.steps) > TOLD:
+        told.append(f"{len(discovery.steps) - TOLD} more effects were added: see below.")
+    if discovery.verdict == "unknown" and not discovery.steps:
+        told += where_sentences(discovery)[:2]
+    return tuple(told)
 
 
 def facts(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     """The sentences below the answer."""
-    told = [step_sentence(s, k, len(discovery.steps)) for k, s in enumerate(discovery.steps[:TOLD], 1)]
-    if len(discovery.steps) > TOLD:
-        told.append(f"{len(discovery.steps) - TOLD} more effects were added: see below.")
+    told = []
     if discovery.steps:
         told.append(closed_sentence(discovery, shown))
     told.append(left_sentence(discovery))
-    if discovery.verdict == "unknown":
-        told += _unknown_sentences(discovery)
-    told += [s for s in (class_sentence(discovery), experiment_sentence(discovery)) if s]
+    told += [sentence(u.sentence) for u in discovery.unknown[:TOLD] if u.sentence]
+    if any(len(s.members) > 1 for s in discovery.steps):
+        told.append(f"These recordings cannot tell them apart. {experiment_sentence(discovery)}")
     if discovery.verdict in ("none", "unknown"):
-        told.append(tried_sentence(discovery))
+        told += [tried_sentence(discovery), untestable_sentence(discovery)]
     return tuple(t for t in told if t)
 
 
 def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     """What speaks against the answer: a recording that got worse, values that are not plausible, bounds."""
-    found = [
-        f"{r.record} ({ROLES.get(r.role, r.role)}): {o.output} got worse, RMSE {_rmse(o, o.rmse_before, shown)} before "
-        f"and {_rmse(o, o.rmse_after, shown)} after. An effect that is there improves every operating point."
-        for r in discovery.recordings
-        for o in r.outputs
-        if discovery.steps and o.rmse_after > WORSE * max(o.rmse_before, o.noise)
-    ]
+    found = []
+    for r in discovery.recordings if discovery.steps else ():
+        worse = [f"{o.output} (RMSE {_change(o, shown)})" for o in r.outputs if got_worse(o)]
+        if worse:
+            place = f"{r.record} ({ROLES.get(r.role, r.role)}) got worse on {joined(worse)}"
+            found.append(f"{place}. An effect that is there improves every operating point, or leaves it alone.")
     for step in discovery.steps:
         for p in step.parameters:
             if typical_remark(p):
@@ -78,21 +91,40 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
         rest = "rests on its bound" if len(bounds) == 1 else "rest on their bounds"
         found.append(f"{joined(bounds)} {rest}: read no physics into the value, or widen the bound.")
     if len(found) > TOLD:
-        found[TOLD:] = [f"{len(found) - TOLD} more warnings are marked in the tables below."]
+        more = len(found) - TOLD
+        found[TOLD:] = [f"{more} more warning{'s are' if more > 1 else ' is'} marked in the tables below."]
     return tuple(found)
 
 
-ROLES = {"fit": "fitted", "select": "chosen by", "report": "never used", "train": "fitted", "validate": "never used"}
+ROLES = {"fit": "fitted", "select": "for choosing", "report": "never used", "train": "fitted", "validate": "never used"}
 
 
-def step_sentence(step: Step, number: int = 1, of: int = 1) -> str:
+def step_sentence(step: Step) -> str:
     """The effect, where, its equation with values and intervals in engineering units, and how sure that is."""
-    order = f"{number}. " if of > 1 else ""
-    values = joined([f"{p.name.rpartition('.')[2]} = {value_text(p)}{interval_words(p)}" for p in step.parameters])
-    equation = f"{step.equation}{', with ' if values else ''}{values}" if step.equation else values
     pair = [f"{effect} at {site}" for effect, site in step.together]
     with_it = f" Only together with {joined(pair)} does it explain anything." if pair else ""
-    return f"{order}{placed(step)}: {equation}. Probability {percent(step.probability)}.{with_it}"
+    return f"{placed(step)}: {_formula(step)}. Probability {percent(step.probability)}.{with_it}"
+
+
+def member_sentences(step: Step) -> list[str]:
+    """A sentence like that of `step_sentence` for each member of a class: either this, or that."""
+    known = {(r.effect, r.site): r for r in step.ranked} | {(step.effect, step.site): step}
+    told = []
+    for k, (effect, site) in enumerate(step.members[:TOLD]):
+        row, start = known.get((effect, site)), "Or" if k else "Either"
+        if row is None:
+            told.append(f"{start} {effect} at {site}.")
+        else:
+            sure = f", probability {percent(row.probability)}" if math.isfinite(row.probability) else ""
+            formula = _formula(row)
+            told.append(f"{start} {lowered(placed(row))[:-1]}{sure}{': ' if formula else ''}{formula}.")
+    rest = [f"{effect} at {site}" for effect, site in step.members[TOLD:]]
+    return [*told, f"Or {' or '.join(rest)}."] if rest else told
+
+
+def _formula(row: Step | Ranked) -> str:
+    values = joined([f"{p.name.rpartition('.')[2]} = {value_text(p)}{interval_words(p)}" for p in row.parameters])
+    return ", with ".join(t for t in (row.equation, values) if t)
 
 
 def closed_sentence(discovery: Discovery, shown: Mapping[str, str]) -> str:
@@ -103,10 +135,10 @@ def closed_sentence(discovery: Discovery, shown: Mapping[str, str]) -> str:
     if not gaps:
         return f"{where} there was no measurable gap to close." if rows else ""
     what = "it closes" if len(discovery.steps) == 1 else "they close"
-    words = [f"{percent(o.gap_closed)} of the gap of {o.output} ({_from_to(o, shown)})" for o in gaps[:TOLD]]
+    words = [f"{percent(o.gap_closed)} of the gap of {o.output} (RMSE {_change(o, shown)})" for o in gaps[:TOLD]]
     if len(gaps) > TOLD:
         low, high = min(gaps, key=lambda o: o.gap_closed), max(gaps, key=lambda o: o.gap_closed)
-        first = f"{percent(gaps[0].gap_closed)} of the gap of {gaps[0].output} ({_from_to(gaps[0], shown)})"
+        first = f"{percent(gaps[0].gap_closed)} of the gap of {gaps[0].output} (RMSE {_change(gaps[0], shown)})"
         span = f"{percent(low.gap_closed)} ({low.output}) to {percent(high.gap_closed)} ({high.output})"
         words = [first, f"from {span} over all {len(gaps)} outputs with a gap"]
     return f"{where} {what} {joined(words)}."
@@ -119,16 +151,19 @@ def left_sentence(discovery: Discovery) -> str:
     if not ratio:
         return ""
     over = {name: r for name, r in ratio.items() if r > AT_NOISE}
-    where = "" if fresh else " on the recordings of the fit"
+    where = "What is left"
+    if not discovery.steps:
+        where = (
+            f"The error of the model on {'recordings never used for fitting' if fresh else 'the recordings of the fit'}"
+        )
     if not over:
         worst = max(ratio, key=ratio.__getitem__)
-        many = f"at most {number_text(ratio[worst])} times ({worst})" if len(ratio) > 1 else number_text(ratio[worst])
-        return f"What is left{where} is the noise of the sensors: {many}{'' if len(ratio) > 1 else ' times'}."
+        return f"{where} is the noise of the sensors: at most {number_text(ratio[worst])} times it, on {worst}."
     worst = sorted(over, key=over.__getitem__, reverse=True)[:TOLD]
     words = [f"{number_text(over[n], 2)} times the noise on {n}" for n in worst]
     rest = len(ratio) - len(over)
     done = f"; {rest} other output{'s are' if rest > 1 else ' is'} at the noise" if rest else ""
-    return f"What is left{where}: {joined(words)}{done}."
+    return f"{where}: {joined(words)}{done}."
 
 
 def class_sentence(discovery: Discovery) -> str:
@@ -142,9 +177,9 @@ def experiment_sentence(discovery: Discovery) -> str:
     """Which experiment would tell; that there is none when a class has none."""
     e = discovery.experiment
     if e is None:
-        split = any(s.is_class for s in discovery.steps)
+        split = any(len(s.members) > 1 for s in discovery.steps)
         return "No input within the limits was found that would tell them apart." if split else ""
-    return f"The experiment that would tell: {_lower(e.sentence)} {separation_words(e)}"
+    return f"The experiment that would tell: {lowered(e.sentence)} {separation_words(e)}"
 
 
 def separation_words(experiment: Experiment) -> str:
@@ -163,14 +198,37 @@ def tried_sentence(discovery: Discovery) -> str:
     if discovery.verdict == "none" or not refitted:
         return f"{words}; none is needed."
     best = max(refitted, key=lambda r: r.gap_closed if math.isfinite(r.gap_closed) else -math.inf)
-    reason = f" ({_lower(best.reason).rstrip('.')})" if best.reason else ""
-    return f"{words}. The nearest, {best.title or best.effect} at {best.site}, was turned down{reason}."
+    reason = f" ({lowered(best.reason).rstrip('.')})" if best.reason else ""
+    return f"{words}; none is named. The nearest, {placed(best)}, was turned down{reason}."
+
+
+def untestable(discovery: Discovery) -> tuple[Ranked, ...]:
+    """Candidates that these recordings cannot judge, each once."""
+    ranked = (*discovery.last_ranked, *(r for s in discovery.steps for r in s.ranked))
+    rows = (*discovery.not_testable, *(r for r in ranked if r.fate in NOT_JUDGED))
+    return tuple({(r.effect, r.site): r for r in rows[::-1]}.values())[::-1]
+
+
+def untestable_sentence(discovery: Discovery) -> str:
+    """Which effects may be there all the same."""
+    rows = untestable(discovery)
+    if not rows:
+        return ""
+    words = [placed(r) for r in rows[:TOLD]]
+    more = f" and {len(rows) - TOLD} more" if len(rows) > TOLD else ""
+    listed = f"{', '.join(words)}{more}" if more else joined(words)
+    return f"These recordings cannot judge {listed}: that would not have been seen."
+
+
+def got_worse(o: OutputGap) -> bool:
+    """The error grew by more than the noise lets it."""
+    return o.rmse_after > WORSE * max(o.rmse_before, o.noise)
 
 
 def tried_last(discovery: Discovery) -> tuple[Ranked, ...]:
     """The candidates of the last look, which named nothing."""
     tried = discovery.last_ranked or (discovery.steps[-1].ranked if discovery.steps else ())
-    return tuple(r for r in tried if r.fate not in ("not testable", "cannot be added"))
+    return tuple(r for r in tried if r.fate not in NOT_JUDGED)
 
 
 def where_sentences(discovery: Discovery) -> list[str]:
@@ -186,92 +244,10 @@ def driver_words(drivers: Sequence[tuple[str, float, float]]) -> str:
     )
 
 
-def parameter_unit(p: EffectParameter) -> str:
-    """The unit that a parameter of an effect is shown in; times under half a second in ms."""
-    if p.unit == "s" and abs(p.value) < 0.5:
-        return "ms"
-    return shown_unit(p.unit, peak=abs(p.value))
-
-
-def value_texts(p: EffectParameter) -> tuple[str, str, str]:
-    """Value, lower and upper limit in the shown unit with the digits that the interval gives sense to."""
-    unit = parameter_unit(p)
-    value, low, high = (float(to_shown(v, p.unit, unit)) for v in (p.value, p.low, p.high))
-    reach = (high - low) / 2
-    digits = 3
-    if math.isfinite(reach) and reach > 0.0 and value != 0.0:
-        digits = min(6, max(3, 2 + math.ceil(math.log10(abs(value) / reach))))
-    return number_text(value, digits), number_text(low, digits), number_text(high, digits)
-
-
-def value_text(p: EffectParameter) -> str:
-    """The value with its unit."""
-    return with_unit(value_texts(p)[0], parameter_unit(p))
-
-
-def interval_words(p: EffectParameter) -> str:
-    """The 95 % interval in brackets."""
-    _, low, high = value_texts(p)
-    if not (math.isfinite(p.low) and math.isfinite(p.high)):
-        return " (interval not known)"
-    return f" (95\u00a0%: {low} to {high})"
-
-
-def typical_text(p: EffectParameter) -> str:
-    """The typical range of the catalogue in the shown unit."""
-    if p.typical is None:
-        return NONE
-    unit = parameter_unit(p)
-    low, high = (number_text(float(to_shown(v, p.unit, unit))) for v in p.typical)
-    return f"{low} to {high}"
-
-
-def typical_remark(p: EffectParameter) -> str:
-    """That a value lies outside its typical range, when even its interval does; else empty."""
-    if p.typical is None:
-        return ""
-    low = p.low if math.isfinite(p.low) else p.value
-    high = p.high if math.isfinite(p.high) else p.value
-    if high < p.typical[0]:
-        return "below its typical range"
-    return "above its typical range" if low > p.typical[1] else ""
-
-
 def placed(step: Step | Ranked) -> str:
     """Title and site in words."""
     title = step.title or step.effect
     return f"{title} at {step.site}" if step.site else title
-
-
-def percent(share: float) -> str:
-    """A share as percent: whole numbers, a decimal from 99 on, never a rounded 100.
-
-    >>> percent(0.873), percent(0.9934), percent(0.99996), percent(float("nan"))
-    ('87 %', '99.3 %', 'over 99.9 %', '–')
-    """
-    if not math.isfinite(share):
-        return NONE
-    if 0.9995 <= share < 1.0:
-        return "over 99.9\u00a0%"
-    text = f"{100.0 * share:.{1 if 0.99 <= share < 1.0 else 0}f}".replace("-", "−")
-    return f"{'0' if text in ('−0', '0') else text}\u00a0%"
-
-
-def joined(words: Sequence[str]) -> str:
-    """a, b and c."""
-    words = list(words)
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
-
-
-def sentence(text: str) -> str:
-    """A text as a sentence: with a full stop."""
-    text = text.strip()
-    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
-
-
-def _unknown_sentences(discovery: Discovery) -> list[str]:
-    told = where_sentences(discovery)[:2]
-    return told + [f"{sentence(u.sentence)}" for u in discovery.unknown[:2] if u.sentence]
 
 
 def _class_words(step: Step) -> str:
@@ -288,8 +264,8 @@ def _follows(drivers) -> str:
     return f" It follows {driver_words(drivers)}." if drivers else ""
 
 
-def _from_to(o: OutputGap, shown: Mapping[str, str]) -> str:
-    return f"RMSE {_rmse(o, o.rmse_before, shown)} to {_rmse(o, o.rmse_after, shown)}"
+def _change(o: OutputGap, shown: Mapping[str, str]) -> str:
+    return f"{_rmse(o, o.rmse_before, shown)} to {_rmse(o, o.rmse_after, shown)}"
 
 
 def _rmse(o: OutputGap, value: float, shown: Mapping[str, str]) -> str:
@@ -297,19 +273,6 @@ def _rmse(o: OutputGap, value: float, shown: Mapping[str, str]) -> str:
     return with_unit(number_text(float(difference_to_shown(value, o.unit, unit))), unit)
 
 
-def _lower(text: str) -> str:
-    """A sentence inside another: without its capital, unless its first word is a name or an abbreviation."""
-    text = sentence(text)
-    first = text.split(" ", 1)[0]
-    return text[:1].lower() + text[1:] if first[1:].islower() or len(first) == 1 else text
-
-
 def _peak(discovery: Discovery, output: str) -> float:
     sizes = [np.nanmax(np.abs(o.measured[output])) for o in discovery.overlays if output in o.measured]
     return float(max(sizes, default=0.0))
-
-
-def unit_label(unit: str) -> str:
-    """`` [unit]`` for an axis or heading, empty without a unit."""
-    label = pretty_unit(unit)
-    return f" [{label}]" if label else ""

@@ -41,7 +41,8 @@ class Section:
 class Page:
     """A report: what the first screen says, the sections below, and ``data`` for the JSON beside the tables.
 
-    eyebrow : small line above the title.  answer : the result in one sentence.  facts : the sentences below it.
+    eyebrow : small line above the title.  answer : the result in one sentence.  results : what it says in numbers,
+    set off.  facts : the sentences below it.
     headline : the table of the first screen.  notices : what went wrong and must not be missed.
     """
 
@@ -50,6 +51,7 @@ class Page:
     answer: str
     headline: Table
     sections: tuple[Section, ...]
+    results: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     data: dict | None = None
@@ -83,7 +85,7 @@ def as_html(page: Page) -> str:
 def as_markdown(page: Page) -> str:
     """The page as Markdown: the same sentences and tables, without the figures."""
     lines = [f"# {page.title}", "", page.eyebrow, "", f"**{page.answer}**", ""]
-    lines += [line for fact in page.facts for line in (fact, "")]
+    lines += [line for fact in (*page.results, *page.facts) for line in (fact, "")]
     lines += [line for notice in page.notices for line in (f"> {notice}", "")]
     lines += _table_lines(page.headline)
     for section in page.sections:
@@ -99,7 +101,8 @@ def as_markdown(page: Page) -> str:
 
 def as_json(page: Page) -> str:
     """The page's data and every table, SI values beside the texts shown; numbers that do not exist are null."""
-    content = {"title": page.title, "answer": page.answer, "facts": page.facts, "notices": page.notices}
+    content = {"title": page.title, "answer": page.answer, "facts": (*page.results, *page.facts)}
+    content["notices"] = page.notices
     content |= page.data or {}
     content["tables"] = {t.id: t.as_json() for t in page.tables}
     return json.dumps(json_values(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

@@ -22,7 +22,7 @@ from hydrotwin.discovery.discovery import (
     Step,
     Unknown,
 )
-from hydrotwin.models.language import Component, Flange, Model, Parameter
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter
 
 NAN = float("nan")
 UNITS = {"arm_angle": "rad", "pressure_cap": "Pa", "motor_speed": "rad/s"}
@@ -31,14 +31,15 @@ GAP = {"arm_angle": 1.1e-2, "pressure_cap": 2.4e5, "motor_speed": 0.0}  # size o
 ROLES = {"run_1": "fit", "run_2": "fit", "run_3": "select", "run_4": "report", "slow_5": "report"}
 
 
-class Spring(Component):
-    """The smallest model there is."""
+class Motor(Component):
+    """The smallest model with a command."""
 
-    end = Flange("free end")
-    stiffness = Parameter(1e5, "N/m", "spring rate", bounds=(0, 1e12))
+    command = Input("V", "command of the drive")
+    motor_speed = Output("rad/s", "speed of the motor")
+    gain = Parameter(120.0, "rad/(s.V)", "speed per volt", bounds=(0, 1e3))
 
     def equations(self):
-        yield self.end.f == self.stiffness * self.end.s
+        yield self.motor_speed == self.gain * self.command
 
 
 def parameter(name, value, unit, sigma, description="", typical=None):
@@ -173,7 +174,7 @@ def discovery(verdict, steps=(), *, after=0.0, **more):
         parameters=(),
         records=[SimpleNamespace(name=n, role="train", samples=4000, digest=f"{k:064x}") for k, n in enumerate(ROLES)],
     )
-    model = Model(Spring(), "cehA")
+    model = Model(Motor(), "cehA")
     content = {
         "name": "cehA",
         "verdict": verdict,

@@ -1,0 +1,102 @@
+"""How the parameters of an effect, shares and sentences are written in a gap report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hydrotwin.discovery.discovery import EffectParameter
+
+from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
+
+
+def parameter_unit(p: EffectParameter) -> str:
+    """The unit that a parameter of an effect is shown in; times under half a second in ms."""
+    if p.unit == "s" and abs(p.value) < 0.5:
+        return "ms"
+    return shown_unit(p.unit, peak=abs(p.value))
+
+
+def value_texts(p: EffectParameter) -> tuple[str, str, str]:
+    """Value, lower and upper limit in the shown unit with the digits that the interval gives sense to."""
+    unit = parameter_unit(p)
+    value, low, high = (float(to_shown(v, p.unit, unit)) for v in (p.value, p.low, p.high))
+    reach = (high - low) / 2
+    digits = 3
+    if math.isfinite(reach) and reach > 0.0 and value != 0.0:
+        digits = min(6, max(3, 1 + math.ceil(math.log10(abs(value) / reach))))
+    return number_text(value, digits), number_text(low, digits), number_text(high, digits)
+
+
+def value_text(p: EffectParameter) -> str:
+    """The value with its unit."""
+    return with_unit(value_texts(p)[0], parameter_unit(p))
+
+
+def interval_words(p: EffectParameter) -> str:
+    """The 95 % interval in brackets."""
+    _, low, high = value_texts(p)
+    if not (math.isfinite(p.low) and math.isfinite(p.high)):
+        return " (interval not known)"
+    return f" (95\u00a0%: {low} to {high})"
+
+
+def typical_text(p: EffectParameter) -> str:
+    """The typical range of the catalogue in the shown unit."""
+    if p.typical is None:
+        return NONE
+    unit = parameter_unit(p)
+    low, high = (number_text(float(to_shown(v, p.unit, unit))) for v in p.typical)
+    return f"{low} to {high}"
+
+
+def typical_remark(p: EffectParameter) -> str:
+    """That a value lies outside its typical range, when even its interval does; else empty."""
+    if p.typical is None:
+        return ""
+    low = p.low if math.isfinite(p.low) else p.value
+    high = p.high if math.isfinite(p.high) else p.value
+    if high < p.typical[0]:
+        return "below its typical range"
+    return "above its typical range" if low > p.typical[1] else ""
+
+
+def percent(share: float) -> str:
+    """A share as percent: whole numbers, a decimal from 99 on, never a rounded 100.
+
+    >>> percent(0.873), percent(0.9934), percent(0.99996), percent(float("nan"))
+    ('87 %', '99.3 %', 'over 99.9 %', '–')
+    """
+    if not math.isfinite(share):
+        return NONE
+    if 0.9995 <= share < 1.0:
+        return "over 99.9\u00a0%"
+    if 0.0 < share < 0.005:
+        return "under 1\u00a0%"
+    text = f"{100.0 * share:.{1 if 0.99 <= share < 1.0 else 0}f}".replace("-", "−")
+    return f"{'0' if text in ('−0', '0') else text}\u00a0%"
+
+
+def joined(words: Sequence[str]) -> str:
+    """a, b and c."""
+    words = list(words)
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+def sentence(text: str) -> str:
+    """A text as a sentence: with a full stop."""
+    text = text.strip()
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
+
+
+def lowered(text: str) -> str:
+    """A sentence inside another: without its capital, unless its first word is a name or an abbreviation."""
+    text = sentence(text)
+    first = text.split(" ", 1)[0]
+    return text[:1].lower() + text[1:] if first[1:].islower() or len(first) == 1 else text
+
+
+def unit_label(unit: str) -> str:
+    """`` [unit]`` for an axis or heading, empty without a unit."""
+    label = pretty_unit(unit)
+    return f" [{label}]" if label else ""

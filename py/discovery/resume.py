@@ -1,0 +1,142 @@
+"""Finished jobs on disk, so that an interrupted search goes on where it stopped. Data only: NPZ and JSON, no pickle."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import shutil
+import struct
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.writing import replacing
+
+from .executor import versions
+
+_TEXT = "__json__"
+_ARRAY = "__array__"
+
+
+class Memory:
+    """Answers of jobs by key, one file each, in a folder of its own.
+
+    An answer is a mapping of names to arrays, numbers, strings, None, and lists and mappings of these; arrays come
+    back as arrays with the same bits.
+    """
+
+    def __init__(self, folder: Path | str):
+        self.folder = Path(folder)
+
+    def __len__(self) -> int:
+        return len(list(self.folder.glob("*.npz")))
+
+    def get(self, key: str) -> dict | None:
+        """The answer under ``key``; None when there is none, or its file was damaged."""
+        try:
+            with np.load(self._path(key), allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files if name != _TEXT}
+                return _with_arrays(json.loads(str(stored[_TEXT][()])), arrays)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def put(self, key: str, answer: Mapping) -> None:
+        """Keep an answer; a file is whole or not there."""
+        arrays: dict[str, np.ndarray] = {}
+        text = json.dumps(_without_arrays(dict(answer), arrays), allow_nan=True)
+        with replacing(self._path(key)) as beside, beside.open("wb") as file:
+            np.savez(file, **arrays, **{_TEXT: np.array(text)})
+
+    def remove(self) -> None:
+        """Forget everything: the work is done."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _path(self, key: str) -> Path:
+        if not key or not set(key) <= set("0123456789abcdef"):
+            raise DeclarationError(f"memory: '{key}' is no key. Make one with key_of(...).")
+        return self.folder / f"{key}.npz"
+
+
+def key_of(*content) -> str:
+    """A hash of everything a job depends on: its data, the model's equations, the versions that compute.
+
+    >>> key_of("refit", {"a": 1.0}) == key_of("refit", {"a": 1.0})
+    True
+    >>> key_of(np.array([1.0])) == key_of(np.array([1]))
+    False
+    """
+    digest = hashlib.sha256()
+    _feed(digest, [content, versions()])
+    return digest.hexdigest()[:40]
+
+
+def _feed(digest, value) -> None:
+    """A value into the hash, with its kind and size, so that no two different contents feed the same bytes."""
+    if isinstance(value, np.ndarray):
+        data = np.ascontiguousarray(value)
+        _put(digest, "array", f"{data.dtype.str}{data.shape}".encode())
+        _put(digest, "", data.tobytes())
+    elif isinstance(value, FlatModel):
+        known = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "initialisation"}
+        _put(digest, "flat", b"")
+        _feed(digest, known)
+        _feed(digest, value.start_given(()))
+    elif isinstance(value, ca.Function):
+        _put(digest, "function", value.serialize().encode())
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        _put(digest, type(value).__name__, b"")
+        _feed(digest, {f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+    elif isinstance(value, Mapping):
+        _put(digest, "mapping", str(len(value)).encode())
+        for name in sorted(value, key=str):
+            _feed(digest, str(name))
+            _feed(digest, value[name])
+    elif isinstance(value, list | tuple | set | frozenset):
+        members = sorted(value, key=str) if isinstance(value, set | frozenset) else value
+        _put(digest, "list", str(len(members)).encode())
+        for member in members:
+            _feed(digest, member)
+    elif isinstance(value, np.generic):
+        _feed(digest, value.item())
+    elif isinstance(value, float):
+        _put(digest, "float", struct.pack("<d", value))
+    elif value is None or isinstance(value, str | int | bool | bytes):
+        _put(digest, type(value).__name__, value if isinstance(value, bytes) else str(value).encode())
+    else:
+        raise DeclarationError(f"memory: a job holds a {type(value).__name__}, which has no content to hash.")
+
+
+def _put(digest, kind: str, data: bytes) -> None:
+    digest.update(f"{kind}:{len(data)}:".encode())
+    digest.update(data)
+
+
+def _without_arrays(value, arrays: dict[str, np.ndarray]):
+    """A value for JSON; its arrays go into ``arrays``, a reference stays."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise DeclarationError("memory: an array of objects cannot be kept. Keep numbers and strings.")
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return {_ARRAY: name}
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, Mapping):
+        return {str(k): _without_arrays(v, arrays) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_arrays(v, arrays) for v in value]
+    return value
+
+
+def _with_arrays(value, arrays: Mapping[str, np.ndarray]):
+    if isinstance(value, dict):
+        return (
+            arrays[value[_ARRAY]] if set(value) == {_ARRAY} else {k: _with_arrays(v, arrays) for k, v in value.items()}
+        )
+    return [_with_arrays(v, arrays) for v in value] if isinstance(value, list) else value

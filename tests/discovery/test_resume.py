@@ -1,0 +1,102 @@
+"""Finished jobs are kept on disk by their content and found again, whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.executor import portable
+from hydrotwin.discovery.resume import Memory, key_of
+from hydrotwin.models import cehA
+from hydrotwin.models.language.errors import DeclarationError
+
+ANSWER = {
+    "values": {"a.b": 1 / 3, "c": np.float64(np.pi)},
+    "runs": [np.arange(6.0).reshape(2, 3) / 7, np.array([np.nan, np.inf, -0.0])],
+    "counts": np.array([1, 2], dtype=np.int32),
+    "converged": True,
+    "note": None,
+    "words": ["diverged", "élan"],
+    "bad": float("nan"),
+}
+
+
+def test_an_answer_comes_back_bit_by_bit(tmp_path):
+    memory, key = Memory(tmp_path / "kept"), key_of("job", 1)
+    assert memory.get(key) is None and len(memory) == 0
+    memory.put(key, ANSWER)
+    found = Memory(tmp_path / "kept").get(key)
+    assert len(memory) == 1
+    assert found["values"] == {"a.b": 1 / 3, "c": np.pi}
+    for ours, theirs in zip(ANSWER["runs"], found["runs"], strict=True):
+        assert ours.tobytes() == theirs.tobytes() and ours.shape == theirs.shape
+    assert found["counts"].dtype == np.int32
+    assert (found["converged"], found["note"], found["words"]) == (True, None, ["diverged", "élan"])
+    assert np.isnan(found["bad"])
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "other"])
+def test_a_damaged_file_is_as_good_as_none(tmp_path, damage):
+    memory, key = Memory(tmp_path), key_of("job")
+    memory.put(key, ANSWER)
+    (path,) = tmp_path.glob("*.npz")
+    whole = path.read_bytes()
+    path.write_bytes({"cut": whole[: len(whole) // 2], "empty": b"", "other": b"not a file of ours"}[damage])
+    assert memory.get(key) is None
+    memory.put(key, ANSWER)
+    assert memory.get(key) is not None
+
+
+def test_no_code_is_ever_read_from_the_folder(tmp_path):
+    memory, key = Memory(tmp_path), key_of("job")
+    np.savez(
+        tmp_path / f"{key}.npz", a0=np.array([object], dtype=object), __json__=np.array('{"x": {"__array__": "a0"}}')
+    )
+    assert memory.get(key) is None
+    with pytest.raises(DeclarationError, match="objects"):
+        memory.put(key, {"x": np.array([object])})
+
+
+@pytest.mark.parametrize("key", ["", "../elsewhere", "ABC", "a/b"])
+def test_only_a_hash_is_a_key(tmp_path, key):
+    with pytest.raises(DeclarationError, match="is no key"):
+        Memory(tmp_path).get(key)
+
+
+def test_a_memory_that_is_done_leaves_nothing(tmp_path):
+    memory = Memory(tmp_path / "kept")
+    memory.put(key_of(1), ANSWER)
+    memory.remove()
+    assert not (tmp_path / "kept").exists()
+    memory.remove()
+
+
+def test_the_key_follows_everything_a_job_depends_on():
+    flat = cehA.model().flat
+    job = {"flat": flat, "free": ("motor.gain",), "u": np.zeros(3), "weight": None}
+    changes = [
+        {"flat": flat.with_parameters({"motor.gain": 131.0})},
+        {"flat": cehA.third_order().flat},
+        {"flat": dataclasses.replace(flat, step=5e-4)},
+        {"free": ("motor.gain", "arm.mass")},
+        {"free": ("motor", "gain")},
+        {"u": np.array([0.0, 0.0, 1e-300])},
+        {"u": np.zeros((3, 1))},
+        {"u": np.zeros(3, dtype=np.float32)},
+        {"weight": 0.0},
+    ]
+    keys = [key_of(job), *(key_of({**job, **change}) for change in changes)]
+    assert len(set(keys)) == len(keys)
+
+
+def test_the_same_job_has_the_same_key_built_twice_and_packed():
+    first, again = cehA.model().flat, cehA.model().flat
+    assert key_of(first) == key_of(again) == key_of(portable(first))
+    assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
+
+
+def test_what_has_no_content_is_refused():
+    with pytest.raises(DeclarationError, match="no content to hash"):
+        key_of(lambda: 0)

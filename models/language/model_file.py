@@ -1,14 +1,18 @@
-"""model.toml: which model, its parameter values with uncertainty, and where they came from. Data only, never code."""
+"""model.toml: which model, its named effects, its parameter values with uncertainty, and where they came from.
+
+Data only, never code. An effect is called by its id in the catalogue and its site; what it is, the catalogue says.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
+from .additions import Addition
 from .errors import DataError, nearest
 from .flat import FlatModel
 from .parameter_file import parameter_settings, read_toml
@@ -23,6 +27,7 @@ _FORMS = (
     ("provenance", dict, "table"),
 )
 _KEYS = ("kind", "model", *(key for key, _, _ in _FORMS))
+_EFFECT = ("effect", "site", "name")
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,7 @@ class ModelFile:
     """The content of a model file.
 
     settings : by dotted path, in SI, ready for ``Model.with_settings``.
-    effects : named effects with site and parameters, in the order they were added.
+    effects : rows ``effect``, ``site`` and ``name`` (of the added part), in the order they were added.
     """
 
     path: Path
@@ -65,20 +70,54 @@ def read_model_file(path: Path | str) -> ModelFile:
             f"{path}: it ends too early (got {len(settings)} of {content['count']} parameters). "
             "It was cut off while it was copied: copy it again. Or take out the line 'count' if that was meant."
         )
-    return ModelFile(
-        path, content["model"], settings, tuple(content.get("effects", ())), content.get("provenance", {})
-    )
+    effects = tuple(_effect(row, number, path) for number, row in enumerate(content.get("effects", ()), 1))
+    return ModelFile(path, content["model"], settings, effects, content.get("provenance", {}))
 
 
-def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: Mapping | None = None) -> Path:
-    """Write the values, sigmas, bounds and sources of ``flat`` (SI); an existing file is replaced only when whole."""
+def _effect(row, number: int, path: Path) -> dict[str, str]:
+    """One row of ``[[effects]]``, all of it text."""
+    if not isinstance(row, dict):
+        raise DataError(f"{path}: effect {number} is no table (got {row!r}). Write [[effects]] and its lines below.")
+    for key, value in row.items():
+        if key not in _EFFECT:
+            raise DataError(f"{path}: effect {number} has an unknown key '{key}'. {nearest(key, _EFFECT)}")
+        if not isinstance(value, str):
+            raise DataError(f"{path}: effect {number}: '{key}' is no text (got {value!r}). Put it in quotes.")
+    for key in ("effect", "site"):
+        if not row.get(key):
+            raise DataError(f"{path}: effect {number} has no '{key}'. 'hydrotwin effects MODEL' lists both.")
+    if not all(word.isidentifier() for word in row.get("name", "a").split(".")):
+        raise DataError(f"{path}: effect {number}: '{row['name']}' is no name of a part. Use letters, digits and _.")
+    return {"name": "", **row}
+
+
+def write_model_file(
+    path: Path | str,
+    model: str,
+    flat: FlatModel,
+    provenance: Mapping | None = None,
+    additions: Iterable[Addition] | None = None,
+) -> Path:
+    """Write the values, sigmas, bounds and sources of ``flat`` (SI); an existing file is replaced only when whole.
+
+    flat : a FlatModel, or a Model.
+    additions : the effects of the model; by default those of a Model. Parts that no catalogue names belong to the code
+        of ``model`` and are not written.
+    """
     path = Path(path)
+    if additions is None:
+        additions = getattr(flat, "additions", ())
+    flat = getattr(flat, "flat", flat)
     document = tomlkit.document()
     document.add(tomlkit.comment("hydrotwin model file: data only; values in SI units"))
     document["format"] = FORMAT
     document["kind"] = "model"
     document["model"] = model
     document["count"] = len(flat.parameters)
+    effects = [_effect_table(addition) for addition in additions if addition.effect]
+    if effects:
+        document["effects"] = tomlkit.aot()
+        document["effects"].extend(effects)
     parameters = tomlkit.table()
     for p in flat.parameters:
         entry = tomlkit.inline_table()
@@ -97,3 +136,11 @@ def write_model_file(path: Path | str, model: str, flat: FlatModel, provenance: 
         document["provenance"] = toml_values(provenance)
     write_whole(path, tomlkit.dumps(document))
     return path
+
+
+def _effect_table(addition: Addition) -> tomlkit.items.Table:
+    row = tomlkit.table()
+    row["effect"], row["site"] = addition.effect, addition.site
+    if addition.name:
+        row["name"] = addition.name
+    return row

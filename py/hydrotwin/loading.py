@@ -6,7 +6,8 @@ import importlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hydrotwin.models.language import Model
@@ -32,7 +33,7 @@ def load(spec: str):
     ``fitted.toml``         a model file (of a shipped model) or a learned block
     ``machine.fmu``         an FMU
     ``rig.py:axis``         a Model that a function in the user's own Python file returns
-    ``rig.py:axis@f.toml``  the same with the values of a model file
+    ``rig.py:axis@f.toml``  the same with the values and effects of a model file
     ======================  ==============================================================================
 
     Python files run only when the user names them; a model file never makes one run.
@@ -98,14 +99,47 @@ def _from_toml(path: Path):
 def _with_file(model, file: ModelFile) -> Model:
     if not isinstance(model, Model):
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
-    if file.effects:
-        raise DataError(f"{file.path}: it holds effects, which this version cannot add. Update hydrotwin.")
     try:
-        answer = model.with_settings(file.settings, dict(file.provenance))
+        answer = with_effects(model, file.effects).with_settings(file.settings, dict(file.provenance))
         _ = answer.flat
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None
     return answer
+
+
+def with_effects(model: Model, rows: Sequence[Mapping[str, str]]) -> Model:
+    """The model with the effects of a model file, in their order; those that its code has added already stay.
+
+    Sites are those of the model itself; only what it does not have is looked for on the parts added before.
+
+    Raises
+    ------
+    DeclarationError : no such effect, or it does not fit there; names the nearest.
+    """
+    here = {(a.effect, a.site) for a in model.additions}
+    rows = [row for row in rows if (row["effect"], row["site"]) not in here]
+    if not rows:
+        return model
+    from hydrotwin.models.effects import CATALOGUE, candidates
+
+    for row in rows:
+        if row["effect"] not in CATALOGUE:
+            raise DeclarationError(f"effects: none is called '{row['effect']}'. {nearest(row['effect'], CATALOGUE)}")
+    found = {(c.id, c.site.name): c for c in candidates(model, [row["effect"] for row in rows])}
+    added: list = []
+    for row in rows:
+        fitting = found.get((row["effect"], row["site"]))
+        if fitting is None:
+            later = candidates(model.plus(added), [row["effect"]]) if added else ()
+            fitting = next((c for c in later if c.site.name == row["site"]), None)
+        if fitting is None:
+            sites = [site for effect, site in found if effect == row["effect"]]
+            raise DeclarationError(
+                f"{model.name}: '{row['effect']}' does not fit at '{row['site']}'. {nearest(row['site'], sites)}"
+            )
+        addition = fitting.addition
+        added.append(replace(addition, name=row["name"]) if row["name"] and addition.part else addition)
+    return model.plus(added)
 
 
 def _from_python(path: Path, factory: str) -> Model:

@@ -14,7 +14,8 @@ SKIPPED = ("hydrotwin.__main__", "hydrotwin.examples", "hydrotwin.learned.free_r
 
 
 def modules(package=hydrotwin, prefix="hydrotwin."):
-    rooms = ("records", "simulation", "identification", "learned", "comparison", "discovery", "report", "export", "models")
+    methods = ("records", "simulation", "identification", "learned", "comparison", "discovery", "report", "export")
+    rooms = (*methods, "models")
     for name in ("", *rooms):
         module = importlib.import_module(f"hydrotwin.{name}".rstrip("."))
         yield module.__name__

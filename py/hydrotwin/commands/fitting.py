@@ -97,7 +97,7 @@ def identify(
             weights=weights, loss=loss, initial_states=initial_states, starts=starts,
             progress=None if as_json else told,
         )  # fmt: skip
-    write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged))
+    write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged), thing.additions)
     if report:
         from hydrotwin.comparison import PhysicalContender, compare
         from hydrotwin.report import write_report

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
-from hydrotwin.models.language import Input, Output, Parameter, State, delay, der
+from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, delay, der, time
 
-from .effect import Effect
-from .sites import model_inputs
+from .effect import Effect, Site
+from .sites import drives, model_inputs, valve_spools
+
+ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
+MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
+QUANTILES = (0.97, 0.90, 0.75)  # of what is seen, where limits are tried
 
 
 class DeadTime(Effect):
@@ -15,14 +20,15 @@ class DeadTime(Effect):
 
         y(t) = u(t - T)
 
-    Exact for held and linear inputs. Source: K. J. Astrom and T. Hagglund, PID Controllers, 1995.
+    Exact for held and linear inputs. Where the model delays the input by a parameter of its own, that one is freed.
+    Source: K. J. Astrom and T. Hagglund, PID Controllers, 1995.
     """
 
     id, title = "dead_time", "dead time"
     equation = "y(t) = u(t - T)"
-    source = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
+    source = ASTROM
     typical = {"time": (0.002, 0.24)}
-    probes = ({"time": 0.02},)
+    probes = ({"time": 0.005}, {"time": 0.02}, {"time": 0.08})
     confused_with = ("sensor_delay", "actuator_lag", "structural_compliance")
     experiment = "steps, sampled fast: a dead time shifts the first movement, a lag rounds it"
     order = 0
@@ -35,6 +41,15 @@ class DeadTime(Effect):
     def sites(cls, places):
         delayed = {wire.path for wire in places.wires if wire.delayed}
         yield from (site for site in model_inputs(places) if site.through not in delayed)
+        parameters = {p.name: p for p in places.model.flat.parameters}
+        for signal in places.model.flat.inputs:
+            own = parameters.get(signal.dead_time)
+            if own and signal.name in delayed and not own.free:
+                yield Site(signal.name, frees=own.name, unit="s", nominal=0.01)
+
+    @classmethod
+    def freed(cls, value):
+        return tuple(value + probe["time"] for probe in cls.probes), cls.typical["time"]
 
     def equations(self):
         yield self.y == delay(self.u, self.time)
@@ -51,9 +66,9 @@ class ActuatorLag(Effect):
 
     id, title = "actuator_lag", "lag of the drive"
     equation = "T y' + y = u"
-    source = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
+    source = ASTROM
     typical = {"time_constant": (0.005, 0.3)}
-    probes = ({"time_constant": 0.03},)
+    probes = ({"time_constant": 0.01}, {"time_constant": 0.05})
     confused_with = ("dead_time", "spool_lag", "sensor_lag")
     experiment = "steps, sampled fast: a dead time shifts the first movement, a lag rounds it"
     order = 1
@@ -75,6 +90,82 @@ class ActuatorLag(Effect):
         yield self.lagging == self.u
 
 
+class RateLimit(Effect):
+    """The command is followed no faster than at a rate R.
+
+        y' = clip((u - y) / T_0, -R, R)
+
+    Written as y = u + (z - w) + (clip(u - w, -R T_0, R T_0) - (u - w)), w' = (u - w) / T_0,
+    z' = clip((u - z) / T_0, -R, R): with R far above the rates that occur, z is w and y is u.
+    """
+
+    id, title = "rate_limit", "limited rate"
+    equation = "|y'| <= R"
+    source = MERRITT
+    typical = {"rate": (0.5, 50.0)}
+    probes = ({"rate": 2.0}, {"rate": 10.0})
+    confused_with = ("actuator_lag", "command_saturation", "spool_lag")
+    experiment = "large and small steps: a lag scales with the step, a limited rate does not"
+    order = 2
+
+    u = Input("signal", "command")
+    y = Output("signal", "what follows it")
+    lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
+    limited = State(lambda part: 0.0, "signal", "z", fixed=False)
+    rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
+    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+
+    sites = staticmethod(model_inputs)
+
+    @classmethod
+    def probes_for(cls, seen):
+        """Rates at quantiles of the steepness of the command, ``u`` over ``time``; none where it stands still."""
+        u, t = np.asarray(seen["u"], float), np.asarray(seen["time"], float)
+        span, steep = np.ptp(u), np.abs(np.diff(u)) / np.maximum(np.diff(t), 1e-9)
+        if span == 0:
+            return []
+        steep = np.minimum(steep[steep > 0], span / 0.02)  # a step is as steep as the sampling is fast
+        rates = [float(np.quantile(steep, q)) for q in QUANTILES] + [float(span / 0.2)]
+        return [{"rate": rate} for rate in sorted(set(rates), reverse=True)]
+
+    def equations(self):
+        u, w, z, R, T_0 = self.u, self.lagging, self.limited, self.rate, self.resolution
+        yield T_0 * der(w) == u - w
+        yield T_0 * der(z) == clipped(u - z, R * T_0)
+        yield self.y == u + (z - w) + (clipped(u - w, R * T_0) - (u - w))
+
+    def initial_equations(self):
+        yield self.lagging == self.u
+        yield self.limited == self.u
+
+
+class CommandSaturation(Effect):
+    """Commands beyond a limit do no more than the limit: ``y = clip(u, -L, L)``."""
+
+    id, title = "command_saturation", "saturation of the command"
+    equation = "y = clip(u, -L, L)"
+    source = ASTROM
+    typical = {"limit": (0.3, 1.5)}
+    probes = ({"limit": 0.5}, {"limit": 0.9})
+    confused_with = ("flow_saturation", "rate_limit", "motor_droop", "relief_saturation")
+    experiment = "steps of several heights up to the largest command, both directions"
+    order = 3
+
+    u = Input("signal", "command")
+    y = Output("signal", "what is left of it")
+    limit = Parameter(1e6, "signal", "limit L", bounds=(1e-3, 1e6), nominal=1.0, source="data sheet", free=True)
+
+    sites = staticmethod(model_inputs)
+
+    @classmethod
+    def probes_for(cls, seen):
+        """Limits at quantiles of the size of the command."""
+        return limits(seen["u"], "limit")
+
+    def equations(self):
+        yield self.y == clipped(self.u, self.limit)
+
+
 class CommandDeadband(Effect):
     """Small commands do nothing, larger ones are short by the band.
 
@@ -83,9 +174,9 @@ class CommandDeadband(Effect):
 
     id, title = "command_deadband", "deadband of the command"
     equation = "y = 0 for |u| < D, else u - D sign(u)"
-    source = "H. Merritt, Hydraulic Control Systems, 1967"
+    source = MERRITT
     typical = {"width": (0.005, 0.2)}
-    probes = ({"width": 0.05},)
+    probes = ({"width": 0.02}, {"width": 0.1})
     confused_with = ("coulomb_friction", "valve_overlap")
     experiment = "slow triangles through zero at two loads"
     order = 4
@@ -98,3 +189,129 @@ class CommandDeadband(Effect):
 
     def equations(self):
         yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
+
+
+class DirectionAsymmetry(Effect):
+    """The drive gives more in one direction than in the other: ``y = u + e |u|``."""
+
+    id, title = "direction_asymmetry", "gain that differs by direction"
+    equation = "y = (1 + e) u for u > 0, (1 - e) u for u < 0"
+    source = MERRITT
+    typical = {"asymmetry": (-0.2, 0.2)}
+    probes = ({"asymmetry": 0.05}, {"asymmetry": -0.05})
+    confused_with = ("displacement_asymmetry", "null_bias", "area_error", "asymmetric_friction", "asymmetric_overlap")
+    experiment = "the same speeds in both directions, at two heights, with the flow or the speed of the drive measured"
+    order = 5
+
+    u = Input("signal", "command")
+    y = Output("signal", "what the drive makes of it")
+    asymmetry = Parameter(
+        0.0, "1", "half the difference e of the gains", bounds=(-0.9, 0.9), nominal=0.05, source="typical", free=True
+    )
+
+    sites = staticmethod(model_inputs)
+
+    def equations(self):
+        yield self.y == self.u + self.asymmetry * ca.fabs(self.u)
+
+
+class NullBias(Effect):
+    """The machine stands still at another command than zero: ``y = u + b``.
+
+    A valve that no input of the model reaches through signals alone has a site of its own.
+    """
+
+    id, title = "null_bias", "null offset"
+    equation = "y = u + b"
+    source = MERRITT
+    typical = {"offset": (-0.05, 0.05)}
+    probes = ({"offset": 0.02}, {"offset": -0.02})
+    confused_with = ("constant_load", "internal_leakage", "external_leakage", "sensor_bias", "asymmetric_overlap")
+    experiment = "the command that holds still, at two loads and two positions"
+    order = 6
+
+    u = Input("signal", "command")
+    y = Output("signal", "command and offset")
+    offset = Parameter(0.0, "signal", "offset b", bounds=(-0.5, 0.5), nominal=0.02, source="typical", free=True)
+
+    @classmethod
+    def sites(cls, places):
+        yield from model_inputs(places)
+        inputs = {i.name for i in places.model.flat.inputs}
+        yield from (site for site in valve_spools(places) if not inputs & set(places.upstream(site.through)))
+
+    def equations(self):
+        yield self.y == self.u + self.offset
+
+
+class Drift(Effect):
+    """The drive grows weaker or stronger while it runs: ``y = u (1 + r t)``; t counts from the recording's start."""
+
+    id, title = "drift", "drift of the drive"
+    equation = "y = u (1 + r t)"
+    source = "warm oil, an emptying battery"
+    typical = {"rate": (-5e-3, 5e-3)}
+    probes = ({"rate": 1e-3}, {"rate": -1e-3})
+    confused_with = ("viscous_friction", "pump_slip")
+    experiment = "the same motion at the start and at the end of a long recording, with temperature and supply voltage"
+    order = 7
+
+    u = Input("signal", "command")
+    y = Output("signal", "what the drive makes of it")
+    rate = Parameter(
+        0.0, "1/s", "change r of the gain per second", bounds=(-0.05, 0.05), nominal=1e-3, source="typical", free=True
+    )
+
+    sites = staticmethod(model_inputs)
+
+    def equations(self):
+        yield self.y == self.u * (1 + self.rate * time())
+
+
+class MotorDroop(Effect):
+    """A drive that slows down under load.
+
+        w = w_0 - R M,   T_0 M' = M_load - M
+
+    The short lag T_0 stands for the speed loop and breaks the algebraic loop of speed and torque. Source: W. Leonhard,
+    Control of Electrical Drives, 2001, section 6.
+    """
+
+    id, title = "motor_droop", "speed lost under load"
+    equation = "w = w_0 - R M_load"
+    source = "W. Leonhard, Control of Electrical Drives, 2001"
+    typical = {"slope": (0.5, 100.0)}
+    probes = ({"slope": 2.0}, {"slope": 20.0})
+    confused_with = ("internal_leakage", "pump_slip", "actuator_lag")
+    experiment = "constant speeds at two loads, with the shaft's speed measured"
+
+    a = Shaft("drive")
+    b = Shaft("what it drives")
+    torque = State(0.0, "N.m", "felt torque M", nominal=1.0, fixed=False)
+    slope = Parameter(
+        0.0, "rad/(s.N.m)", "speed lost per torque R", bounds=(0, 1e4), nominal=10.0, source="typical", free=True
+    )
+    resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+
+    sites = staticmethod(drives)
+
+    def equations(self):
+        M = self.torque
+        yield self.a.tau + self.b.tau == 0
+        yield self.resolution * der(M) == self.a.tau - M
+        yield self.b.w == self.a.w - self.slope * M
+
+    def initial_equations(self):
+        yield self.torque == self.a.tau
+
+
+def clipped(value: ca.SX, limit: ca.SX) -> ca.SX:
+    """``value`` between -limit and limit."""
+    return ca.fmin(ca.fmax(value, -limit), limit)
+
+
+def limits(values, name: str) -> list[dict[str, float]]:
+    """A start at each quantile of the size of what is seen, largest first; none where there is nothing."""
+    sizes = np.abs(np.asarray(values, float))
+    found = sorted({float(np.quantile(sizes, q)) for q in QUANTILES} - {0.0}, reverse=True)
+    return [{name: value} for value in found]

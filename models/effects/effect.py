@@ -25,7 +25,6 @@ class Site:
 
     name : how files and reports call it; the other fields as in `Addition`.
     unit, nominal : of the signal, where it is one.
-    values : parameter values that follow from the place, in place of the declared ones.
     """
 
     name: str
@@ -85,6 +84,13 @@ class Effect(Component):
             if isinstance(declared, (Parameter, State, Input, Output)) and SIGNAL in declared.unit:
                 changes[name] = _scaled(declared, site)
         return cls(**changes)
+
+    @classmethod
+    def freed(cls, value: float) -> tuple[tuple[float, ...], tuple[float, float]]:
+        """Starts and usual range of a parameter that is freed at ``value``: probes and typical are factors of it."""
+        factors = [factor for probe in cls.probes for factor in probe.values()]
+        low, high = next(iter(cls.typical.values()))
+        return tuple(value * factor for factor in factors), tuple(sorted((value * low, value * high)))
 
 
 def _scaled(declared, site: Site):
@@ -181,14 +187,14 @@ def _wanted(candidate: Candidate, effects, exclude) -> bool:
 def _candidate(effect: type[Effect], site: Site, several: bool, values: Mapping[str, float]) -> Candidate:
     if site.frees:
         path, value = site.frees, values[site.frees]
-        starts = tuple(dict([(path, value * factor)]) for probe in effect.probes for factor in probe.values())
-        typical = dict((path, tuple(value * f for f in t)) for t in effect.typical.values())
-        return Candidate(effect, site, "", (path,), {path: value}, starts, typical)
+        starts, usual = effect.freed(value)
+        return Candidate(effect, site, "", (path,), {path: value}, tuple({path: s} for s in starts), {path: usual})
     name = f"{effect.id}_{re.sub(r'[^0-9A-Za-z]+', '_', site.name).strip('_')}" if several else effect.id
     part = effect.at(site)
-    own = {k: part.declared(k) for k, d in declarations(effect).items() if isinstance(d, Parameter)}
+    declared = {k: d for k, d in declarations(type(part)).items() if isinstance(d, Parameter)}
+    own = {k: part.declared(k) for k in declared}
     free = tuple(f"{name}.{k}" for k, p in own.items() if p.free)
-    scale = {k: _ratio(own[k], declarations(effect)[k]) for k in own}
+    scale = {k: _ratio(own[k], declared[k]) for k in own}
     probes = tuple({f"{name}.{k}": v * scale[k] for k, v in probe.items()} for probe in effect.probes)
     typical = {f"{name}.{k}": tuple(v * scale[k] for v in t) for k, t in effect.typical.items() if k in own}
     neutral = {f"{name}.{k}": p.value for k, p in own.items() if p.free}

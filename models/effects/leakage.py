@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from hydrotwin.models.language import HydraulicPort, Parameter
+from dataclasses import replace
 
-from .effect import Effect
-from .sites import hydraulic_pairs
+import casadi as ca
+
+from hydrotwin.models.language import Component, HydraulicPort, Input, Parameter
+from hydrotwin.models.language.units import compatible
+from hydrotwin.models.laws.orifice import signed_root
+
+from .effect import Effect, Site
+from .sites import hydraulic_nodes, hydraulic_pairs, low_pressure_node, pumps
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
+IVANTYSYN = "J. and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001"
 
 
 class InternalLeakage(Effect):
@@ -15,15 +22,15 @@ class InternalLeakage(Effect):
 
         q = G (p_a - p_b)
 
-    Source: Merritt 1967.
+    Not to the tank: that is `ExternalLeakage`. Source: Merritt 1967.
     """
 
     id, title = "internal_leakage", "internal leakage"
     equation = "q = G (p_a - p_b)"
     source = MERRITT
     typical = {"conductance": (1e-14, 1e-11)}
-    probes = ({"conductance": 1e-14}, {"conductance": 1e-12})
-    confused_with = ("external_leakage", "pump_slip", "turbulent_leakage")
+    probes = ({"conductance": 1e-13}, {"conductance": 2e-12})
+    confused_with = ("external_leakage", "pump_slip", "turbulent_leakage", "motor_droop")
     experiment = "hold under load, in several positions and at several pressures"
 
     a = HydraulicPort("one side")
@@ -32,8 +39,217 @@ class InternalLeakage(Effect):
         0.0, "m3/(s.Pa)", "leak conductance G", bounds=(0, 1e-9), nominal=1e-13, source=MERRITT, free=True
     )
 
-    sites = staticmethod(hydraulic_pairs)
+    @classmethod
+    def sites(cls, places):
+        tank = low_pressure_node(places)
+        yield from (s for s in hydraulic_pairs(places) if not (tank and tank.name in s.ties.values()))
 
     def equations(self):
         yield self.a.q == self.conductance * (self.a.p - self.b.p)
         yield self.a.q + self.b.q == 0
+
+
+class ExternalLeakage(Effect):
+    """Laminar leak out of the circuit: to the tank if the model has one, else to the surroundings.
+
+        q = G (p - p_0)
+
+    Source: Merritt 1967.
+    """
+
+    id, title = "external_leakage", "external leakage"
+    equation = "q = G (p - p_0)"
+    source = MERRITT
+    typical = {"conductance": (1e-14, 1e-11)}
+    probes = ({"conductance": 1e-13}, {"conductance": 2e-12})
+    confused_with = ("internal_leakage", "pump_slip", "turbulent_leakage", "null_bias")
+    experiment = "hold under load and without, with both pressures: an internal leak feeds the other side"
+
+    port = HydraulicPort("what leaks")
+    conductance = Parameter(
+        0.0, "m3/(s.Pa)", "leak conductance G", bounds=(0, 1e-9), nominal=1e-13, source=MERRITT, free=True
+    )
+    outside = Parameter(0.0, "Pa", "pressure outside p_0", bounds=(0, 1e7), nominal=1e5, source="surroundings, gauge")
+
+    @classmethod
+    def sites(cls, places):
+        tank = low_pressure_node(places)
+        for site in hydraulic_nodes(places):
+            yield replace(site, reads={"outside": f"{tank.name}.p"}) if tank else site
+
+    @classmethod
+    def at(cls, site: Site):
+        return LeakToTank() if site.reads else cls()
+
+    def equations(self):
+        yield self.port.q == self.conductance * (self.port.p - self.outside)
+
+
+class LeakToTank(Component):
+    """External leak against the pressure of a tank: ``q = G (p - p_tank)``. Source: Merritt 1967."""
+
+    port = HydraulicPort("what leaks")
+    outside = Input("Pa", "pressure of the tank", nominal=1e5)
+    conductance = ExternalLeakage.conductance
+
+    def equations(self):
+        yield self.port.q == self.conductance * (self.port.p - self.outside)
+
+
+class TurbulentLeakage(Effect):
+    """Leak through a sharp edge, such as a seat that does not close.
+
+        q = k sign(dp) sqrt|dp|
+
+    Linear below ``transition_pressure``. Source: Merritt 1967, Eq. 3-4.
+    """
+
+    id, title = "turbulent_leakage", "turbulent leakage"
+    equation = "q = k sign(dp) sqrt|dp|"
+    source = MERRITT
+    typical = {"coefficient": (1e-11, 1e-8)}
+    probes = ({"coefficient": 2e-10}, {"coefficient": 4e-9})
+    confused_with = ("internal_leakage", "external_leakage", "pump_slip")
+    experiment = "hold at a small and at a large load: the laminar leak is proportional to the pressure"
+
+    a = HydraulicPort("one side")
+    b = HydraulicPort("other side")
+    coefficient = Parameter(
+        0.0, "m3/(s.sqrt(Pa))", "flow coefficient k", bounds=(0, 1e-6), nominal=1e-10, source=MERRITT, free=True
+    )
+    transition_pressure = Parameter(5e4, "Pa", "where the flow turns laminar", bounds=(1, 1e7), source=MERRITT)
+
+    sites = staticmethod(hydraulic_pairs)
+
+    def equations(self):
+        dp = self.a.p - self.b.p
+        yield self.a.q == self.coefficient * signed_root(dp, self.transition_pressure)
+        yield self.a.q + self.b.q == 0
+
+
+def _loss_sites(places):
+    """Pumps, with the flow at their second port as ``q_b`` too."""
+    for site in pumps(places):
+        yield replace(site, reads={**site.reads, "q_b": f"{site.ties['b']}.q"})
+
+
+def _slip_sites(places):
+    """Pumps and the speed of their shaft."""
+    for site in pumps(places):
+        yield replace(site, reads={"w": site.reads["w"]})
+
+
+class PumpSlip(Effect):
+    """Gap flow back through the pump; it grows with the pressure and falls with the speed.
+
+        q = G (p_a - p_b) / (1 + |w| / w_0)
+
+    Source: Ivantysyn and Ivantysynova 2001; the fall with speed stands for gaps that fill from the film in motion.
+    """
+
+    id, title = "pump_slip", "slip of the pump"
+    equation = "q = G dp / (1 + |w| / w_0)"
+    source = IVANTYSYN
+    typical = {"conductance": (1e-14, 1e-11)}
+    probes = ({"conductance": 2e-13}, {"conductance": 4e-12})
+    confused_with = ("internal_leakage", "external_leakage", "speed_dependent_efficiency", "motor_droop")
+    experiment = "hold under load with the pump at rest, then lift the same load at several speeds"
+
+    a = HydraulicPort("side that is filled at positive speed")
+    b = HydraulicPort("other side")
+    w = Input("rad/s", "speed of the pump", nominal=100.0)
+    conductance = Parameter(
+        0.0, "m3/(s.Pa)", "slip conductance at rest G", bounds=(0, 1e-9), nominal=1e-13, source=IVANTYSYN, free=True
+    )
+    reference_speed = Parameter(100.0, "rad/s", "speed w_0 that halves it", bounds=(1, 1e4), source="assumed")
+
+    sites = staticmethod(_slip_sites)
+
+    def equations(self):
+        dp = self.a.p - self.b.p
+        yield self.a.q == self.conductance * dp / (1 + ca.fabs(self.w) / self.reference_speed)
+        yield self.a.q + self.b.q == 0
+
+
+class SpeedDependentEfficiency(Effect):
+    """A share of the flow is not delivered; it falls with the speed.
+
+        eta = 1 - e / (1 + |w| / w_0)
+
+    Source: Ivantysyn and Ivantysynova 2001: filling and slip weigh most at low speed. Validity: while it pumps.
+    """
+
+    id, title = "speed_dependent_efficiency", "efficiency that depends on speed"
+    equation = "q = q_ideal (1 - e / (1 + |w| / w_0))"
+    source = IVANTYSYN
+    typical = {"loss": (0.02, 0.3)}
+    probes = ({"loss": 0.05}, {"loss": 0.2})
+    confused_with = ("pump_slip", "internal_leakage", "displacement_error", "motor_droop")
+    experiment = "the same load at several speeds in both directions, then another load"
+
+    a = HydraulicPort("side that is filled at positive speed")
+    b = HydraulicPort("other side")
+    w = Input("rad/s", "speed of the pump", nominal=100.0)
+    q = Input("m3/s", "flow into the pump at a", nominal=1e-4)
+    q_b = Input("m3/s", "flow into the pump at b", nominal=1e-4)
+    loss = Parameter(0.0, "1", "share e lost at rest", bounds=(0, 0.9), nominal=0.05, source=IVANTYSYN, free=True)
+    reference_speed = Parameter(50.0, "rad/s", "speed w_0 that halves it", bounds=(1, 1e4), source="assumed")
+
+    sites = staticmethod(_loss_sites)
+
+    def equations(self):
+        share = self.loss / (1 + ca.fabs(self.w) / self.reference_speed)
+        yield self.a.q == -share * self.q
+        yield self.b.q == -share * self.q_b
+
+
+class DisplacementError(Effect):
+    """A flow per turn, or per opening, that is not what the data sheet says; the parameter becomes free."""
+
+    id, title = "displacement_error", "displacement or flow coefficient other than stated"
+    equation = "c = c_stated (1 + e)"
+    source = "tolerances of the data sheet"
+    typical = {"value": (0.85, 1.15)}
+    probes = ({"value": 1.05}, {"value": 0.95})
+    confused_with = ("area_error", "sensor_scale", "speed_dependent_efficiency", "linkage_error")
+    experiment = "pressures and position together, at two loads and several speeds"
+
+    @classmethod
+    def sites(cls, places):
+        for p in places.model.flat.parameters:
+            turns = compatible(p.unit, "m3") and ("rad" in p.unit or "rev" in p.unit)
+            added = any(p.name.startswith(f"{a.name}.") for a in places.model.additions if a.part is not None)
+            if (turns or compatible(p.unit, "m3/(s.sqrt(Pa))")) and not (p.free or added) and p.value:
+                yield Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal)
+
+
+class DisplacementAsymmetry(Effect):
+    """A pump that delivers more in one direction than in the other, as gear pumps with suction on one side do.
+
+    q = q_ideal (1 + e sign(w)),   sign smoothed as tanh(w / w_s)
+    """
+
+    id, title = "displacement_asymmetry", "displacement that differs by direction"
+    equation = "q = q_ideal (1 + e sign(w))"
+    source = IVANTYSYN
+    typical = {"asymmetry": (-0.15, 0.15)}
+    probes = ({"asymmetry": 0.05}, {"asymmetry": -0.05})
+    confused_with = ("direction_asymmetry", "area_error", "pump_slip", "asymmetric_friction")
+    experiment = "the same speeds in both directions at two loads"
+
+    a = HydraulicPort("side that is filled at positive speed")
+    b = HydraulicPort("other side")
+    w = Input("rad/s", "speed of the pump", nominal=100.0)
+    q = Input("m3/s", "flow into the pump at a", nominal=1e-4)
+    q_b = Input("m3/s", "flow into the pump at b", nominal=1e-4)
+    asymmetry = Parameter(
+        0.0, "1", "half the difference e of the flows", bounds=(-0.5, 0.5), nominal=0.05, source=IVANTYSYN, free=True
+    )
+    smoothing_speed = Parameter(1.0, "rad/s", "w_s", bounds=(1e-3, 100), source="numerical")
+
+    sites = staticmethod(_loss_sites)
+
+    def equations(self):
+        more = self.asymmetry * ca.tanh(self.w / self.smoothing_speed)
+        yield self.a.q == more * self.q
+        yield self.b.q == more * self.q_b

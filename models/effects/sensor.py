@@ -1,3 +1,159 @@
-"""Family 'sensor' of the catalogue."""
+"""What a sensor makes of what it measures."""
 
 from __future__ import annotations
+
+import casadi as ca
+
+from hydrotwin.models.language import Input, Output, Parameter, State, der
+
+from .effect import Effect
+from .sites import model_outputs
+
+FRADEN = "J. Fraden, Handbook of Modern Sensors, 2016"
+
+
+class SensorLag(Effect):
+    """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `ActuatorLag`."""
+
+    id, title = "sensor_lag", "lag of the sensor"
+    equation = "T y' + y = u"
+    source = FRADEN
+    typical = {"time_constant": (0.002, 0.1)}
+    probes = ({"time_constant": 0.005}, {"time_constant": 0.03})
+    confused_with = ("sensor_delay", "actuator_lag", "dead_time", "spool_lag")
+    experiment = "steps sampled fast, with a second sensor: a lag of the drive shows in all outputs, this in one"
+    order = 1
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
+    time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 1.0), nominal=0.01, source=FRADEN, free=True)
+    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
+        yield (T + T_0) * der(w) == u - w
+        yield self.y == u + T / (T + T_0) * (w - u)
+
+    def initial_equations(self):
+        yield self.lagging == self.u
+
+
+class SensorScale(Effect):
+    """The reading is too large or too small by a share: ``y = (1 + e) u``."""
+
+    id, title = "sensor_scale", "scale of the sensor"
+    equation = "y = (1 + e) u"
+    source = FRADEN
+    typical = {"error": (-0.05, 0.05)}
+    probes = ({"error": 0.02}, {"error": -0.02})
+    confused_with = ("displacement_error", "area_error", "linkage_error", "sensor_bias")
+    experiment = "two known positions far apart, or two known loads"
+    order = 2
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    error = Parameter(0.0, "1", "error e of the scale", bounds=(-0.5, 1.0), nominal=0.01, source=FRADEN, free=True)
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        yield self.y == (1 + self.error) * self.u
+
+
+class SensorBias(Effect):
+    """The reading is off by a constant: ``y = u + b``."""
+
+    id, title = "sensor_bias", "offset of the sensor"
+    equation = "y = u + b"
+    source = FRADEN
+    typical = {"offset": (-0.05, 0.05)}
+    probes = ({"offset": 0.02}, {"offset": -0.02})
+    confused_with = ("sensor_scale", "null_bias", "constant_load", "gravity_tilt")
+    experiment = "a reading at a known zero: unloaded, at a stop, at rest"
+    order = 3
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    offset = Parameter(0.0, "signal", "offset b", bounds=(-10, 10), nominal=0.01, source=FRADEN, free=True)
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        yield self.y == self.u + self.offset
+
+
+class SensorDelay(Effect):
+    """The reading arrives late: ``y(t) = u(t - T)``, as a filter of second order that agrees with it to (s T)^2.
+
+        y = v + (a_1 - T) v' + (a_2 - a_1 T + T^2/2) v'',   v + a_1 v' + a_2 v'' = u
+        a_1 = T_e / 2,   a_2 = T_e^2 / 12,   T_e = sqrt(T^2 + T_0^2)
+
+    For T well above T_0 that is Pade's (2,2) form, 2 % off in phase at w T = 2; for T = 0 it is y = u, with no
+    faster state than sqrt(12) / T_0. It is taken to stand still at the start.
+    """
+
+    id, title = "sensor_delay", "delay of the sensor"
+    equation = "y(t) = u(t - T)"
+    source = "G. A. Baker and P. Graves-Morris, Pade Approximants, 1996"
+    typical = {"time": (0.001, 0.1)}
+    probes = ({"time": 0.005}, {"time": 0.03})
+    confused_with = ("dead_time", "sensor_lag", "actuator_lag")
+    experiment = "motion with two sensors: a delay of the command shows in both, a delay of one sensor in one"
+    order = 4
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    late = State(lambda part: 0.0, "signal", "v", fixed=False)
+    late_rate = State(0.0, "signal/s", "v'", nominal=10.0)
+    time = Parameter(0.0, "s", "delay T", bounds=(0, 0.5), nominal=0.01, source="bus and filter", free=True)
+    resolution = Parameter(4e-3, "s", "T_0", bounds=(1e-4, 0.1), source="numerical")
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        T, u, v, r = self.time, self.u, self.late, self.late_rate
+        T_e = ca.sqrt(T**2 + self.resolution**2)
+        a_1, a_2 = T_e / 2, T_e**2 / 12
+        yield der(v) == r
+        yield der(r) == (u - v - a_1 * r) / a_2
+        yield self.y == u - T * r + T * (T / 2 - a_1) * (u - v - a_1 * r) / a_2
+
+    def initial_equations(self):
+        yield self.late == self.u
+
+
+class Quantisation(Effect):
+    """The reading comes in steps of q.
+
+        y = q round(u / q)
+
+    Written as u - q^2/(q + q_0) s(u / (q + q_0)) with a sawtooth s whose corners are slightly rounded, so that there is
+    a derivative and q = 0 is no step at all. The noise floor of a recording contains q^2/12 already: this effect
+    makes the steps visible in the model, it closes no gap that counts as one.
+    """
+
+    id, title = "quantisation", "steps of the sensor"
+    equation = "y = q round(u / q)"
+    source = FRADEN
+    typical = {"step": (1e-4, 2e-2)}
+    probes = ({"step": 1e-3}, {"step": 1e-2})
+    confused_with = ("coulomb_friction", "spool_hysteresis")
+    experiment = "very slow motion: steps of equal height, whatever the direction and the load"
+    order = 5
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    step = Parameter(0.0, "signal", "step q", bounds=(0, 0.2), nominal=1e-3, source=FRADEN, free=True)
+    resolution = Parameter(1e-6, "signal", "q_0", bounds=(1e-12, 1.0), source="numerical")
+    roundness = Parameter(0.02, "1", "1 - sharpness of the corners", bounds=(1e-4, 1.0), source="numerical")
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        q, u, s = self.step, self.u, 1 - self.roundness
+        turn = 2 * ca.pi * u / (q + self.resolution)
+        sawtooth = ca.atan2(s * ca.sin(turn), 1 + s * ca.cos(turn)) / ca.pi
+        yield self.y == u - q * q / (q + self.resolution) * sawtooth

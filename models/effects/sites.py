@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import combinations
 
-from hydrotwin.models.language import Flange, HydraulicPort, RotationalFlange, Shaft
-from hydrotwin.models.language.places import Places
+from hydrotwin.models.language import ElectricPin, Flange, HydraulicPort, RotationalFlange, Shaft
+from hydrotwin.models.language.places import Node, Places
 from hydrotwin.models.language.units import compatible
 
 from .effect import Site
+
+HIGHEST_TANK_PRESSURE = 2e6  # Pa
 
 
 def flanges(places: Places) -> Iterator[Site]:
@@ -36,7 +38,7 @@ def hydraulic_pairs(places: Places) -> Iterator[Site]:
 
 def pumps(places: Places) -> Iterator[Site]:
     """Every part with a shaft and two hydraulic ports: ports ``a`` (filled at positive speed, the first declared) and
-    ``b``, inputs ``w`` (shaft speed) and ``q`` (flow delivered into ``a``'s node)."""
+    ``b``, inputs ``w`` (shaft speed) and ``q`` (flow into the part at ``a``: what it delivers there, negative)."""
     for part in places.parts:
         shafts, ports = part.ports_of(Shaft), part.ports_of(HydraulicPort)
         if len(shafts) == 1 and len(ports) == 2 and all(places.node_at(f"{part.path}.{p}") for p in ports):
@@ -106,3 +108,43 @@ def rotational_flanges(places: Places) -> Iterator[Site]:
 
 def _through(wire) -> Site:
     return Site(wire.path, through=wire.path, unit=wire.unit, nominal=wire.nominal)
+
+
+def drives(places: Places) -> Iterator[Site]:
+    """Ports of parts that turn a shaft; between them and what they turn a part with ports ``a``, ``b`` fits.
+
+    A drive that repeats a measured speed (an input in rad/s, linear between samples) loses none under load.
+    """
+    measured = [i for i in places.model.flat.inputs if i.interpolation == "linear" and compatible(i.unit, "rad/s")]
+    for node in places.nodes_of(Shaft):
+        owners = {port: places.part(port.rpartition(".")[0]) for port in node.ports if "." in port}
+        driving = [port for port, part in owners.items() if part and set(part.ports.values()) == {Shaft}]
+        driving += [p for p, part in owners.items() if part and p not in driving and ElectricPin in part.ports.values()]
+        driving = [p for p in driving if owners[p].states or (owners[p].inputs and not measured)]
+        if len(owners) > 1 and len(driving) == 1:
+            yield Site(driving[0], between=driving[0])
+
+
+def low_pressure_node(places: Places) -> Node | None:
+    """The node of the tank: the lowest prescribed pressure, if it is below 20 bar."""
+    pressures = {}
+    for node in places.nodes_of(HydraulicPort):
+        if places.is_prescribed(node):
+            owners = {port.rpartition(".")[0] for port in node.ports}
+            held = [
+                p.value
+                for p in places.model.flat.parameters
+                if p.name.rpartition(".")[0] in owners and compatible(p.unit, "Pa")
+            ]
+            if held and min(held) < HIGHEST_TANK_PRESSURE:
+                pressures[node] = min(held)
+    return min(pressures, key=pressures.get, default=None)
+
+
+def valve_signals(places: Places) -> Iterator[Site]:
+    """Signals that open a part with two hydraulic ports or more and no shaft, whoever sends them."""
+    for part in places.parts:
+        if len(part.ports_of(HydraulicPort)) >= 2 and not part.ports_of(Shaft):
+            for path in (f"{part.path}.{name}" for name in part.inputs):
+                declared = places.variables[path]
+                yield Site(path, through=path, unit=declared.unit, nominal=declared.nominal)

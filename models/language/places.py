@@ -155,6 +155,19 @@ class Places:
         """The node of a port."""
         return next((node for node in self.nodes if port in node.ports), None)
 
+    def upstream(self, path: str) -> tuple[str, ...]:
+        """Signals that a signal comes from, through the parts that make it, nearest first, to the inputs of the model."""
+        same, found, waiting = self._connected_signals(), [], [path]
+        while waiting:
+            ends = same.get(waiting.pop(0), set())
+            found += [i.path for i in self._elaboration.inputs if i.path in ends and i.path not in found]
+            for part in self.parts:
+                if any(f"{part.path}.{name}" in ends for name in part.outputs):
+                    more = [f"{part.path}.{name}" for name in part.inputs]
+                    waiting += [p for p in more if p not in found]
+                    found += [p for p in more if p not in found]
+        return tuple(found)
+
     @cached_property
     def states(self) -> tuple[StatePlace, ...]:
         """All states."""

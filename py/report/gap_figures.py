@@ -76,8 +76,9 @@ def _binned(name, colour, edges, mean, error, significant, nudge) -> list[dict]:
         "showlegend": False,
         "legendgroup": name,
     }
+    sure = ", differs from zero"
     told = [
-        f"{m:.3g} ± {e:.2g} in {a:.4g} … {b:.4g}{', differs from zero' if s else ''}" if math.isfinite(m) else ""
+        f"{m:.3g} ± {e:.2g} in {a:.4g} … {b:.4g}{sure if s else ''}" if math.isfinite(m) else ""
         for m, e, a, b, s in zip(mean, error, edges[:-1], edges[1:], significant, strict=True)
     ]
     points = {
@@ -180,11 +181,13 @@ def waterfall_figure(discovery: Discovery) -> Figure:
         "showlegend": False,
     }
     plan = layout("", ["error over noise"], height=360)
-    plan |= {"hovermode": "closest", "shapes": [_level(1.0)], "annotations": [_level_note(1.0, "noise")]}
+    plan |= {"hovermode": "closest"}
     ticks = {"tickvals": list(range(len(labels))), "ticktext": [_wrapped(t) for t in labels]}
     plan["xaxis"] |= ticks | {"showgrid": False, "zeroline": False, "range": [-0.6, len(labels) - 0.4]}
     plan["yaxis"] |= {"range": [0, 1.15 * max(left)]}
-    return Figure("waterfall", "", {"data": [bars], "layout": plan})
+    level = {"type": "scatter", "mode": "lines", "name": "noise of the sensors", "x": [-0.6, len(labels) - 0.4]}
+    level |= {"y": [1, 1], "line": {"color": MEASURED, "width": 1.2, "dash": "dash"}, "hoverinfo": "skip"}
+    return Figure("waterfall", "", {"data": [bars, level], "layout": plan | {"showlegend": True}})
 
 
 def shift_figure(shifts: tuple[Shift, ...]) -> Figure:
@@ -199,7 +202,7 @@ def shift_figure(shifts: tuple[Shift, ...]) -> Figure:
         trace = {"type": "scatter", "mode": "markers", "name": name, "marker": marker}
         trace |= {"x": [moved(s) for s in of], "y": [s.name for s in of]}
         data.append(trace | {"hovertemplate": "%{y}: %{x:.3g} sigma<extra></extra>"})
-    plan = layout("after − before, in sigmas", [""], height=130 + 34 * len(rows))
+    plan = layout("moved [σ]", [""], height=130 + 34 * len(rows))
     plan |= {"hovermode": "closest"}
     stems = [
         {"type": "line", "x0": 0, "x1": moved(s), "y0": s.name, "y1": s.name, "line": {"color": FAINT, "width": 2}}
@@ -208,7 +211,8 @@ def shift_figure(shifts: tuple[Shift, ...]) -> Figure:
     band = {"type": "rect", "x0": -1.96, "x1": 1.96, "yref": "paper", "y0": 0, "y1": 1, "layer": "below"}
     plan["shapes"] = [band | {"fillcolor": "#eef3f7", "line": {"width": 0}}, *(s | {"layer": "below"} for s in stems)]
     plan["yaxis"] |= {"categoryorder": "array", "categoryarray": [s.name for s in rows], "zeroline": False}
-    return Figure("shifts", "", {"data": data, "layout": plan}, caption="Shaded: within 95 % of no move.")
+    caption = "After minus before, in standard deviations of the difference. Shaded: 95 % of chance."
+    return Figure("shifts", "", {"data": data, "layout": plan}, caption=caption)
 
 
 def moved(shift: Shift) -> float:
@@ -233,40 +237,40 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
     if not rows:
         return None
     colour = {"named": AFTER, "in class": "#56B4E9"}
+    places = list(range(len(rows)))
     bars = {
         "type": "bar",
         "orientation": "h",
-        "y": [placed(r) for r in rows],
+        "y": places,
         "x": [100.0 * max(r.gap_closed, -0.2) for r in rows],
+        "width": 0.42,
         "marker": {"color": [colour.get(r.fate, FAINT) for r in rows]},
         "text": [percent(r.gap_closed) for r in rows],
         "textposition": "outside",
         "cliponaxis": False,
-        "hovertemplate": "%{y}: %{text}<extra></extra>",
+        "hovertemplate": "%{text}<extra></extra>",
         "showlegend": False,
     }
-    plan = layout("gap closed on the recordings for choosing [%]", [""], height=110 + 30 * len(rows))
-    plan |= {"hovermode": "closest"}
-    high = max(bars["x"])
-    plan["xaxis"] |= {"range": [min(0.0, *bars["x"]) * 1.25, max(high, 10.0) * 1.15]}
-    caption = "Dark: named. Light blue: explains the recordings as well. Grey: turned down."
+    plan = layout("gap closed [%]", [""], height=100 + 46 * len(rows))
+    plan |= {"hovermode": "closest", "annotations": [_over_bar(placed(r), k) for k, r in enumerate(rows)]}
+    plan["margin"] = plan["margin"] | {"l": 20, "t": 16}
+    plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.15]}
+    plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
+    plan["yaxis"] |= {"range": [-0.6, len(rows) - 0.2]}
+    caption = "On the recordings for choosing. Dark: named. Light blue: explains them as well. Grey: turned down."
     return Figure(id, "", {"data": [bars], "layout": plan}, caption=caption)
+
+
+def _over_bar(text: str, place: int) -> dict:
+    """A label above a lying bar, from its left end: long names leave the bars their room."""
+    shown = {"text": text, "showarrow": False, "font": {"size": 12}}
+    return shown | {"x": 0, "y": place + 0.23, "xanchor": "left", "yanchor": "bottom", "xref": "x", "yref": "y"}
 
 
 def _units(discovery: Discovery) -> dict[str, str]:
     units = {r.output: r.unit for r in discovery.regions}
     units |= {o.output: o.unit for r in discovery.recordings for o in r.outputs}
     return units | {o.output: o.unit for rows in discovery.outputs.values() for o in rows}
-
-
-def _level(y: float) -> dict:
-    dashed = {"color": MEASURED, "width": 1.2, "dash": "dash"}
-    return {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": y, "y1": y, "line": dashed}
-
-
-def _level_note(y: float, text: str) -> dict:
-    place = {"xref": "paper", "x": 1, "xanchor": "right", "y": y, "yanchor": "bottom", "showarrow": False}
-    return place | {"text": text, "font": {"size": 12, "color": MEASURED}}
 
 
 def _wrapped(label: str) -> str:

@@ -12,7 +12,7 @@ from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
 from .gap_figures import moved
 from .gap_text import joined, parameter_unit, percent, sentence, typical_remark, typical_text, value_texts
-from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, placed, unseen
+from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, unseen
 from .tables import Cell, Column, Table, numbers, table, texts, warned
 
 FULL = 12  # candidates shown before the rest is folded
@@ -38,8 +38,9 @@ def output_table(
     ]
     if changed:
         columns.append(rmse_column("rmse_after", "After", rows, units))
+    else:
+        columns.append(rmse_column("noise", "Noise", rows, units))
     columns += [
-        rmse_column("noise", "Noise", rows, units),
         texts("unit", "Unit", [pretty_unit(u) for u in units]),
         left_column(rows),
     ]
@@ -154,7 +155,7 @@ def member_table(step: Step, id: str) -> Table:
         numbers("bic_gain", "BIC gain", [r.bic_gain if r else None for r in rows], common=False),
         texts("values", "Its parameters would be", [_values(r) if r else NONE for r in rows]),
     ]
-    return table(id, f"As good as {placed(step)}", columns)
+    return table(id, "What explains the recordings as well", columns)
 
 
 def _values(row: Ranked) -> str:

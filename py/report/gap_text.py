@@ -9,6 +9,8 @@ from hydrotwin.discovery.discovery import EffectParameter
 
 from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
 
+NAMES = ("Coulomb", "Stribeck", "Dahl", "Maxwell", "Bingham", "Karnopp")  # keep their capital in a sentence
+
 
 def parameter_unit(p: EffectParameter) -> str:
     """The unit that a parameter of an effect is shown in; times under half a second in ms."""
@@ -30,7 +32,7 @@ def value_texts(p: EffectParameter) -> tuple[str, str, str]:
 
 def value_text(p: EffectParameter) -> str:
     """The value with its unit."""
-    return with_unit(value_texts(p)[0], parameter_unit(p))
+    return with_unit(value_texts(p)[0], parameter_unit(p)).replace(" ", "\u00a0")
 
 
 def interval_words(p: EffectParameter) -> str:
@@ -90,10 +92,19 @@ def sentence(text: str) -> str:
 
 
 def lowered(text: str) -> str:
-    """A sentence inside another: without its capital, unless its first word is a name or an abbreviation."""
-    text = sentence(text)
+    """A title or sentence inside another: without its capital, unless its first word is a name or an abbreviation.
+
+    >>> lowered("Internal leakage"), lowered("Coulomb friction"), lowered("LuGre friction"), lowered("BIC is 3.")
+    ('internal leakage', 'Coulomb friction', 'LuGre friction', 'BIC is 3.')
+    """
     first = text.split(" ", 1)[0]
-    return text[:1].lower() + text[1:] if first[1:].islower() or len(first) == 1 else text
+    keep = first in NAMES or not (first[1:].islower() or len(first) == 1)
+    return text if keep else text[:1].lower() + text[1:]
+
+
+def capital(text: str) -> str:
+    """A text at the start of a sentence."""
+    return text[:1].upper() + text[1:]
 
 
 def unit_label(unit: str) -> str:

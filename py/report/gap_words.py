@@ -10,7 +10,17 @@ import numpy as np
 from hydrotwin.discovery.discovery import Discovery, Experiment, OutputGap, Ranked, Step
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
-from .gap_text import interval_words, joined, lowered, percent, sentence, typical_remark, typical_text, value_text
+from .gap_text import (
+    capital,
+    interval_words,
+    joined,
+    lowered,
+    percent,
+    sentence,
+    typical_remark,
+    typical_text,
+    value_text,
+)
 
 AT_NOISE = 1.1  # times the noise: nothing worth a name is left below this
 WORSE = 1.1  # a recording whose RMSE grew by more speaks against the effect
@@ -39,9 +49,9 @@ def answer(discovery: Discovery) -> str:
     if discovery.verdict == "none":
         return "No effect is missing: the model agrees with the recordings to within the noise of the sensors."
     if discovery.verdict == "unknown":
-        named = f" beyond {joined([placed(s) for s in discovery.steps])}" if discovery.steps else ""
+        named = f" beyond {joined([lowered(placed(s)) for s in discovery.steps])}" if discovery.steps else ""
         return f"Something is missing{named}, and no effect of the catalogue explains it: it gets no physical name."
-    found = [_class_words(s) if len(s.members) > 1 else placed(s) for s in discovery.steps]
+    found = [_class_words(s) if len(s.members) > 1 else lowered(placed(s)) for s in discovery.steps]
     return f"Missing in the model: {joined(found)}."
 
 
@@ -103,7 +113,7 @@ def step_sentence(step: Step) -> str:
     """The effect, where, its equation with values and intervals in engineering units, and how sure that is."""
     pair = [f"{effect} at {site}" for effect, site in step.together]
     with_it = f" Only together with {joined(pair)} does it explain anything." if pair else ""
-    return f"{placed(step)}: {_formula(step)}. Probability {percent(step.probability)}.{with_it}"
+    return f"{capital(placed(step))}: {_formula(step)}. Probability {percent(step.probability)}.{with_it}"
 
 
 def member_sentences(step: Step) -> list[str]:
@@ -117,7 +127,7 @@ def member_sentences(step: Step) -> list[str]:
         else:
             sure = f", probability {percent(row.probability)}" if math.isfinite(row.probability) else ""
             formula = _formula(row)
-            told.append(f"{start} {lowered(placed(row))[:-1]}{sure}{': ' if formula else ''}{formula}.")
+            told.append(f"{start} {lowered(placed(row))}{sure}{': ' if formula else ''}{formula}.")
     rest = [f"{effect} at {site}" for effect, site in step.members[TOLD:]]
     return [*told, f"Or {' or '.join(rest)}."] if rest else told
 
@@ -179,7 +189,7 @@ def experiment_sentence(discovery: Discovery) -> str:
     if e is None:
         split = any(len(s.members) > 1 for s in discovery.steps)
         return "No input within the limits was found that would tell them apart." if split else ""
-    return f"The experiment that would tell: {lowered(e.sentence)} {separation_words(e)}"
+    return f"The experiment that would tell: {lowered(sentence(e.sentence))} {separation_words(e)}"
 
 
 def separation_words(experiment: Experiment) -> str:
@@ -199,7 +209,7 @@ def tried_sentence(discovery: Discovery) -> str:
         return f"{words}; none is needed."
     best = max(refitted, key=lambda r: r.gap_closed if math.isfinite(r.gap_closed) else -math.inf)
     reason = f" ({lowered(best.reason).rstrip('.')})" if best.reason else ""
-    return f"{words}; none is named. The nearest, {placed(best)}, was turned down{reason}."
+    return f"{words}; none is named. The nearest, {lowered(placed(best))}, was turned down{reason}."
 
 
 def untestable(discovery: Discovery) -> tuple[Ranked, ...]:
@@ -214,7 +224,7 @@ def untestable_sentence(discovery: Discovery) -> str:
     rows = untestable(discovery)
     if not rows:
         return ""
-    words = [placed(r) for r in rows[:TOLD]]
+    words = [lowered(placed(r)) for r in rows[:TOLD]]
     more = f" and {len(rows) - TOLD} more" if len(rows) > TOLD else ""
     listed = f"{', '.join(words)}{more}" if more else joined(words)
     return f"These recordings cannot judge {listed}: that would not have been seen."
@@ -255,7 +265,7 @@ def _class_words(step: Step) -> str:
     words = []
     for effect, site in step.members:
         row = known.get((effect, site))
-        name = placed(row) if row else f"{effect} at {site}"
+        name = lowered(placed(row)) if row else f"{effect} at {site}"
         words.append(f"{name} ({percent(row.probability)})" if row and math.isfinite(row.probability) else name)
     return " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 
 from .component import Component
-from .elaboration import BoundPort, Connection, Elaboration, Equation
+from .elaboration import BoundPort, Connection, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError, nearest
 
 
@@ -26,7 +26,7 @@ class Addition:
     ties : port of the part -> port of the model whose node it joins.
     reads : input of the part -> path of any variable of the model, or ``der(path)``.
     through : a signal (input or output of the model, input of a part, or ``der(state)``): the part's ``u`` takes what
-        was there, its ``y`` goes on.
+        was there, its ``y`` goes on. Several by name: ``u_<name>`` and ``y_<name>``.
     between : a port of the model: the part's ``a`` is joined to it, the part's ``b`` to the node it was on.
     frees : a parameter of the model that becomes free; needs no part.
     effect, site : what a model file calls it.
@@ -36,7 +36,7 @@ class Addition:
     part: Component | None = None
     ties: Mapping[str, str] = field(default_factory=dict)
     reads: Mapping[str, str] = field(default_factory=dict)
-    through: str | None = None
+    through: str | Mapping[str, str] | None = None
     between: str | None = None
     frees: str | None = None
     effect: str = ""
@@ -45,7 +45,7 @@ class Addition:
 
 def wire(elaboration: Elaboration, additions: Sequence[Addition], taken: Sequence[str]) -> None:
     """Bind the parts of additions and tie them in; ``taken`` are names of the root component."""
-    seen = set(taken)
+    seen, ends = set(taken), {}
     for addition in additions:
         if addition.part is None:
             continue
@@ -54,21 +54,28 @@ def wire(elaboration: Elaboration, additions: Sequence[Addition], taken: Sequenc
                 f"{elaboration.name}: '{addition.name}' is there already. Give the added part another name."
             )
         seen.add(addition.name)
-        _hang(elaboration, addition)
+        _hang(elaboration, addition, ends)
 
 
-def _hang(elaboration: Elaboration, addition: Addition) -> None:
-    """One addition. What its own equations say must not be rewired: the model is changed before they are collected."""
-    if addition.through:
-        connect = _open(elaboration, addition.through)
+def _hang(elaboration: Elaboration, addition: Addition, ends: dict) -> None:
+    """One addition. What its own equations say must not be rewired: the model is changed before they are collected.
+
+    ``ends``: input of the model -> the part last put there and its output, behind which the next one goes.
+    """
+    several = isinstance(addition.through, Mapping)
+    paths = {f"_{k}": path for k, path in addition.through.items()} if several else {"": addition.through}
+    known = {} if addition.through and _delays(addition.part) else ends
+    opened = {end: _open(elaboration, path, known.get(path)) for end, path in paths.items() if path}
     part = addition.part.bind(addition.name, elaboration)
     for own, port in addition.ties.items():
         owner = _owner(elaboration, _port(elaboration, port))
         elaboration.connections.append((owner, Connection(_port(elaboration, port), getattr(part, own))))
     for own, path in addition.reads.items():
         elaboration.equations.append(Equation(getattr(part, own), _variable(elaboration, path), ""))
-    if addition.through:
-        connect(part.u, part.y)
+    for end, close in opened.items():
+        close(getattr(part, f"u{end}"), getattr(part, f"y{end}"))
+        if known is ends and paths[end] in {entry.path for entry in elaboration.inputs}:
+            ends[paths[end]] = (addition.name, getattr(part, f"y{end}"))
     if addition.between:
         _put_between(elaboration, _port(elaboration, addition.between), part)
 
@@ -108,8 +115,23 @@ def _put_between(elaboration: Elaboration, port: BoundPort, part: Component) -> 
     elaboration.connections.append((owner, Connection(port, part.a)))
 
 
-def _open(elaboration: Elaboration, path: str):
-    """Cut a signal open; the answer closes it again over a part: ``close(u, y)``."""
+def _delays(part: Component) -> bool:
+    """A dead time is in the part: it stands before everything else at an input."""
+    alone = Elaboration("")
+    token = _current.set(alone)
+    try:
+        part.bind("part", alone)
+    finally:
+        _current.reset(token)
+    return bool(alone.delays)
+
+
+def _open(elaboration: Elaboration, path: str, behind: tuple[str, ca.SX] | None):
+    """Cut a signal open, or what came ``behind`` it last; the answer closes it over a part: ``close(u, y)``."""
+    if behind:
+        name, last = behind
+        gap = _cut(elaboration, last, inside=name)
+        return lambda u, y: _close(elaboration, gap, y, last, u)
     symbol = _variable(elaboration, path)
     if any(entry.path == path for entry in elaboration.inputs):
         source = _delayed(elaboration, symbol)

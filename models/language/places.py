@@ -156,7 +156,7 @@ class Places:
         return next((node for node in self.nodes if port in node.ports), None)
 
     def upstream(self, path: str) -> tuple[str, ...]:
-        """Signals that a signal comes from, through the parts that make it, nearest first, to the inputs of the model."""
+        """Signals that a signal comes from, nearest first, through the parts that make it, to the model's inputs."""
         same, found, waiting = self._connected_signals(), [], [path]
         while waiting:
             ends = same.get(waiting.pop(0), set())

@@ -1,9 +1,22 @@
-"""Cylinder and mechanism: geometry, masses, play, stops."""
+"""Cylinder and mechanism: geometry, masses, loads, play, give, stops."""
 
 from __future__ import annotations
 
-from .effect import Effect
-from .sites import parameters
+import casadi as ca
+import numpy as np
+
+from hydrotwin.models.language import Flange, Input, Output, Parameter, RotationalFlange, State, der
+from hydrotwin.models.language.places import Places
+from hydrotwin.models.language.units import compatible
+
+from .effect import Effect, Site
+from .sites import flange_joints, flanges, parameters
+from .stepping import Lagged, stepped
+
+FAR = 1e3  # m, where a stop is that nothing reaches
+TOLERANCES = "tolerances of the geometry"
+MACHINE_ELEMENTS = "Decker, Maschinenelemente: pins and their fits"
+HUNT = "K. H. Hunt and F. R. E. Crossley, Coefficient of restitution interpreted as damping in vibroimpact, 1975"
 
 
 class AreaError(Effect):
@@ -11,10 +24,230 @@ class AreaError(Effect):
 
     id, title = "area_error", "area other than stated"
     equation = "A = A_stated (1 + e)"
-    source = "tolerances of the geometry"
+    source = TOLERANCES
     typical = {"value": (0.9, 1.1)}
     probes = ({"value": 1.05}, {"value": 0.95})
     confused_with = ("displacement_error", "sensor_scale")
     experiment = "pressures and position together, at two loads"
 
     sites = staticmethod(parameters("m2"))
+
+
+class PayloadError(Effect):
+    """A mass or an inertia that is not what was stated; the parameter becomes free."""
+
+    id, title = "payload_error", "mass other than stated"
+    equation = "m = m_stated (1 + e)"
+    source = "what is carried changes"
+    typical = {"value": (0.7, 1.5)}
+    probes = ({"value": 1.2}, {"value": 0.8})
+    confused_with = ("constant_load", "gravity_tilt", "linkage_error", "area_error")
+    experiment = (
+        "fast and slow motion in several positions, with pressures: a force acts at rest, a mass when it speeds"
+    )
+
+    @classmethod
+    def sites(cls, places: Places):
+        yield from parameters("kg")(places)
+        yield from parameters("kg.m2")(places)
+
+
+class LinkageError(Effect):
+    """A length of a linkage that is not what was stated; the parameter becomes free.
+
+    Lengths are the parameters in metres that cannot be zero, of parts with a flange; positions are none.
+    """
+
+    id, title = "linkage_error", "length of the linkage other than stated"
+    equation = "l = l_stated (1 + e)"
+    source = TOLERANCES
+    typical = {"value": (0.97, 1.03)}
+    probes = ({"value": 1.01}, {"value": 0.99})
+    confused_with = ("sensor_scale", "payload_error", "sensor_bias")
+    experiment = "the whole stroke, slowly, with stroke and angle both measured"
+
+    @classmethod
+    def sites(cls, places: Places):
+        least = {p.name: p.bounds[0] for p in places.model.flat.parameters}
+        moving = [p.path for p in places.parts if p.ports_of(Flange) or p.ports_of(RotationalFlange)]
+
+        def is_length(path: str) -> bool:
+            return least[path] > 0 and path.rpartition(".")[0] in moving
+
+        yield from parameters("m", is_length)(places)
+
+
+class ConstantLoad(Effect):
+    """A force that never changes: a weight on a slide, a spring with little rate.
+
+        F = F_0,   positive against larger s
+
+    On one axis with one mass a tilted guide is the same.
+    """
+
+    id, title = "constant_load", "constant force"
+    equation = "F = F_0"
+    source = "J. Watton, Fundamentals of Fluid Power Control, 2009"
+    typical = {"force": (-3000.0, 3000.0)}
+    probes = ({"force": 200.0}, {"force": -200.0}, {"force": 2000.0}, {"force": -2000.0})
+    confused_with = ("asymmetric_friction", "null_bias", "payload_error", "gravity_tilt")
+    experiment = "hold in several positions and move slowly both ways, with pressures"
+
+    flange = Flange("where it acts")
+    force = Parameter(0.0, "N", "F_0, against larger s", bounds=(-1e6, 1e6), nominal=500.0, source="load", free=True)
+
+    sites = staticmethod(flanges)
+
+    def equations(self):
+        yield self.flange.f == self.force
+
+
+class GravityTilt(Effect):
+    """The base of a turning link stands at an angle: gravity comes from another side.
+
+        der(w) = ... + kappa sin(angle),   kappa = (M g L/J) delta for a tilt of delta << 1
+
+    which is what is left of M g L (cos(angle) - cos(angle + delta))/J where the angle is measured from the
+    horizontal. A slide that is tilted feels a constant force: that is `constant_load`.
+    Source: geometry.
+    """
+
+    id, title = "gravity_tilt", "tilted base"
+    equation = "w' = ... + kappa sin(angle)"
+    source = "geometry: gravity turned by a small angle"
+    typical = {"rate": (-3.0, 3.0)}  # g/L times 0.1 rad
+    probes = ({"rate": 0.5}, {"rate": -0.5}, {"rate": 3.0}, {"rate": -3.0})
+    confused_with = ("payload_error", "linkage_error", "constant_load", "sensor_bias")
+    experiment = "hold in many angles over the whole range, with pressures"
+
+    u = Input("rad/s2", "angular acceleration")
+    y = Output("rad/s2", "angular acceleration with the tilt")
+    angle = Input("rad", "angle above the horizontal")
+    rate = Parameter(0.0, "1/s2", "kappa", bounds=(-100, 100), nominal=1.0, source="g/L times the tilt", free=True)
+
+    @classmethod
+    def sites(cls, places: Places):
+        states = {s.path: s.unit for s in places.states}
+        for part in places.parts:
+            angles = [s for s in part.states if states[s] == "rad"]
+            speeds = [s for s in part.states if compatible(states[s], "rad/s") and states[s] != "1/s"]
+            if len(angles) == len(speeds) == 1:
+                yield Site(part.path, reads={"angle": angles[0]}, through=f"der({speeds[0]})")
+
+    def equations(self):
+        yield self.y == self.u + self.rate * ca.sin(self.angle)
+
+
+class EndStop(Effect):
+    """The end of the stroke, where nothing in the model holds the motion.
+
+        f = k e_high (1 + d v) - k e_low (1 - d v),   e_high = max(s - s_high, 0), e_low = max(s_low - s, 0)
+
+    Each bracket at least 0: a stop never pulls. Either end may lie where nothing comes. Source: Hunt and Crossley.
+    """
+
+    id, title = "end_stop", "end of the stroke"
+    equation = "s_low <= s <= s_high, by a stiff contact"
+    source = HUNT
+    typical = {"low": (-0.05, 0.05), "high": (0.02, 1.0)}
+    probes = ({"low": -FAR, "high": 0.1}, {"low": 0.0, "high": FAR})
+    confused_with = ("command_saturation", "relief_saturation", "sensor_scale")
+    experiment = "drive slowly to both ends and on, with pressures"
+
+    flange = Flange("what comes to the stop")
+    low = Parameter(-FAR, "m", "s_low", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
+    high = Parameter(FAR, "m", "s_high", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
+    stiffness = Parameter(2e7, "N/m", "k of the contact", bounds=(1e3, 1e10), source="stiff, but not for the step")
+    damping = Parameter(10.0, "s/m", "d of the contact", bounds=(0, 100), source=HUNT)
+
+    sites = staticmethod(flanges)
+
+    def equations(self):
+        s, v, d = self.flange.s, der(self.flange.s), self.damping
+        above = ca.fmax(s - self.high, 0) * ca.fmax(1 + d * v, 0)
+        below = ca.fmax(self.low - s, 0) * ca.fmax(1 - d * v, 0)
+        yield self.flange.f == self.stiffness * (above - below)
+
+    @classmethod
+    def probes_for(cls, seen) -> list[dict]:
+        """One end or both at quantiles of the positions seen."""
+        s = np.asarray(seen["flange.s"])
+        low, high = np.quantile(s, (0.02, 0.1, 0.25)), np.quantile(s, (0.98, 0.9, 0.75))
+        ends = [{"low": -FAR, "high": float(h)} for h in high] + [{"low": float(e), "high": FAR} for e in low]
+        return [*ends, {"low": float(low[0]), "high": float(high[0])}]
+
+
+class _Joint(Lagged):
+    """Between two flanges that move together; the force passes through two small lags, so that no loop arises.
+
+    T_0 f_1' = f_a - f_1,   T_0 f_2' = f_1 - f_2,   s_a - s_b = stretch(f_2)
+    """
+
+    a = Flange("the port of the part")
+    b = Flange("what it was joined to")
+    first = State(0.0, "N", "f_1", nominal=1e3, fixed=False)
+    passed = State(0.0, "N", "f_2", nominal=1e3, fixed=False)
+
+    sites = stepped(flange_joints)
+
+    def stretch(self, force):
+        """s_a - s_b [m] under a force [N]."""
+        raise NotImplementedError
+
+    def equations(self):
+        f, f_1, f_2, T_0 = self.a.f, self.first, self.passed, self.resolution
+        yield T_0 * der(f_1) == f - f_1
+        yield T_0 * der(f_2) == f_1 - f_2
+        yield self.a.s - self.b.s == self.stretch(f_2)
+        yield self.a.f + self.b.f == 0
+
+    def initial_equations(self):
+        yield self.first == self.a.f
+        yield self.passed == self.a.f
+
+
+class StructuralCompliance(_Joint):
+    """What lies between drive and load gives: a bracket, a rod, a frame.
+
+        s_a - s_b = c F
+
+    Source: Merritt 1967, section 6.
+    """
+
+    id, title = "structural_compliance", "compliance of the structure"
+    equation = "s_a - s_b = c F"
+    source = "H. Merritt, Hydraulic Control Systems, 1967"
+    typical = {"compliance": (1e-9, 2e-7)}
+    probes = ({"compliance": 1e-8}, {"compliance": 1e-7})
+    confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag")
+    experiment = "steps of force with position measured on both sides, or with pressures"
+
+    compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)
+    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+
+    def stretch(self, force):
+        return self.compliance * force
+
+
+class Backlash(_Joint):
+    """Play of a pin: the load follows only when the other side of the hole is reached.
+
+        s_a - s_b = h/2 sign(F),   sign smoothed as tanh(F / F_0)
+
+    The force tells the side, so that the play needs no start of its own. Source: Decker, Maschinenelemente.
+    """
+
+    id, title = "backlash", "play of a joint"
+    equation = "s_a - s_b = h/2 sign(F)"
+    source = MACHINE_ELEMENTS
+    typical = {"gap": (1e-4, 2e-3)}
+    probes = ({"gap": 2e-4}, {"gap": 1e-3})
+    confused_with = ("structural_compliance", "command_deadband", "presliding_friction")
+    experiment = "reverse the load slowly: position jumps by the play where the force changes sign"
+
+    gap = Parameter(0.0, "m", "play h", bounds=(0, 0.01), nominal=5e-4, source=MACHINE_ELEMENTS, free=True)
+    resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    force_scale = Parameter(200.0, "N", "F_0", bounds=(1, 1e5), source="numerical: 1-10 % of the forces")
+
+    def stretch(self, force):
+        return self.gap / 2 * ca.tanh(force / self.force_scale)

@@ -1,3 +1,122 @@
-"""Family 'vessel' of the catalogue."""
+"""Vessels whose level cannot rise for ever."""
 
 from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from hydrotwin.models.language import Input, Output, Parameter
+from hydrotwin.models.language.places import Places
+
+from .stepping import Lagged, SteppedSite
+
+SCHOUKENS = (
+    "M. Schoukens and J. P. Noel, Three benchmarks addressing open challenges in nonlinear system identification, 2017"
+)
+ENDLESS = 1e6  # nominal levels, a rim that nothing reaches
+
+
+def levels(places: Places):
+    """States that are levels: declared with a lower bound of 0 or more."""
+    return [s for s in places.states if 0 <= s.bounds[0] < np.inf]
+
+
+def _limits(seen, name: str) -> list[float]:
+    """Rims that the level seen exceeds now and then."""
+    return [float(v) for v in np.quantile(np.asarray(seen[name]), (0.97, 0.9, 0.75))]
+
+
+class Overflow(Lagged):
+    """A vessel runs over: its level stays at the rim and what comes in is lost.
+
+        dh/dt = min(dh/dt without it, (h_max - h)/T_0)
+
+    Source: Schoukens and Noel 2017, cascaded tanks.
+    """
+
+    id, title = "overflow", "overflow"
+    equation = "h <= h_max"
+    source = SCHOUKENS
+    typical = {"limit": (0.5, 20.0)}
+    probes = ({"limit": 1.0}, {"limit": 3.0}, {"limit": 10.0})
+    confused_with = ("command_saturation", "sensor_scale")
+    experiment = "fill to the rim and go on, with the level measured"
+
+    u = Input("signal/s", "rate of the level without a rim")
+    y = Output("signal/s", "rate of the level")
+    h = Input("signal", "level")
+    limit = Parameter(ENDLESS, "signal", "h_max", bounds=(0, ENDLESS), nominal=1.0, source="far above: none", free=True)
+    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 1e3), source="numerical: the model's step")
+
+    @classmethod
+    def sites(cls, places: Places):
+        for level in levels(places):
+            path = level.path
+            yield SteppedSite(
+                path,
+                reads={"h": path},
+                through=f"der({path})",
+                unit=level.unit,
+                nominal=level.nominal,
+                step=2 * places.model.step,
+            )
+
+    def equations(self):
+        yield self.y == ca.fmin(self.u, (self.limit - self.h) / self.resolution)
+
+    @classmethod
+    def probes_for(cls, seen) -> list[dict]:
+        """Rims at quantiles of the level seen."""
+        return [{"limit": limit} for limit in _limits(seen, "h")]
+
+
+class OverflowIntoLower(Lagged):
+    """A vessel runs over into a lower one, which catches a share of what is spilled.
+
+        dh_1/dt = min(dh_1/dt without it, (h_max - h_1)/T_0),   dh_2/dt = ... + r (what that takes away)
+
+    Source: Schoukens and Noel 2017, cascaded tanks.
+    """
+
+    id, title = "overflow_into_lower", "overflow into a lower vessel"
+    equation = "h_1 <= h_max, a share r of the spill into h_2"
+    source = SCHOUKENS
+    typical = {"limit": (0.5, 20.0), "share": (0.0, 1.0)}
+    probes = ({"limit": 1.0, "share": 0.5}, {"limit": 3.0, "share": 0.5}, {"limit": 10.0, "share": 0.5})
+    refines = ("overflow",)
+    confused_with = ("overflow", "command_saturation", "sensor_scale")
+    experiment = "fill the upper vessel to the rim and go on, with both levels measured"
+
+    u_upper = Input("signal/s", "rate of the upper level without a rim")
+    y_upper = Output("signal/s", "rate of the upper level")
+    u_lower = Input("signal/s", "rate of the lower level without the spill")
+    y_lower = Output("signal/s", "rate of the lower level")
+    h = Input("signal", "upper level")
+    limit = Parameter(ENDLESS, "signal", "h_max", bounds=(0, ENDLESS), nominal=1.0, source="far above: none", free=True)
+    share = Parameter(0.5, "1", "r", bounds=(0, 1), nominal=0.5, source="how they stand", free=True)
+    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 1e3), source="numerical: the model's step")
+
+    @classmethod
+    def sites(cls, places: Places):
+        found = levels(places)
+        for upper in found:
+            for lower in found:
+                if upper is not lower and upper.unit == lower.unit:
+                    yield SteppedSite(
+                        f"{upper.path}-{lower.path}",
+                        reads={"h": upper.path},
+                        through={"upper": f"der({upper.path})", "lower": f"der({lower.path})"},
+                        unit=upper.unit,
+                        nominal=upper.nominal,
+                        step=2 * places.model.step,
+                    )
+
+    def equations(self):
+        held = ca.fmin(self.u_upper, (self.limit - self.h) / self.resolution)
+        yield self.y_upper == held
+        yield self.y_lower == self.u_lower + self.share * (self.u_upper - held)
+
+    @classmethod
+    def probes_for(cls, seen) -> list[dict]:
+        """Rims at quantiles of the level seen, half of the spill caught."""
+        return [{"limit": limit, "share": share} for limit in _limits(seen, "h") for share in (0.3, 0.8)]

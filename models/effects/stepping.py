@@ -1,0 +1,38 @@
+"""Small lags that suit the step a model is integrated with: never faster than that step can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+
+from hydrotwin.models.language.places import Places
+
+from .effect import Effect, Site
+
+
+@dataclass(frozen=True)
+class SteppedSite(Site):
+    """A site of a model whose step [s] is known."""
+
+    step: float = 1e-3
+
+
+def stepped(sites: Callable[[Places], Iterator[Site]]):
+    """The same sites, with the step of the model."""
+
+    def found(places: Places) -> Iterator[SteppedSite]:
+        for site in sites(places):
+            yield SteppedSite(**{f.name: getattr(site, f.name) for f in fields(Site)}, step=places.model.step)
+
+    return staticmethod(found)
+
+
+class Lagged(Effect):
+    """An effect with a fixed parameter ``resolution`` [s], a numerical lag that is at least the step of the model."""
+
+    @classmethod
+    def at(cls, site: Site):
+        """The part for a site, its lag no shorter than the step."""
+        part = super().at(site)
+        shortest = getattr(site, "step", 0.0)
+        return part if part.declared("resolution").value >= shortest else part.but(resolution=shortest)

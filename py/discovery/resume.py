@@ -40,7 +40,7 @@ class Memory:
     def get(self, key: str) -> dict | None:
         """The answer under ``key``; None when there is none, or its file was damaged."""
         try:
-            with np.load(self._path(key), allow_pickle=False) as stored:
+            with self._path(key).open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files if name != _TEXT}
                 return _with_arrays(json.loads(str(stored[_TEXT][()])), arrays)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):

@@ -1,4 +1,4 @@
-"""hydrotwin: identify, learn, compare and export models of hydraulic actuators.
+"""hydrotwin: identify, learn, compare and export models of hydraulic actuators, and find the physics they lack.
 
 The verbs and nouns of the package, gathered from its rooms; each is imported when first used.
 
@@ -17,13 +17,18 @@ _WHERE = {
     "Block": "simulation",
     "Comparison": "comparison",
     "Component": "models.language",
+    "Discovery": "discovery.discovery",
     "Fit": "identification",
     "HydrotwinError": "models.language",
     "Law": "models.language",
     "Model": "models.language",
     "Record": "records",
+    "add_effect": "models.effects",
+    "candidates": "models.effects",
     "check_fmu": "export",
     "compare": "comparison",
+    "discover": "discovery",
+    "effects": "models.effects",
     "export_fmu": "export",
     "from_control": "simulation.control_system",
     "identify": "identification",
@@ -35,6 +40,7 @@ _WHERE = {
     "simulate": "simulation",
     "to_control": "simulation.control_system",
     "train_network": "learned",
+    "write_gap_report": "report.gap",
     "write_model_file": "models.language.model_file",
     "write_record": "records",
     "write_report": "report",
@@ -50,6 +56,8 @@ except PackageNotFoundError:  # run from a folder that was never installed
 def __getattr__(name: str):
     if name not in _WHERE:
         raise AttributeError(f"module 'hydrotwin' has no attribute '{name}'")
+    if name == "effects":
+        return importlib.import_module("hydrotwin.models.effects").CATALOGUE
     return getattr(importlib.import_module(f"hydrotwin.{_WHERE[name]}"), name)
 
 

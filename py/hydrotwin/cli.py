@@ -15,13 +15,13 @@ from rich.console import Console
 from hydrotwin import __version__
 from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
-from .commands import comparing, demonstrating, exporting, fitting, showing
+from .commands import comparing, demonstrating, discovering, exporting, fitting, showing
 
 SEVERAL = ("--validate", "--train")  # options that take every file up to the next option
 
 app = typer.Typer(
     name="hydrotwin",
-    help="Identify, learn, compare and export models of hydraulic actuators.",
+    help="Identify, learn, compare and export models of hydraulic actuators, and find the physics they lack.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -43,7 +43,7 @@ def options(
     """Identify, learn, compare and export models of hydraulic actuators."""
 
 
-for room in (showing, fitting, comparing, exporting, demonstrating):
+for room in (showing, fitting, discovering, comparing, exporting, demonstrating):
     room.register(app)
 
 

@@ -75,7 +75,7 @@ MODELS = {
     "nan_value.toml": ["nan_value.toml: motor.gain: value and sigma must be finite"],
     "no_table.toml": ["no_table.toml: 'parameters' is no table (got 3)", "Correct it"],
     "newer.toml": ["newer.toml: written by a newer version (format 99)", "Update hydrotwin"],
-    "effects.toml": ["effects.toml: it holds effects, which this version cannot add", "Update hydrotwin"],
+    "effects.toml": ["effects.toml: effect 1 has no 'site'", "'hydrotwin effects MODEL' lists both"],
     "nothing.toml": ["nothing.toml: no model file (no line model", "hydrotwin identify"],
     "noise.toml": ["noise.toml: this is not TOML"],
     "scenario.toml": ["scenario.toml: a scenario, not a model", "hydrotwin compare scenario.toml"],

@@ -113,6 +113,7 @@ def test_the_file_says_effect_site_and_name_and_is_checked_before_it_is_used(tmp
 
 
 ROW = '[[effects]]\neffect = "coulomb_friction"\nsite = "arm.pin"\nname = "coulomb_friction"\n'
+FORC = 'parameters.coulomb_friction.forc = { value = 1, unit = "N" }\n'
 WRONG = [
     ("coulomb_friction", "colomb_friction", DeclarationError, "Did you mean 'coulomb_friction'"),
     ('"arm.pin"', '"arm.pine"', DeclarationError, "Did you mean 'arm.pin'"),
@@ -121,7 +122,7 @@ WRONG = [
     ('site = "arm.pin"', 'place = "arm.pin"', DataError, "unknown key 'place'"),
     ('name = "coulomb_friction"', 'name = "a b"', DataError, "no name of a part"),
     ('name = "coulomb_friction"', 'name = "motor"', DeclarationError, "'motor' is there already"),
-    (ROW, ROW + '[parameters.coulomb_friction]\nforc = { value = 1.0, unit = "N" }\n', DeclarationError, "coulomb_friction.force"),
+    (ROW, ROW + FORC, DeclarationError, "coulomb_friction.force"),
     (ROW, 'effects = ["coulomb_friction"]\n', DataError, "effect 1 is no table"),
 ]  # fmt: skip
 

@@ -1,0 +1,226 @@
+"""effects and gap: what a model may be missing, and what it is missing."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin import __version__
+from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.writing import json_values, write_whole
+from hydrotwin.records import Record, require
+
+from ..loading import origin
+from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
+from .shared import (
+    JsonOption,
+    ModelArgument,
+    RecordsArgument,
+    ScaleOption,
+    ValidateOption,
+    check_folder,
+    err,
+    examples,
+    mark,
+    out,
+    print_json,
+    progress_bar,
+    read_all,
+    table,
+    tell_ignored,
+)
+from .showing import physical
+
+KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
+WRITTEN = ("report.html", "report.md", "model.toml", "model.mo")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command(epilog=examples("hydrotwin effects", "hydrotwin effects cehA"))(effects)
+    app.command(epilog=examples("hydrotwin gap model.toml train_*.csv --validate validate_*.csv --out gap"))(gap)
+
+
+def effects(
+    model: Annotated[
+        str | None, typer.Argument(metavar="MODEL", help="a physical model; without one, the whole catalogue")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List the catalogue of effects, or what of it fits where in MODEL."""
+    if model is None:
+        rows, show = catalogue_rows(), print_catalogue
+    else:
+        thing = physical(model, "effects")
+        rows = fitting_rows(thing)
+
+        def show(rows: list[dict]) -> None:
+            print_fitting(thing.name, rows)
+
+    (print_json if as_json else show)(rows)
+
+
+def gap(
+    model: ModelArgument,
+    records: RecordsArgument,
+    output: Annotated[Path, typer.Option("--out", metavar="DIR", help="where everything is written")],
+    validate: ValidateOption = None,
+    free: Annotated[list[str] | None, typer.Option("--free", metavar="GLOB", help="parameters to identify")] = None,
+    wanted: Annotated[
+        list[str] | None, typer.Option("--effects", metavar="GLOB", help="effects to try: 'sensor_*', '* at command'")
+    ] = None,
+    exclude: Annotated[list[str] | None, typer.Option("--exclude", metavar="GLOB", help="effects not to try")] = None,
+    max_effects: Annotated[int, typer.Option(min=1, help="most effects to add, one after the other")] = 3,
+    executor: Annotated[
+        str, typer.Option(metavar="WHERE", help="where the fits run: processes, threads or dask://host:port")
+    ] = "processes",
+    resume: Annotated[
+        bool, typer.Option("--resume/--fresh", help="go on where an interrupted run stopped, or begin anew")
+    ] = True,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out which physical effect a model lacks, add it, and show what it closes.
+
+    Where simulation and recordings disagree, every effect of the catalogue is tried at every place it fits. The answer
+    is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
+    """
+    from hydrotwin.discovery import discover
+    from hydrotwin.discovery.progress import described
+    from hydrotwin.discovery.resume import Memory
+    from hydrotwin.models.effects import candidates
+
+    began = time.perf_counter()
+    check_folder(output)
+    thing = physical(model, "gap")
+    candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
+    train, judged = read_all(records, scale), read_all(validate, scale)
+    check_recordings(thing, [*train, *judged])
+    memory = Memory(output / KEPT)
+    if not resume:
+        memory.remove()
+    elif len(memory):
+        err.print(f"going on: {len(memory)} fits of an interrupted run are kept (--fresh begins anew)", style="dim")
+    try:
+        with progress_bar() as bar:
+            row = bar.add_task(f"gap {thing.name}", total=None)
+
+            def told(stage: str, done: int, total: int, note: str = "") -> None:
+                words = described(f"gap {thing.name}", stage, done, total, note)
+                bar.update(row, description=words, completed=done, total=total or None)
+
+            found = discover(
+                thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
+                max_effects=max_effects, executor=executor, progress=None if as_json else told, memory=memory,
+            )  # fmt: skip
+    except HydrotwinError as error:
+        write_failure(thing.name, str(error), output, time.perf_counter() - began)
+        raise
+    write_discovery(found, origin(model), output, gap_provenance(found, train, judged))
+    memory.remove()
+    if as_json:
+        from hydrotwin.report.gap_data import gap_data
+
+        print_json(gap_data(found))
+        return
+    print_discovery(found, output)
+    if ".py:" in model and found.steps:
+        out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+def check_recordings(thing, records: list[Record]) -> None:
+    """Every recording has the inputs of the model; columns nobody knows are told."""
+    flat = thing.flat
+    for record in records:
+        require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
+    tell_ignored(records, {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+
+
+def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict) -> None:
+    """The report, the model with its effects as model.toml and as model.mo."""
+    from hydrotwin.models.language.modelica import modelica_text
+    from hydrotwin.report.gap import write_gap_report
+
+    write_gap_report(found, folder)
+    values = getattr(found.fit_after, "flat", None) or found.model.flat
+    write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
+    write_whole(folder / "model.mo", modelica_text(found.model))
+
+
+def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
+    """What the model file says about its making."""
+    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
+    steps = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
+    return {
+        "made_by": f"hydrotwin {__version__}",
+        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        "verdict": found.verdict,
+        "effects": steps,
+        "noise": dict(found.noise),
+        "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
+        "findings": [str(f) for f in found.findings],
+    }
+
+
+def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> None:
+    """A gap.json that says why there is no answer, in place of whatever an earlier run left in the folder."""
+
+    empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
+    content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
+    content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
+    write_whole(folder / "gap.json", json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
+    for stale in WRITTEN:
+        with contextlib.suppress(FileNotFoundError):
+            (folder / stale).unlink()
+
+
+def print_discovery(found, folder: Path) -> None:
+    """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
+    from hydrotwin.report.gap_text import percent, sentence
+    from hydrotwin.report.gap_words import answer, experiment_sentence
+
+    out.print(f"{found.name}: {found.verdict}. {sentence(answer(found))}")
+    rows = effect_rows(found)
+    if rows:
+        out.print()
+        table("what is missing", ["effect", "where", "parameter", "value", "95 % interval", "gap closed"], rows)
+    left = [
+        [o.output, o.rmse_before, o.rmse_after, o.noise, o.unit, percent(o.gap_closed)]
+        for o in found.outputs.get("validate", ()) or found.outputs.get("train", ())
+    ]
+    if left:
+        out.print()
+        where = "validation recordings" if found.outputs.get("validate") else "recordings of the fit"
+        table(f"RMSE on the {where}", ["output", "before", "after", "noise", "unit", "gap closed"], left)
+    for finding in found.findings:
+        mark(out, "note", sentence(str(finding)))
+    if any(s.is_class for s in found.steps):
+        mark(out, "next", experiment_sentence(found), "bold cyan")
+    out.print(f"{found.seconds:.1f} s. Written: {folder / 'report.html'}, gap.json, model.toml, model.mo")
+
+
+def effect_rows(found) -> list[list[str]]:
+    """One row for each parameter of each named effect; the members of a class below it."""
+    from hydrotwin.report.gap_text import percent, value_text, value_texts
+
+    rows = []
+    for step in found.steps:
+        lead = [step.title or step.effect, step.site]
+        for p in step.parameters:
+            low, high = value_texts(p)[1:]
+            value = [p.name.rpartition(".")[2], value_text(p), f"{low} ... {high}"]
+            rows.append([*lead, *value, "" if not lead[0] else percent(step.gap_closed)])
+            lead = ["", ""]
+        if not step.parameters:
+            rows.append([*lead, "", "", "", percent(step.gap_closed)])
+        rows += [[f"or {e}", s, "", "", "", ""] for e, s in step.members if (e, s) != (step.effect, step.site)]
+        rows += [[f"with {e}", s, "", "", "", ""] for e, s in step.together]
+    return rows

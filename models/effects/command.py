@@ -9,6 +9,7 @@ from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, de
 
 from .effect import Effect, Site
 from .sites import drives, model_inputs, valve_spools
+from .stepping import Lagged, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
@@ -55,7 +56,7 @@ class DeadTime(Effect):
         yield self.y == delay(self.u, self.time)
 
 
-class ActuatorLag(Effect):
+class ActuatorLag(Lagged):
     """The command is followed with a lag.
 
         T y' + y = u
@@ -79,7 +80,7 @@ class ActuatorLag(Effect):
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 2.0), nominal=0.01, source="typical", free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = staticmethod(model_inputs)
+    sites = stepped(model_inputs)
 
     def equations(self):
         T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
@@ -90,7 +91,7 @@ class ActuatorLag(Effect):
         yield self.lagging == self.u
 
 
-class RateLimit(Effect):
+class RateLimit(Lagged):
     """The command is followed no faster than at a rate R.
 
         y' = clip((u - y) / T_0, -R, R)
@@ -115,7 +116,7 @@ class RateLimit(Effect):
     rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = staticmethod(model_inputs)
+    sites = stepped(model_inputs)
 
     @classmethod
     def probes_for(cls, seen):
@@ -268,7 +269,7 @@ class Drift(Effect):
         yield self.y == self.u * (1 + self.rate * time())
 
 
-class MotorDroop(Effect):
+class MotorDroop(Lagged):
     """A drive that slows down under load.
 
         w = w_0 - R M,   T_0 M' = M_load - M
@@ -293,7 +294,7 @@ class MotorDroop(Effect):
     )
     resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = staticmethod(drives)
+    sites = stepped(drives)
 
     def equations(self):
         M = self.torque

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 
 from hydrotwin.models.language import Input, Output, Parameter, State, der
 
 from .effect import Effect
 from .sites import model_outputs
+from .stepping import Lagged, stepped
 
 FRADEN = "J. Fraden, Handbook of Modern Sensors, 2016"
 
 
-class SensorLag(Effect):
+class SensorLag(Lagged):
     """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `ActuatorLag`."""
 
     id, title = "sensor_lag", "lag of the sensor"
@@ -30,7 +33,7 @@ class SensorLag(Effect):
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 1.0), nominal=0.01, source=FRADEN, free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = staticmethod(model_outputs)
+    sites = stepped(model_outputs)
 
     def equations(self):
         T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
@@ -85,7 +88,7 @@ class SensorBias(Effect):
         yield self.y == self.u + self.offset
 
 
-class SensorDelay(Effect):
+class SensorDelay(Lagged):
     """The reading arrives late: ``y(t) = u(t - T)``, as a filter of second order that agrees with it to (s T)^2.
 
         y = v + (a_1 - T) v' + (a_2 - a_1 T + T^2/2) v'',   v + a_1 v' + a_2 v'' = u
@@ -111,7 +114,10 @@ class SensorDelay(Effect):
     time = Parameter(0.0, "s", "delay T", bounds=(0, 0.5), nominal=0.01, source="bus and filter", free=True)
     resolution = Parameter(4e-3, "s", "T_0", bounds=(1e-4, 0.1), source="numerical")
 
-    sites = staticmethod(model_outputs)
+    @staticmethod
+    def sites(places):
+        for site in stepped(model_outputs)(places):
+            yield replace(site, step=2 * site.step)
 
     def equations(self):
         T, u, v, r = self.time, self.u, self.late, self.late_rate

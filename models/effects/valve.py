@@ -10,6 +10,7 @@ from hydrotwin.models.language import HydraulicPort, Input, Output, Parameter, S
 
 from .effect import Effect, Site
 from .sites import sources, valve_signals, valve_spools
+from .stepping import Lagged, stepped
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 JELALI = "M. Jelali and A. Kroll, Hydraulic Servo-systems, 2003"
@@ -82,7 +83,7 @@ def _first_signals(places):
             yield site
 
 
-class SpoolHysteresis(Effect):
+class SpoolHysteresis(Lagged):
     """The spool follows its signal with play, from the magnet's hysteresis and from friction.
 
         y stays where it is while |u - y| < h
@@ -110,7 +111,7 @@ class SpoolHysteresis(Effect):
     offset = Parameter(0.0, "1", "start within the play", bounds=(-1, 1), nominal=1.0, source="unknown: centre")
     resolution = Parameter(2e-3, "s", "T_p", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = staticmethod(_first_signals)
+    sites = stepped(_first_signals)
 
     def equations(self):
         u, w, z, h, T = self.u, self.followed, self.dragged, self.half_width, self.resolution
@@ -123,7 +124,22 @@ class SpoolHysteresis(Effect):
         yield self.dragged == self.u + self.offset * self.half_width
 
 
-class SpoolLag(Effect):
+def _slow_spools(places):
+    """Valve signals, or the natural frequency of what sends them where the model fixes one."""
+    for site in valve_spools(places):
+        movers = {path.rpartition(".")[0] for path in places.upstream(site.through) if "." in path}
+        own = [
+            p
+            for p in places.model.flat.parameters
+            if p.unit == "rad/s" and p.name.rpartition(".")[0] in movers and not p.free and p.value
+        ]
+        if own:
+            yield from (Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal) for p in own)
+        else:
+            yield site
+
+
+class SpoolLag(Lagged):
     """The spool is slower than stated: its natural frequency where that is fixed, else a lag ``T y' + y = u``.
 
     Written as u + T/(T + T_0) (w - u), (T + T_0) w' + w = u, see `ActuatorLag`.
@@ -144,19 +160,7 @@ class SpoolLag(Effect):
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 0.5), nominal=0.01, source=JELALI, free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    @classmethod
-    def sites(cls, places):
-        for site in valve_spools(places):
-            movers = {path.rpartition(".")[0] for path in places.upstream(site.through) if "." in path}
-            own = [
-                p
-                for p in places.model.flat.parameters
-                if p.unit == "rad/s" and p.name.rpartition(".")[0] in movers and not p.free and p.value
-            ]
-            if own:
-                yield from (Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal) for p in own)
-            else:
-                yield site
+    sites = stepped(_slow_spools)
 
     @classmethod
     def freed(cls, value):

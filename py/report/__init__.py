@@ -4,6 +4,8 @@ from .answer import answer
 from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
 from .fit import ParameterRow, fit_section, parameter_rows
 from .format import number_text, pretty_unit, shown_unit
+from .gap import gap_page, write_gap_report
+from .gap_data import gap_data
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 from .write import comparison_page, display_units, write_report
@@ -29,6 +31,8 @@ __all__ = [
     "display_units",
     "error_bars",
     "fit_section",
+    "gap_data",
+    "gap_page",
     "layout",
     "line",
     "number_text",
@@ -40,6 +44,7 @@ __all__ = [
     "table",
     "texts",
     "warned",
+    "write_gap_report",
     "write_page",
     "write_report",
 ]

@@ -36,7 +36,7 @@ from .gap_tables import (
     untestable_table,
     waterfall_table,
 )
-from .gap_text import joined, percent, sentence
+from .gap_text import capital, joined, percent, sentence
 from .gap_words import (
     answer,
     class_sentence,
@@ -116,9 +116,9 @@ def _eyebrow(discovery: Discovery, date: datetime) -> str:
 
 def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
     lead = (
-        "The free run of the identified model against the measurement. The maps show the mean residual in bins of one "
-        "quantity with plus and minus one standard error; a filled marker differs from zero (after Holm, "
-        "autocorrelation counted), an open one does not."
+        "The free run of the identified model against the measurement. The maps show the mean error, model minus "
+        "measurement, in bins of one quantity with plus and minus one standard error; a filled marker differs from "
+        "zero (after Holm, autocorrelation counted), an open one does not."
     )
     if discovery.steps:
         lead += " Before and after share one scale."
@@ -162,7 +162,7 @@ def _effects(discovery: Discovery) -> Section:
 
 def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
     order = f"{number}. " if of > 1 else ""
-    told = [f"{order}{placed(step)}{': ' if step.equation else ''}{step.equation}"]
+    told = [f"{order}{capital(placed(step))}{': ' if step.equation else ''}{step.equation}"]
     closed = f" It closes {percent(step.gap_closed)} of the gap that it met."
     told.append(f"Probability {percent(step.probability)}.{closed if percent(step.gap_closed) != '–' else ''}")
     if step.sentence:
@@ -237,7 +237,7 @@ def _untestable(discovery: Discovery) -> Section:
 
 
 def _findings(discovery: Discovery) -> Section:
-    told = tuple(sentence(str(f)) for f in discovery.findings)
+    told = tuple(capital(sentence(str(f))) for f in discovery.findings)
     return Section("findings", "What else was found", (Note(told),) if told else ())
 
 

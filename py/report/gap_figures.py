@@ -12,7 +12,7 @@ from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, shown_unit, to_shown
-from .gap_text import percent, unit_label
+from .gap_text import capital, percent, unit_label
 from .gap_words import ROLES, placed
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
@@ -54,7 +54,7 @@ def _region(region: Region, unit: str, changed: bool) -> Figure:
         mean, error = (difference_to_shown(v, region.unit, unit) for v in (mean, error))
         nudge = (k - (len(named) - 1) / 2) * 0.16
         data += _binned(name, colour, edges, mean, error, np.asarray(significant, bool), nudge)
-    plan = layout(f"{region.over}{unit_label(over)}", [f"mean residual{unit_label(unit)}"], height=360)
+    plan = layout(f"{region.over}{unit_label(over)}", [f"mean error{unit_label(unit)}"], height=360)
     plan |= {"hovermode": "closest"}
     plan["yaxis"] |= {"zerolinecolor": "#57606a"}
     caption = f"{int(np.sum(region.significant_before))} of {len(edges) - 1} bins differ from zero"
@@ -252,7 +252,7 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
         "showlegend": False,
     }
     plan = layout("gap closed [%]", [""], height=100 + 46 * len(rows))
-    plan |= {"hovermode": "closest", "annotations": [_over_bar(placed(r), k) for k, r in enumerate(rows)]}
+    plan |= {"hovermode": "closest", "annotations": [_over_bar(capital(placed(r)), k) for k, r in enumerate(rows)]}
     plan["margin"] = plan["margin"] | {"l": 20, "t": 16}
     plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.15]}
     plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}

@@ -11,7 +11,7 @@ from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Recordin
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
 from .gap_figures import moved
-from .gap_text import joined, parameter_unit, percent, sentence, typical_remark, typical_text, value_texts
+from .gap_text import capital, joined, parameter_unit, percent, sentence, typical_remark, typical_text, value_texts
 from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, unseen
 from .tables import Cell, Column, Table, numbers, table, texts, warned
 
@@ -100,7 +100,12 @@ def candidate_tables(ranked: Sequence[Ranked], id: str, title: str) -> list[Tabl
 
 def _candidates(rows: Sequence[Ranked], id: str, title: str, folded: bool) -> Table:
     columns = [
-        texts("candidate", "Candidate", [r.title or r.effect for r in rows], [SWATCH.get(r.fate, "") for r in rows]),
+        texts(
+            "candidate",
+            "Candidate",
+            [capital(r.title or r.effect) for r in rows],
+            [SWATCH.get(r.fate, "") for r in rows],
+        ),
         texts("site", "Where", [r.site for r in rows]),
         _percents("share", "Screen", [r.share for r in rows]),
     ]
@@ -113,7 +118,7 @@ def _candidates(rows: Sequence[Ranked], id: str, title: str, folded: bool) -> Ta
         ]
     columns += [
         texts("fate", "Fate", [r.fate for r in rows]),
-        texts("reason", "Why", [sentence(r.reason) for r in rows]),
+        texts("reason", "Why", [capital(sentence(r.reason)) for r in rows]),
     ]
     return table(id, title, columns, folded=folded)
 
@@ -140,7 +145,7 @@ def effect_table(step: Step, id: str) -> Table:
         warned(texts("remark", "Remark", remarks), [bool(r) for r in remarks]),
     ]
     note = f"Source: {sentence(step.source)}" if step.source else ""
-    return table(id, "", columns, note)
+    return table(id, "", _told(columns), note)
 
 
 def member_table(step: Step, id: str) -> Table:
@@ -148,7 +153,7 @@ def member_table(step: Step, id: str) -> Table:
     known = {(r.effect, r.site): r for r in step.ranked}
     rows = [known.get(m) for m in step.members]
     columns = [
-        texts("member", "Member", [r.title if r else m[0] for m, r in zip(step.members, rows, strict=True)]),
+        texts("member", "Member", [capital(r.title) if r else m[0] for m, r in zip(step.members, rows, strict=True)]),
         texts("site", "Where", [site for _, site in step.members]),
         _percents("probability", "Probability", [r.probability if r else math.nan for r in rows]),
         closed_column([r.gap_closed if r else math.nan for r in rows], NONE),
@@ -201,7 +206,7 @@ def shift_table(discovery: Discovery) -> Table:
         numbers("sigmas", "Moved, in sigmas", [moved(s) for s in rows], common=False, digits=2),
         warned(texts("remark", "Remark", bound), [s.at_bound for s in rows]),
     ]
-    return table("shifts", "", columns, "± is one standard deviation.")
+    return table("shifts", "", _told(columns), "± is one standard deviation.")
 
 
 def recording_tables(discovery: Discovery, shown: Mapping[str, str]) -> list[Table]:
@@ -252,10 +257,10 @@ def unknown_table(rows: Sequence[Unknown]) -> Table:
 def untestable_table(rows: Sequence[Ranked]) -> Table:
     """What cannot be judged, and why."""
     columns = [
-        texts("effect", "Effect", [r.title or r.effect for r in rows]),
+        texts("effect", "Effect", [capital(r.title or r.effect) for r in rows]),
         texts("site", "Where", [r.site for r in rows]),
         texts("fate", "Fate", [r.fate for r in rows]),
-        texts("reason", "Why", [sentence(r.reason) for r in rows]),
+        texts("reason", "Why", [capital(sentence(r.reason)) for r in rows]),
     ]
     return table("not_testable", "", columns)
 
@@ -285,6 +290,11 @@ def timing_table(discovery: Discovery) -> Table:
         numbers("seconds", "Time", list(items.values()), "s", common=False),
     ]
     return table("timings", "Time", columns)
+
+
+def _told(columns: Sequence[Column]) -> list[Column]:
+    """The columns that say anything."""
+    return [c for c in columns if any(cell.text for cell in c.cells)]
 
 
 def _percents(key: str, title: str, values: Sequence[float]) -> Column:

@@ -64,10 +64,10 @@ def typical_remark(p: EffectParameter) -> str:
 
 
 def percent(share: float) -> str:
-    """A share as percent: whole numbers, a decimal from 99 on, never a rounded 100.
+    r"""A share as percent: whole numbers, a decimal from 99 on, never rounded up to all or down to nothing.
 
-    >>> percent(0.873), percent(0.9934), percent(0.99996), percent(float("nan"))
-    ('87 %', '99.3 %', 'over 99.9 %', '–')
+    >>> percent(0.873), percent(0.9934), percent(0.99996), percent(1e-4), percent(float("nan"))
+    ('87\xa0%', '99.3\xa0%', 'over 99.9\xa0%', 'under 1\xa0%', '–')
     """
     if not math.isfinite(share):
         return NONE
@@ -86,8 +86,8 @@ def joined(words: Sequence[str]) -> str:
 
 
 def sentence(text: str) -> str:
-    """A text as a sentence: with a full stop."""
-    text = text.strip()
+    """A text as a sentence: with a full stop, without the verb in front that errors carry."""
+    text = text.strip().removeprefix("gap: ").removeprefix("identify: ")
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
 
 

@@ -129,7 +129,11 @@ def member_sentences(step: Step) -> list[str]:
             formula = _formula(row)
             told.append(f"{start} {lowered(placed(row))}{sure}{': ' if formula else ''}{formula}.")
     rest = [f"{effect} at {site}" for effect, site in step.members[TOLD:]]
-    return [*told, f"Or {' or '.join(rest)}."] if rest else told
+    if len(rest) > TOLD:
+        told.append(f"Or one of {len(rest)} others, listed below.")
+    elif rest:
+        told.append(f"Or {' or '.join(rest)}.")
+    return told
 
 
 def _formula(row: Step | Ranked) -> str:
@@ -267,6 +271,8 @@ def _class_words(step: Step) -> str:
         row = known.get((effect, site))
         name = lowered(placed(row)) if row else f"{effect} at {site}"
         words.append(f"{name} ({percent(row.probability)})" if row and math.isfinite(row.probability) else name)
+    if len(words) > 2 * TOLD:
+        words[2 * TOLD :] = [f"one of {len(words) - 2 * TOLD} others"]
     return " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 

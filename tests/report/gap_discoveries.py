@@ -54,24 +54,37 @@ DELAY = parameter("delay.time", 0.031, "s", 0.002, "dead time", (2e-3, 0.24))
 
 FRICTION = Ranked(
     *("coulomb_friction", "cylinder.rod", "Coulomb friction", "F = Fc sign(v)"),
-    *(0.83, 5210.0, 14.2, 0.9873, 0.981, "named", "Passes every test", (FORCE,)),
+    *(0.83, 5210.0, 14.2, 0.9873, 0.981, "named", "passes every test", (FORCE,)),
 )
 STRIBECK = Ranked(
     *("stribeck_friction", "cylinder.rod", "Stribeck friction", "F = (Fs - Fc) exp(-(v/vs)^2) sign(v)"),
     *(0.84, 5214.0, 13.9, 0.9874, 0.019, "rejected", "Refines Coulomb friction by 4 BIC: not worth its name"),
 )
 LEAK = Ranked(
-    *("internal_leakage", "cylinder.cap-cylinder.annulus", "Internal leakage", "q = G (p_A - p_B)"),
+    *("internal_leakage", "cylinder.cap-cylinder.annulus", "internal leakage", "q = G (p_A - p_B)"),
     *(0.41, 812.0, 4.4, 0.46, 0.62, "rejected", "Closes less than half of what friction closes", (CONDUCTANCE,)),
 )
 PUMP_SLIP = Ranked(
-    *("pump_slip", "pump", "Pump slip", "q = G dp / (1 + w/w0)", 0.4, 806.0, 4.3, 0.455, 0.36, "in class", "", (SLIP,)),
+    *(
+        "pump_slip",
+        "pump",
+        "slip of the pump",
+        "q = G dp / (1 + w/w0)",
+        0.4,
+        806.0,
+        4.3,
+        0.455,
+        0.36,
+        "in class",
+        "",
+        (SLIP,),
+    ),
 )
 DEAD_TIME = Ranked(
     *(
         "dead_time",
         "command",
-        "Dead time",
+        "dead time",
         "y(t) = u(t - T)",
         0.12,
         60.0,
@@ -86,13 +99,13 @@ DEAD_TIME = Ranked(
 SCREENED = tuple(
     Ranked(e, s, t, "", share, NAN, NAN, NAN, 0.0, "not refitted", "Its share in the screen is too small")
     for e, s, t, share in (
-        ("command_deadband", "command", "Deadband", 0.031),
+        ("command_deadband", "command", "deadband", 0.031),
         ("sensor_bias", "arm_angle", "Bias of a sensor", 0.004),
         ("backlash", "cylinder.rod", "Play", 0.0),
     )
 )
 AIR = Ranked(
-    *("entrained_air", "cylinder.cap", "Entrained air", "", 0.0, NAN, NAN, NAN, NAN, "not testable"),
+    *("entrained_air", "cylinder.cap", "entrained air", "", 0.0, NAN, NAN, NAN, NAN, "not testable"),
     "Predicted |t| of 0.4: the pressure never falls below 12 bar",
 )
 
@@ -232,7 +245,7 @@ def one_of_a_class():
         *("command", "V", time, 2.0 * np.sign(np.sin(0.6 * time)) * (time > 2), "holding steps", 7.3, 0.8),
         "Hold the arm at standstill under load for 10 s, then at two speeds.",
     )
-    rungs = (Rung("base model", 68.0), Rung("Internal leakage at cylinder.cap-cylinder.annulus", 1.02))
+    rungs = (Rung("base model", 68.0), Rung("internal leakage at cylinder.cap-cylinder.annulus", 1.02))
     return discovery("class", (first,), locations=LOCATIONS, shifts=SHIFTS[:2], waterfall=rungs, experiment=experiment)
 
 
@@ -250,7 +263,7 @@ def unknown():
         "What is left of arm_angle grows with the fifth power of the velocity and vanishes above 20°",
         "0.013 v^5",
     )
-    findings = ("motor.gain and pump.displacement cannot be told apart in these recordings",)
+    findings = ("gap: motor.gain and pump.displacement cannot be told apart in these recordings",)
     tried = (LEAK, DEAD_TIME, *SCREENED)
     return discovery("unknown", locations=LOCATIONS, last_ranked=tried, unknown=(told,), findings=findings)
 
@@ -260,7 +273,7 @@ def two_effects():
     wild = parameter("leak.conductance", 3e-10, "m3/(s.Pa)", 1e-12, "leakage conductance", (1e-14, 1e-11))
     leak = replace(LEAK, fate="named", gap_closed=0.9, parameters=(wild,), probability=0.71)
     steps = (step((FRICTION, STRIBECK, LEAK), FRICTION), step((leak, DEAD_TIME), leak, source="Merritt 1967"))
-    rungs = (Rung("base model", 68.0), Rung("Coulomb friction at cylinder.rod", 12.0), Rung("Internal leakage", 2.6))
+    rungs = (Rung("base model", 68.0), Rung("Coulomb friction at cylinder.rod", 12.0), Rung("internal leakage", 2.6))
     shifts = (*SHIFTS, Shift("cylinder.cap_dead_volume", "m3", 8e-5, NAN, 1e-6, NAN, at_bound=True))
     made = discovery("named", steps, after=0.03, locations=LOCATIONS, shifts=shifts, waterfall=rungs)
     ruined = replace(made.recordings[-1], outputs=output_gaps(0.2, 0.6))

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.discovery import OutputGap
-from hydrotwin.report import gap_text
-from hydrotwin.report.gap import gap_data, gap_page, write_gap_report
+from hydrotwin.report import gap_data, gap_page, gap_text, write_gap_report
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
 from hydrotwin.report.gap_text import interval_words, percent, value_text
@@ -82,10 +81,19 @@ def test_without_recordings_held_back_nothing_claims_to_be_unseen():
 def test_a_class_names_every_member_and_the_experiment_that_would_tell():
     text = first_screen(one_of_a_class())
     assert "Either internal leakage at cylinder.cap-cylinder.annulus, probability 62\u00a0%: q = G (p_A - p_B)" in text
-    assert "Or pump slip at pump, probability 36\u00a0%: q = G dp / (1 + w/w0), with conductance" in text
+    assert "Or slip of the pump at pump, probability 36\u00a0%: q = G dp / (1 + w/w0), with conductance" in text
     assert "conductance = 0.00750\u00a0L/(min·bar) (95\u00a0%: 0.00691 to 0.00809)" in text
     assert "These recordings cannot tell them apart. The experiment that would tell: hold the arm" in text
     assert "7.3 times the noise apart; the recordings at hand do by 0.80." in text
+
+
+def test_a_large_class_leaves_the_first_screen_readable():
+    found = one_of_a_class()
+    (step,) = found.steps
+    many = (*step.members, *(("external_leakage", f"line_{k}.port") for k in range(20)))
+    told = results(replace(found, steps=(replace(step, members=many),)))
+    assert len(told) == 4
+    assert told[-1] == "Or one of 19 others, listed below."
 
 
 def test_a_class_without_an_experiment_says_so():

@@ -152,7 +152,7 @@ class Cavitation(OilEffect):
 
 
 class LineCompliance(Effect):
-    """A hose or a soft line on a volume.
+    """A hose or a soft line on a volume, or one of the same kind on each.
 
         q = C dp/dt
 
@@ -167,24 +167,40 @@ class LineCompliance(Effect):
     confused_with = ("entrained_air", "structural_compliance", "actuator_lag")
     experiment = "pressure steps with the cylinder blocked, at a low and at a high pressure"
 
-    port = HydraulicPort("where the line is")
     compliance = Parameter(0.0, "m3/Pa", "C", bounds=(0, 1e-9), nominal=1e-13, source=MERRITT, free=True)
 
     @classmethod
     def sites(cls, places: Places):
-        holding = {path.rpartition(".")[0] for path in oil_pressures(places)}
-        for site in hydraulic_nodes(places):
-            if holding & {port.rpartition(".")[0] for port in places.node_at(site.name).ports}:
-                yield site
+        nodes = _volume_nodes(places)
+        if len(nodes) > 1:
+            yield Site("lines", ties={f"port_{k}": name for k, name in enumerate(nodes)})
+        yield from (Site(name, ties={"port_0": name}) for name in nodes)
+
+    @classmethod
+    def at(cls, site: Site):
+        """The part for so many lines, all of one kind."""
+        ports = {name: HydraulicPort("where a line is") for name in site.ties}
+        content = {"__module__": cls.__module__, "__doc__": cls.__doc__, "id": "", "count": len(ports)}
+        return type(cls.__name__, (cls,), {**content, **ports})()
 
     def equations(self):
-        yield self.port.q == self.compliance * der(self.port.p)
+        for port in (getattr(self, f"port_{k}") for k in range(self.count)):
+            yield port.q == self.compliance * der(port.p)
+
+
+def _volume_nodes(places: Places) -> list[str]:
+    """Nodes on which a volume of oil lies."""
+    holding = {path.rpartition(".")[0] for path in oil_pressures(places)}
+    return [
+        site.name
+        for site in hydraulic_nodes(places)
+        if holding & {port.rpartition(".")[0] for port in places.node_at(site.name).ports}
+    ]
 
 
 def _chamber_lines(places: Places):
     """Ports of volumes that something else feeds."""
-    for site in LineCompliance.sites(places):
-        yield Site(site.name, between=site.name)
+    yield from (Site(name, between=name) for name in _volume_nodes(places))
 
 
 class LineFriction(Lagged):

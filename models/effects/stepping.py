@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from hydrotwin.models.language.places import Places
 
@@ -35,4 +35,4 @@ class Lagged(Effect):
         """The part for a site, its lag no shorter than the step."""
         part = super().at(site)
         shortest = getattr(site, "step", 0.0)
-        return part if part.declared("resolution").value >= shortest else part.but(resolution=shortest)
+        return part if part is None or part.declared("resolution").value >= shortest else part.but(resolution=shortest)

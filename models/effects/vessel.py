@@ -27,9 +27,11 @@ def _limits(seen, name: str) -> list[float]:
 
 
 class Overflow(Lagged):
-    """A vessel runs over: its level stays at the rim and what comes in is lost.
+    """A vessel runs over: what would stand above its rim is spilled and lost.
 
-        dh/dt = min(dh/dt without it, (h_max - h)/T_0)
+        dh/dt = (dh/dt without it) - max(h - h_max, 0)/T_0
+
+    The level exceeds the rim by T_0 times the rate that is spilled; T_0 is the model's step.
 
     Source: Schoukens and Noel 2017, cascaded tanks.
     """
@@ -58,11 +60,11 @@ class Overflow(Lagged):
                 through=f"der({path})",
                 unit=level.unit,
                 nominal=level.nominal,
-                step=2 * places.model.step,
+                step=places.model.step,
             )
 
     def equations(self):
-        yield self.y == ca.fmin(self.u, (self.limit - self.h) / self.resolution)
+        yield self.y == self.u - ca.fmax(self.h - self.limit, 0) / self.resolution
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
@@ -73,7 +75,9 @@ class Overflow(Lagged):
 class OverflowIntoLower(Lagged):
     """A vessel runs over into a lower one, which catches a share of what is spilled.
 
-        dh_1/dt = min(dh_1/dt without it, (h_max - h_1)/T_0),   dh_2/dt = ... + r (what that takes away)
+        spill = max(h_1 - h_max, 0)/T_0,   dh_1/dt = ... - spill,   dh_2/dt = ... + r spill
+
+    ``r`` counts in levels: the share times the section of the upper vessel over that of the lower one.
 
     Source: Schoukens and Noel 2017, cascaded tanks.
     """
@@ -108,13 +112,13 @@ class OverflowIntoLower(Lagged):
                         through={"upper": f"der({upper.path})", "lower": f"der({lower.path})"},
                         unit=upper.unit,
                         nominal=upper.nominal,
-                        step=2 * places.model.step,
+                        step=places.model.step,
                     )
 
     def equations(self):
-        held = ca.fmin(self.u_upper, (self.limit - self.h) / self.resolution)
-        yield self.y_upper == held
-        yield self.y_lower == self.u_lower + self.share * (self.u_upper - held)
+        spill = ca.fmax(self.h - self.limit, 0) / self.resolution
+        yield self.y_upper == self.u_upper - spill
+        yield self.y_lower == self.u_lower + self.share * spill
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:

@@ -12,7 +12,7 @@ from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, shown_unit, to_shown
-from .gap_text import capital, percent, unit_label
+from .gap_text import capital, largest, percent, unit_label
 from .gap_words import ROLES, placed
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
@@ -36,7 +36,7 @@ def region_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[Figure
 
 
 def _region(region: Region, unit: str, changed: bool) -> Figure:
-    over = shown_unit(region.over_unit, peak=float(np.nanmax(np.abs(region.edges))))
+    over = shown_unit(region.over_unit, peak=largest(region.edges))
     edges = to_shown(region.edges, region.over_unit, over)
     named = [
         (
@@ -153,7 +153,7 @@ def _overlay(discovery: Discovery, o: Overlay, output: str, si: str, unit: str, 
 def _input(discovery: Discovery, name: str, values: np.ndarray) -> tuple[str, np.ndarray]:
     """Axis title and shown values of an input of the model."""
     si = next((s.unit for s in discovery.base.flat.inputs if s.name == name), "1")
-    unit = shown_unit(si, peak=float(np.nanmax(np.abs(values))))
+    unit = shown_unit(si, peak=largest(values))
     return f"{name}{unit_label(unit)}", to_shown(values, si, unit)
 
 
@@ -225,7 +225,7 @@ def moved(shift: Shift) -> float:
 def experiment_figure(experiment: Experiment) -> Figure:
     """The proposed input over time."""
     values = np.asarray(experiment.values, float)
-    unit = shown_unit(experiment.unit, peak=float(np.nanmax(np.abs(values))))
+    unit = shown_unit(experiment.unit, peak=largest(values))
     trace = line(experiment.time, to_shown(values, experiment.unit, unit), experiment.input, AFTER, legend=False)
     plan = layout("time [s]", [f"{experiment.input}{unit_label(unit)}"], height=320)
     return Figure("experiment", "", {"data": [trace], "layout": plan})

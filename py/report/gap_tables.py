@@ -174,11 +174,12 @@ def waterfall_table(discovery: Discovery) -> Table:
     """What is left after each effect, and the share of the squared gap that it closed."""
     rungs = discovery.waterfall
     squares = [r.times_noise**2 - 1.0 for r in rungs]
-    share = [math.nan, *((a - b) / squares[0] for a, b in pairwise(squares))]
+    gap = squares[0] if squares[0] > 0.0 else math.nan
+    share = [math.nan, *((a - b) / gap for a, b in pairwise(squares))]
     columns = [
         texts("label", "Model", [r.label for r in rungs]),
         numbers("times_noise", "Error over noise", [r.times_noise for r in rungs], common=False),
-        closed_column(share if squares and squares[0] > 0.0 else [math.nan] * len(rungs), NONE),
+        closed_column(share, NONE),
     ]
     return table("waterfall", "", columns)
 

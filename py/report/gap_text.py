@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from hydrotwin.discovery.discovery import EffectParameter
 
 from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
@@ -25,7 +27,7 @@ def value_texts(p: EffectParameter) -> tuple[str, str, str]:
     value, low, high = (float(to_shown(v, p.unit, unit)) for v in (p.value, p.low, p.high))
     reach = (high - low) / 2
     digits = 3
-    if math.isfinite(reach) and reach > 0.0 and value != 0.0:
+    if math.isfinite(reach) and math.isfinite(value) and reach > 0.0 and value != 0.0:
         digits = min(6, max(3, 1 + math.ceil(math.log10(abs(value) / reach))))
     return number_text(value, digits), number_text(low, digits), number_text(high, digits)
 
@@ -105,6 +107,13 @@ def lowered(text: str) -> str:
 def capital(text: str) -> str:
     """A text at the start of a sentence."""
     return text[:1].upper() + text[1:]
+
+
+def largest(values: np.ndarray) -> float:
+    """The largest magnitude among the values that exist; 0 without any."""
+    known = np.abs(np.asarray(values, float))
+    known = known[np.isfinite(known)]
+    return float(known.max()) if len(known) else 0.0
 
 
 def unit_label(unit: str) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from hydrotwin.discovery.discovery import Discovery, Experiment, OutputGap, Ranked, Step
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
@@ -14,6 +12,7 @@ from .gap_text import (
     capital,
     interval_words,
     joined,
+    largest,
     lowered,
     percent,
     sentence,
@@ -94,7 +93,9 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     for step in discovery.steps:
         for p in step.parameters:
             if typical_remark(p):
-                text = f"{placed(step)}: {p.name} = {value_text(p)} is {typical_remark(p)} ({typical_text(p)})."
+                text = (
+                    f"{capital(placed(step))}: {p.name} = {value_text(p)} is {typical_remark(p)} ({typical_text(p)})."
+                )
                 found.append(text)
     bounds = [s.name for s in discovery.shifts if s.at_bound]
     if bounds:
@@ -290,5 +291,4 @@ def _rmse(o: OutputGap, value: float, shown: Mapping[str, str]) -> str:
 
 
 def _peak(discovery: Discovery, output: str) -> float:
-    sizes = [np.nanmax(np.abs(o.measured[output])) for o in discovery.overlays if output in o.measured]
-    return float(max(sizes, default=0.0))
+    return max((largest(o.measured[output]) for o in discovery.overlays if output in o.measured), default=0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -229,6 +230,7 @@ SHIFTS = (
 )
 
 
+@cache
 def named():
     """Coulomb friction, closed to the noise."""
     first = step((FRICTION, STRIBECK, LEAK, DEAD_TIME, *SCREENED), FRICTION)
@@ -236,6 +238,7 @@ def named():
     return discovery("named", (first,), after=0.004, locations=LOCATIONS, shifts=SHIFTS, waterfall=rungs)
 
 
+@cache
 def one_of_a_class():
     """A leak: inside the cylinder or inside the pump."""
     members = replace(LEAK, fate="named", reason="", gap_closed=0.991), replace(PUMP_SLIP, gap_closed=0.99)
@@ -249,6 +252,7 @@ def one_of_a_class():
     return discovery("class", (first,), locations=LOCATIONS, shifts=SHIFTS[:2], waterfall=rungs, experiment=experiment)
 
 
+@cache
 def none():
     """Noise and nothing else."""
     at_noise = tuple(Location(name, 1.0, True, "") for name in UNITS)
@@ -256,6 +260,7 @@ def none():
     return discovery("none", locations=at_noise, last_ranked=tried)
 
 
+@cache
 def unknown():
     """A gap that follows the velocity and fits no effect."""
     told = Unknown(
@@ -268,6 +273,7 @@ def unknown():
     return discovery("unknown", locations=LOCATIONS, last_ranked=tried, unknown=(told,), findings=findings)
 
 
+@cache
 def two_effects():
     """Friction and a leak that ruins one recording, with a value that no cylinder has and a parameter at its bound."""
     wild = parameter("leak.conductance", 3e-10, "m3/(s.Pa)", 1e-12, "leakage conductance", (1e-14, 1e-11))

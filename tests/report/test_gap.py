@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.discovery import OutputGap
+from hydrotwin.discovery.discovery import OutputGap, Rung
 from hydrotwin.report import gap_data, gap_page, gap_text, write_gap_report
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
@@ -344,6 +344,25 @@ def test_a_bare_answer_is_still_a_report(tmp_path):
     paths = written(bare, tmp_path)
     assert "No effect is missing" in paths["markdown"].read_text(encoding="utf-8")
     assert json.loads(paths["json"].read_text(encoding="utf-8"))["train"] == {}
+
+
+def test_what_is_not_known_leaves_a_dash_and_no_error(tmp_path):
+    found = named()
+    (step,) = found.steps
+    lost = replace(FORCE, value=NAN, sigma=NAN, low=NAN, high=NAN)
+    silent = [replace(o, measured=dict.fromkeys(o.measured, np.full(len(o.time), NAN))) for o in found.overlays]
+    blind = OutputGap("arm_angle", "rad", 0.0, NAN, NAN, NAN)
+    flat = (Rung("base model", 1.0), Rung("Coulomb friction", 1.0))
+    found = replace(
+        found,
+        steps=(replace(step, parameters=(lost,), probability=NAN),),
+        overlays=tuple(silent),
+        outputs={"validate": (blind,)},
+        waterfall=flat,
+    )
+    text = written(found, tmp_path)["markdown"].read_text(encoding="utf-8")
+    assert "with force = –\u00a0N (interval not known). Probability –." in text
+    assert "| arm_angle | – | – | ° | – | no measurable gap |" in text
 
 
 def test_many_outputs_are_told_by_their_range():

@@ -1,0 +1,105 @@
+"""Small machines with every kind of site, each of which fits on a page."""
+
+from __future__ import annotations
+
+from hydrotwin.models.components import (
+    Cylinder,
+    FourEdgeValve,
+    LinearLoad,
+    PressureSource,
+    Pump,
+    Reservoir,
+    SpeedControlledMotor,
+)
+from hydrotwin.models.components.mechanical import ForceSource
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der
+from hydrotwin.models.laws import Viscous
+
+
+class PumpBench(Component):
+    """A motor, a pump in a closed circuit, a cylinder and a mass."""
+
+    command = Input("V", "speed command", nominal=5.0)
+    position = Output("m", "position", nominal=0.1)
+    pressure = Output("Pa", "pressure, cap side", nominal=1e6)
+    motor = SpeedControlledMotor()
+    pump = Pump(displacement=2e-7, return_ratio=0.8)
+    cylinder = Cylinder(friction=Viscous(viscous=2000.0), cap_dead_volume=5e-4, rod_dead_volume=5e-4)
+    load = LinearLoad(load_force=300.0)
+
+    def equations(self):
+        yield connect(self.command, self.motor.command)
+        yield connect(self.motor.shaft, self.pump.shaft)
+        yield connect(self.pump.cap, self.cylinder.cap)
+        yield connect(self.pump.rod, self.cylinder.annulus)
+        yield connect(self.cylinder.rod, self.load.flange)
+        yield self.position == self.load.position
+        yield self.pressure == self.cylinder.cap_pressure
+
+
+class ValveBench(Component):
+    """A valve that the input moves itself, between a supply, a tank and a cylinder."""
+
+    spool = Input("1", "position of the spool")
+    position = Output("m", "position", nominal=0.1)
+    valve = FourEdgeValve()
+    supply = PressureSource(pressure=1e7)
+    tank = Reservoir(pressure=2e5)
+    cylinder = Cylinder(friction=Viscous(viscous=4000.0), cap_dead_volume=5e-4, rod_dead_volume=5e-4)
+    load = LinearLoad()
+
+    def equations(self):
+        yield connect(self.spool, self.valve.spool)
+        yield connect(self.supply.port, self.valve.supply)
+        yield connect(self.tank.port, self.valve.tank)
+        yield connect(self.valve.a, self.cylinder.cap)
+        yield connect(self.valve.b, self.cylinder.annulus)
+        yield connect(self.cylinder.rod, self.load.flange)
+        yield self.position == self.load.position
+
+
+class Axis(Component):
+    """A mass that a force pushes."""
+
+    force = Input("N", "force", nominal=100.0)
+    position = Output("m", "position", nominal=0.1)
+    velocity = Output("m/s", "velocity", nominal=0.1)
+    motor = ForceSource()
+    carriage = LinearLoad(friction=Viscous(viscous=200.0), mass=500.0, load_force=0.0)
+
+    def equations(self):
+        yield connect(self.force, self.motor.force)
+        yield connect(self.motor.flange, self.carriage.flange)
+        yield self.position == self.carriage.position
+        yield self.velocity == self.carriage.velocity
+
+
+class Tanks(Component):
+    """Two tanks, the upper one draining into the lower one; the outlets are linear."""
+
+    inflow = Input("m/s", "inflow over the area of a tank", nominal=0.01)
+    level = Output("m", "level of the lower tank")
+    rate = Parameter(0.1, "1/s", "share of the level that drains per second", bounds=(1e-6, 10))
+    upper = State(0.5, "m", "level of the upper tank", bounds=(0.0, 10.0))
+    lower = State(0.4, "m", "level of the lower tank", bounds=(0.0, 10.0))
+
+    def equations(self):
+        yield der(self.upper) == self.inflow - self.rate * self.upper
+        yield der(self.lower) == self.rate * (self.upper - self.lower)
+        yield self.level == self.lower
+
+
+def pump_bench() -> Model:
+    return Model(PumpBench(), "pump_bench")
+
+
+def valve_bench() -> Model:
+    return Model(ValveBench(), "valve_bench", step=5e-4)
+
+
+def axis() -> Model:
+    return Model(Axis(), "axis")
+
+
+def tanks() -> Model:
+    return Model(Tanks(), "tanks")

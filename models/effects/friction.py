@@ -10,6 +10,7 @@ from hydrotwin.models.language.places import Places
 
 from .effect import Effect, Site
 from .sites import flanges
+from .stepping import Lagged, stepped
 
 OLSSON = "H. Olsson et al., Friction models and friction compensation, 1998"
 CANUDAS = "C. Canudas de Wit et al., A new model for control of systems with friction, 1995"
@@ -113,7 +114,7 @@ class StribeckFriction(Effect):
         yield self.flange.f == level * ca.tanh(v / self.smoothing_velocity)
 
 
-class PreslidingFriction(Effect):
+class PreslidingFriction(Lagged):
     """Dry friction that first gives way like a spring (LuGre without its damping, bristles normalised).
 
         zeta' = (v - |v| zeta/g(v)) / (delta + |v| T_0),   g = 1 + r exp(-(v/v_s)^2),   F = F_c zeta
@@ -144,7 +145,7 @@ class PreslidingFriction(Effect):
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
     bristles = State(0.0, "1", "zeta, mean deflection of the bristles", bounds=(-3, 3))
 
-    sites = staticmethod(flanges)
+    sites = stepped(flanges)
 
     def equations(self):
         v, zeta = der(self.flange.s), self.bristles

@@ -150,7 +150,7 @@ class EndStop(Effect):
     equation = "s_low <= s <= s_high, by a stiff contact"
     source = HUNT
     typical = {"low": (-0.05, 0.05), "high": (0.02, 1.0)}
-    probes = ({"low": -FAR, "high": 0.1}, {"low": 0.0, "high": FAR})
+    probes = ({"low": -FAR, "high": 0.5}, {"low": 0.0, "high": FAR})
     confused_with = ("command_saturation", "relief_saturation", "sensor_scale")
     experiment = "drive slowly to both ends and on, with pressures"
 

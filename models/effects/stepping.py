@@ -34,5 +34,10 @@ class Lagged(Effect):
     def at(cls, site: Site):
         """The part for a site, its lag no shorter than the step."""
         part = super().at(site)
-        shortest = getattr(site, "step", 0.0)
-        return part if part is None or part.declared("resolution").value >= shortest else part.but(resolution=shortest)
+        if part is None:
+            return None
+        declared, shortest = part.declared("resolution"), getattr(site, "step", 0.0)
+        if declared.value >= shortest:
+            return part
+        low, high = declared.bounds
+        return part.but(resolution=replace(declared, value=shortest, bounds=(low, max(high, 2 * shortest))))

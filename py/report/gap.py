@@ -123,7 +123,9 @@ def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
     if discovery.steps:
         lead += " Before and after share one scale."
     parts = (*((location_table(discovery),) if discovery.locations else ()), *region_groups(discovery, shown))
-    return Section("where", "Where model and measurement disagree", parts, lead)
+    gap = discovery.verdict != "none"
+    title = "Where model and measurement disagree" if gap else "Model against measurement"
+    return Section("where", title, parts, lead)
 
 
 def _candidates(discovery: Discovery) -> Section:
@@ -171,14 +173,12 @@ def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
 
 
 def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
-    lead = "Measured, before and after; the error below each plot is model minus measurement."
-    if not discovery.steps:
-        lead = "Measured and simulated; the error below each plot is model minus measurement."
-    lead += " All numbers come from the full recordings, and the curves keep every peak."
+    title = "Measured, before and after" if discovery.steps else "Measured and simulated"
+    lead = "The error below each plot is model minus measurement. All numbers come from the full recordings, and the curves keep every peak."
     drawn = len(overlay_plan(discovery)[1])
     if drawn < len(discovery.overlays):
         lead += f" {drawn} of {len(discovery.overlays)} recordings are drawn, those never used for fitting first."
-    return Section("plots", "Measured, before and after", tuple(overlay_groups(discovery, shown)), lead)
+    return Section("plots", title, tuple(overlay_groups(discovery, shown)), lead)
 
 
 def _waterfall(discovery: Discovery) -> Section:

@@ -1,0 +1,89 @@
+"""Structures refitted to a case by the project's own refit: the oracle, and what the BIC baseline chooses from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from hydrotwin.discovery.refit import Question, RefitJob, Refitted, refit
+from hydrotwin.identification import identify
+from hydrotwin.identification.problem import recordings
+from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
+
+from .cases import Made
+from .score import is_it
+
+STARTS = 6
+
+
+class Bench:
+    """One case, its identified base model, and refits of it with effects added."""
+
+    def __init__(self, made: Made, base_values=None):
+        self.made, self.model, self._given = made, made.model, base_values
+
+    @cached_property
+    def free(self) -> tuple[str, ...]:
+        return tuple(p.name for p in self.model.flat.parameters if p.free)
+
+    @cached_property
+    def question(self) -> Question:
+        flat = self.model.flat
+        fit, held_out = (recordings(flat, r, None, "record") for r in (self.made.fit, self.made.held_out))
+        return Question(fit, held_out, np.array([self.made.noise.get(s.name, np.nan) for s in flat.outputs]))
+
+    @cached_property
+    def base_values(self) -> dict[str, float]:
+        if self._given is None:
+            self._given = identify(self.model, self.made.fit, noise=self.made.noise, threads=1).values
+        return {name: self._given[name] for name in self.free}
+
+    @cached_property
+    def base(self) -> Refitted:
+        found = refit(RefitJob(self.model.flat, self.free, self.question, (self.base_values,)))
+        if isinstance(found, str):
+            raise RuntimeError(found)
+        return found
+
+    @cached_property
+    def candidates(self) -> tuple[Candidate, ...]:
+        return candidates(self.model)
+
+    def refitted(self, chosen: Sequence[Candidate]) -> Refitted | str:
+        """The base model with candidates added, everything free, from every probe of each (at most STARTS)."""
+        model = self.model.plus([c.addition for c in chosen])
+        free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
+        probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
+        starts = [{**self.base_values, **{k: v for probe in own for k, v in probe.items()}} for own in probes]
+        return refit(RefitJob(model.flat, free, self.question, tuple(starts[:STARTS]), follow=2))
+
+    def rmse(self, found: Refitted) -> dict[str, float]:
+        """Held-out RMSE by recorded output, SI."""
+        names = [s.name for s in self.model.flat.outputs]
+        return {n: float(v) for n, v in zip(names, found.rmse_select, strict=True) if n in self.made.noise}
+
+
+def oracle(bench: Bench) -> dict[str, float] | None:
+    """Held-out RMSE of the true structure refitted; None where the catalogue cannot express it."""
+    made, sets = bench.made, []
+    if made.case.kind == "none":
+        return bench.rmse(bench.base)
+    for h, (effect, _) in enumerate(made.hidden):
+        if effect not in CATALOGUE:
+            return None
+        fitting = [c for c in bench.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
+        if not fitting:
+            return None
+        sets.append(fitting)
+    found = [r for chosen in product(*sets) if not isinstance(r := bench.refitted(chosen), str)]
+    return bench.rmse(min(found, key=lambda r: r.likelihood)) if found else None
+
+
+def timed(work, *arguments):
+    """``(answer, seconds)``."""
+    began = time.perf_counter()
+    return work(*arguments), time.perf_counter() - began

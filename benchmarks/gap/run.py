@@ -1,0 +1,180 @@
+"""The hidden-effect benchmark on the command line: ``python -m benchmarks.gap --help``.
+
+Rows are appended to OUT/rows.jsonl as they come; finished ones are skipped when it is started again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import time
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from pathlib import Path
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+METHODS = ("discover", "bic", "sindy", "gp")
+QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
+
+
+class Here(Executor):
+    """Runs everything at once in this process: the cases are what runs side by side."""
+
+    def submit(self, work, /, *arguments, **named) -> Future:
+        future = Future()
+        try:
+            future.set_result(work(*arguments, **named))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def rows_of(name: str, methods: Sequence[str], with_oracle: bool) -> list[dict]:
+    """Every row of one case; its own process, so that nothing it does is left behind."""
+    from benchmarks.gap.cases import Case, Unreachable, make
+
+    try:
+        made = make(Case.from_name(name))
+    except Unreachable as reason:
+        return [{"case": name, "method": method, "unreachable": str(reason)} for method in methods]
+    except Exception as error:
+        return [{"case": name, "method": m, "failed": f"{type(error).__name__}: {error}"} for m in methods]
+    return _judged(made, methods, with_oracle)
+
+
+def _judged(made, methods, with_oracle) -> list[dict]:
+    from benchmarks.gap.refits import Bench, oracle
+    from benchmarks.gap.score import row_of
+
+    bench, rows, best = Bench(made), [], None
+    if with_oracle and made.case.kind != "out_of_library":
+        try:
+            best = oracle(bench)
+        except Exception as error:
+            rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
+    for method in methods:
+        try:
+            rows.append(row_of(made, _answer(method, made, bench), method=method, oracle=best))
+        except Exception as error:
+            rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
+    return rows
+
+
+def _answer(method, made, bench):
+    from benchmarks.gap.score import answer_of
+
+    if method == "discover":
+        from hydrotwin.discovery import discover
+
+        return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
+    if method == "sindy":
+        from benchmarks.gap.sindy import sparse_regression
+
+        return sparse_regression(bench)
+    from benchmarks.gap import baselines
+
+    return {"bic": baselines.bic_alone, "gp": baselines.gaussian_process}[method](bench)
+
+
+def read_rows(path: Path) -> list[dict]:
+    """Finished rows; a last line that was cut off is passed over."""
+    rows = []
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else ():
+        try:
+            rows.append(json.loads(line))
+        except json.JSONDecodeError:
+            continue
+    return rows
+
+
+def chosen_cases(options) -> list:
+    """The cases the command line asks for, in an order whose every beginning is a fair sample."""
+    import dataclasses
+
+    from benchmarks.gap.cases import cases, grid
+
+    severities = options.severities or (QUICK["severities"] if options.quick else None)
+    found = cases(options.seeds, machines=options.machine, kinds=options.kinds, severities=severities)
+    found = [c for c in found if (not options.effects or set(c.effects) & set(options.effects))]
+    found = [c for c in found if (not options.sensors or c.sensors in options.sensors)]
+    if options.quick:
+        first = grid()["seeds"][options.seeds]["single"][0]
+        found = [dataclasses.replace(c, seconds=QUICK["seconds"]) for c in found if c.seed == first]
+    return found[: options.limit]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the cases that are missing, then write OUT/table.md. Returns 0, or 1 when a case failed."""
+    for name in THREADS:
+        os.environ[name] = "1"
+    options = _options(arguments)
+    options.out.mkdir(parents=True, exist_ok=True)
+    path, wanted = options.out / "rows.jsonl", [c.name for c in chosen_cases(options)]
+    if options.list:
+        print("\n".join(wanted))
+        return 0
+    if not options.table:
+        _run(wanted, options, path)
+    rows = [r for r in read_rows(path) if r["case"] in set(wanted)]
+    from benchmarks.gap.tables import markdown
+
+    table = markdown(rows)
+    (options.out / "table.md").write_text(table, encoding="utf-8")
+    print(table)
+    return int(any("failed" in r for r in rows))
+
+
+def _run(wanted, options, path):
+    done = {(r["case"], r["method"]) for r in read_rows(path) if "failed" not in r}
+    jobs = [(name, left) for name in wanted if (left := [m for m in options.methods if (name, m) not in done])]
+    print(f"{len(wanted)} cases, {len(jobs)} to do, {options.processes} at a time", flush=True)
+    began, verdicts = time.perf_counter(), Counter()
+    context = multiprocessing.get_context("spawn")
+    with (
+        open(path, "a", encoding="utf-8") as file,
+        ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=20) as pool,
+    ):
+        futures = [pool.submit(rows_of, name, left, not options.no_oracle) for name, left in jobs]
+        for number, future in enumerate(as_completed(futures), 1):
+            for row in future.result():
+                file.write(json.dumps(row) + "\n")
+                file.flush()
+                verdicts[row.get("verdict") or next(k for k in ("unreachable", "failed") if k in row)] += 1
+                _tell(row, number, len(jobs), time.perf_counter() - began)
+    print(", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+
+
+def _tell(row, number, count, elapsed):
+    if "verdict" not in row:
+        what = row.get("unreachable") or row["failed"]
+    else:
+        named = " + ".join(f"{e} at {s}" for e, s, _, _ in row["named"])
+        mark = "ok " if row["in_class"] and all(row["in_class"]) else "   "
+        what = f"{mark}{row['verdict']} {named} ({row['seconds']:.0f} s)"
+    left = elapsed / number * (count - number) / 60
+    print(f"[{number}/{count}, {left:.0f} min left] {row['case']} {row['method']}: {what}", flush=True)
+
+
+def _options(arguments):
+    from benchmarks.gap.cases import GRIDS, KINDS, grid
+
+    machines = list(grid()["machines"])
+    p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
+    p.add_argument("--machine", nargs="+", choices=machines, default=machines)
+    p.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    p.add_argument("--severities", nargs="+", type=float)
+    p.add_argument("--sensors", nargs="+", choices=grid()["sensors"])
+    p.add_argument("--effects", nargs="+", help="only cases that hide one of these")
+    p.add_argument("--seeds", choices=GRIDS, default="tuning")
+    p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
+    p.add_argument("--processes", type=int, default=2)
+    p.add_argument("--out", type=Path, default=Path("out/gap"))
+    p.add_argument("--limit", type=int, help="the first so many: a fair sample")
+    p.add_argument("--quick", action="store_true", help="one seed, two severities, recordings of 20 s")
+    p.add_argument("--no-oracle", action="store_true", help="do not refit the true structure")
+    p.add_argument("--list", action="store_true", help="print the names of the cases and stop")
+    p.add_argument("--table", action="store_true", help="only write the table of the rows that are there")
+    return p.parse_args(arguments)

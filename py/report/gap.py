@@ -174,7 +174,8 @@ def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
 
 def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
     title = "Measured, before and after" if discovery.steps else "Measured and simulated"
-    lead = "The error below each plot is model minus measurement. All numbers come from the full recordings, and the curves keep every peak."
+    lead = "The error below each plot is model minus measurement. "
+    lead += "All numbers come from the full recordings, and the curves keep every peak."
     drawn = len(overlay_plan(discovery)[1])
     if drawn < len(discovery.overlays):
         lead += f" {drawn} of {len(discovery.overlays)} recordings are drawn, those never used for fitting first."

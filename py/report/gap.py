@@ -168,7 +168,7 @@ def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
     closed = f" It closes {percent(step.gap_closed)} of the gap that it met."
     told.append(f"Probability {percent(step.probability)}.{closed if percent(step.gap_closed) != '–' else ''}")
     if step.sentence:
-        told.append(sentence(step.sentence))
+        told.append(capital(sentence(step.sentence)))
     return tuple(told)
 
 
@@ -222,7 +222,7 @@ def _recordings(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 
 def _unknown(discovery: Discovery) -> Section:
     rows = discovery.unknown
-    told = tuple(sentence(u.sentence) for u in rows if u.sentence)
+    told = tuple(capital(sentence(u.sentence)) for u in rows if u.sentence)
     lead = "What is left, described by what was recorded. It has no physical name: take it as a hint where to look."
     parts = (*((Note(told),) if told else ()), *((unknown_table(rows),) if rows else ()))
     if discovery.verdict == "unknown" and not rows:

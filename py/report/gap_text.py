@@ -105,8 +105,13 @@ def lowered(text: str) -> str:
 
 
 def capital(text: str) -> str:
-    """A text at the start of a sentence."""
-    return text[:1].upper() + text[1:]
+    """A text at the start of a sentence: with a capital, unless it starts with the path of a quantity.
+
+    >>> capital("no input moves."), capital("arm_angle is off."), capital("motor.gain is known.")
+    ('No input moves.', 'arm_angle is off.', 'motor.gain is known.')
+    """
+    first = text.split(" ", 1)[0].rstrip(".:,")
+    return text if "_" in first or "." in first else text[:1].upper() + text[1:]
 
 
 def largest(values: np.ndarray) -> float:

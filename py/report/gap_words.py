@@ -74,7 +74,7 @@ def facts(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     if discovery.steps:
         told.append(closed_sentence(discovery, shown))
     told.append(left_sentence(discovery))
-    told += [sentence(u.sentence) for u in discovery.unknown[:TOLD] if u.sentence]
+    told += [capital(sentence(u.sentence)) for u in discovery.unknown[:TOLD] if u.sentence]
     if any(len(s.members) > 1 for s in discovery.steps):
         told.append(f"These recordings cannot tell them apart. {experiment_sentence(discovery)}")
     if discovery.verdict in ("none", "unknown"):
@@ -249,7 +249,7 @@ def tried_last(discovery: Discovery) -> tuple[Ranked, ...]:
 def where_sentences(discovery: Discovery) -> list[str]:
     """Where the model disagrees and what the difference follows, worst output first."""
     worst = sorted(discovery.locations, key=lambda place: -place.times_noise)
-    return [f"{sentence(place.where)}{_follows(place.drivers)}" for place in worst if place.where][:TOLD]
+    return [f"{capital(sentence(place.where))}{_follows(place.drivers)}" for place in worst if place.where][:TOLD]
 
 
 def driver_words(drivers: Sequence[tuple[str, float, float]]) -> str:

@@ -127,6 +127,12 @@ def test_an_unknown_gap_is_placed_and_gets_no_name():
     assert "120 times the noise on arm_angle" in text
 
 
+def test_findings_start_like_sentences_and_keep_the_names_of_quantities():
+    found = replace(unknown(), findings=("gap: no validation recording", "gap: motor.gain and pump.c are one"))
+    (note,) = next(s for s in gap_page(found, command="", date=DATE).sections if s.id == "findings").parts
+    assert note.paragraphs == ("No validation recording.", "motor.gain and pump.c are one.")
+
+
 def test_an_unknown_rest_beside_a_named_effect_keeps_the_name():
     rest = replace(two_effects(), verdict="unknown", unknown=unknown().unknown)
     text = first_screen(rest)

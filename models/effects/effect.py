@@ -243,11 +243,12 @@ def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, t
     order = [s.name for s in added.states]
     where = [order.index(s.name) for s in base.states]
     p, q = base.parameter_vector(), added.parameter_vector()
-    z, worst = base.start_given()(inputs[0], p, []).full().ravel(), 0.0
+    around, worst = base.start_given()(inputs[0], p, []).full().ravel(), 0.0
     start = added.start_given()(inputs[0], q, []).full().ravel()
+    spread, draw = 0.05 * np.array([s.nominal for s in base.states]), np.random.default_rng(0)
     for u, t in zip(inputs, times, strict=True):
         x = start.copy()
-        x[where] = z
+        x[where] = z = around + spread * draw.uniform(-1, 1, len(around))
         for ours, theirs in zip(base.ode(t, z, u, p), added.ode(t, x, u, q), strict=True):
             a, b = ours.full().ravel(), theirs.full().ravel()
             b = b[where] if len(b) == len(order) and len(a) == len(where) else b

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from itertools import product
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -25,6 +27,7 @@ MACHINES = {
     "tanks": benches.tanks,
 }
 UNIFORM = np.random.default_rng(7).uniform(-1, 1, (6, 3))
+STATES = np.random.default_rng(8).uniform(-0.05, 0.05, 20)
 STABLE = 2.7  # |rate| x step up to which Runge-Kutta of order four decays
 
 
@@ -110,9 +113,25 @@ def test_no_two_candidates_share_a_name(name):
 
 @every_site
 def test_an_effect_at_neutral_changes_nothing(name, label):
-    model = machine(name)
-    times = np.array([0.0, 0.1, 1.0, 10.0, 100.0, 1000.0])
-    assert neutral_difference(model, candidate(name, label), inputs(model), times) <= 1e-12
+    base, more = bare(name), prepared(name, label)
+    order = [s.name for s in more.flat.states]
+    where = [order.index(s.name) for s in base.flat.states]
+    for u, t in zip(inputs(machine(name)), (0.0, 0.1, 1.0, 10.0, 100.0, 1000.0), strict=True):
+        x, z = more.start(inputs(machine(name))[0]), base.start(inputs(machine(name))[0])
+        x[where] = z = z + STATES[: len(z)] * [s.nominal for s in base.flat.states]
+        rates, outputs = more.at(t, x, u)
+        expected, measured = base.at(t, z, u)
+        np.testing.assert_allclose(rates[where], expected, rtol=1e-12, atol=0)
+        np.testing.assert_allclose(outputs, measured, rtol=1e-12, atol=0)
+
+
+def test_the_official_measure_of_neutrality_agrees_and_sees_an_effect_that_is_there():
+    model = machine("axis")
+    for chosen in found("axis"):
+        assert neutral_difference(model, chosen, inputs(model), np.arange(6.0)) <= 1e-12
+    biased = candidates(model, ["sensor_scale at position"])[0]
+    there = SimpleNamespace(addition=dataclasses.replace(biased.addition, part=biased.addition.part.but(error=0.01)))
+    assert neutral_difference(model, there, inputs(model)[:1], np.zeros(1)) == pytest.approx(0.01, rel=0.05)
 
 
 @every_site
@@ -146,54 +165,71 @@ def test_what_is_looked_for_is_free_at_neutral_and_within_bounds_that_contain_ev
 
 @every_site
 def test_rates_outputs_and_their_derivatives_are_finite_at_neutral_and_at_every_start(name, label):
-    chosen, flat = candidate(name, label), added(name, label).flat
-    jacobian = derivatives(flat)
-    for values, u in product(({}, *chosen.probes), inputs(machine(name))):
-        p = flat.parameter_vector(values)
-        x = flat.start_given()(u, p, [])
-        assert all(np.isfinite(np.array(part)).all() for part in (*flat.ode(0.5, x, u, p), *jacobian(0.5, x, u, p)))
+    model = prepared(name, label)
+    for values, u in product(({}, *candidate(name, label).probes), inputs(machine(name))):
+        x = model.start(u, values)
+        assert all(np.isfinite(part).all() for part in (*model.at(0.5, x, u, values), model.slopes(u, values)))
 
 
 @every_site
 def test_the_models_own_step_is_short_enough_wherever_it_is_without_the_effect(name, label):
-    chosen, model = candidate(name, label), added(name, label)
-    flat, base = model.flat, machine(name).flat
+    base, more, step = bare(name), prepared(name, label), machine(name).step
     for u in inputs(machine(name)):
-        q = base.parameter_vector()
-        if fastest(base, u, q) * model.step > STABLE:
-            continue
-        for values in ({}, *chosen.probes):
-            assert fastest(flat, u, flat.parameter_vector(values)) * model.step <= STABLE, values
+        if base.fastest(u) * step <= STABLE:
+            for values in ({}, *candidate(name, label).probes):
+                assert more.fastest(u, values) * step <= STABLE, values
 
 
-def fastest(flat, u, p):
-    """Largest size of an eigenvalue [1/s] at the start."""
-    x = flat.start_given()(u, p, [])
-    return np.abs(np.linalg.eigvals(np.array(derivatives(flat)(0.5, x, u, p)[0]))).max(initial=0.0)
+class Prepared:
+    """A flat model with what is asked of it often."""
+
+    def __init__(self, flat):
+        self.flat, self._start = flat, flat.start_given()
+        t, x, u, p = flat.ode.sx_in()
+        rates, outputs = flat.ode(t, x, u, p)
+        both = ca.jacobian(ca.vertcat(rates, outputs), ca.vertcat(x, u, p))
+        self._slopes = ca.Function("slopes", [t, x, u, p], [both])
+
+    def start(self, u, values=()):
+        return self._start(u, self.flat.parameter_vector(dict(values)), []).full().ravel()
+
+    def at(self, t, x, u, values=()):
+        """Rates and outputs."""
+        return [part.full().ravel() for part in self.flat.ode(t, x, u, self.flat.parameter_vector(dict(values)))]
+
+    def slopes(self, u, values=()):
+        """Derivatives of rates and outputs to states, inputs and parameters, at the start."""
+        p = self.flat.parameter_vector(dict(values))
+        return self._slopes(0.5, self.start(u, values), u, p).full()
+
+    def fastest(self, u, values=()):
+        """Largest size of an eigenvalue [1/s] at the start."""
+        n = len(self.flat.states)
+        return np.abs(np.linalg.eigvals(self.slopes(u, values)[:n, :n])).max(initial=0.0)
 
 
 @cache
-def derivatives(flat):
-    """Of rates to states, and of rates and outputs to parameters and inputs."""
-    t, x, u, p = flat.ode.sx_in()
-    rates, outputs = flat.ode(t, x, u, p)
-    both = ca.vertcat(rates, outputs)
-    return ca.Function("d", [t, x, u, p], [ca.jacobian(rates, x), ca.jacobian(both, ca.vertcat(x, u, p))])
+def bare(name):
+    return Prepared(machine(name).flat)
+
+
+@cache
+def prepared(name, label):
+    return Prepared(added(name, label).flat)
 
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_all_candidates_in_one_model_at_neutral_are_the_model_without_them(name):
     model = machine(name)
-    flat, base = model.plus([c.addition for c in found(name)]).flat, model.flat
-    order = [s.name for s in flat.states]
-    where = [order.index(s.name) for s in base.states]
+    more, base = Prepared(model.plus([c.addition for c in found(name)]).flat), bare(name)
+    order = [s.name for s in more.flat.states]
+    where = [order.index(s.name) for s in base.flat.states]
+    scale = np.array([s.nominal for s in base.flat.states])
     for u in inputs(model):
-        x = flat.start_given()(u, flat.parameter_vector(), []).full().ravel()
-        z = base.start_given()(u, base.parameter_vector(), []).full().ravel()
-        rates, outputs = (part.full().ravel() for part in flat.ode(0.5, x, u, flat.parameter_vector()))
-        expected, measured = (part.full().ravel() for part in base.ode(0.5, z, u, base.parameter_vector()))
+        x, z = more.start(u), base.start(u)
         np.testing.assert_allclose(x[where], z, rtol=1e-12, atol=0)
-        scale = np.array([s.nominal for s in base.states])
+        rates, outputs = more.at(0.5, x, u)
+        expected, measured = base.at(0.5, z, u)
         np.testing.assert_allclose(rates[where] / scale, expected / scale, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(outputs, measured, rtol=1e-12, atol=0)
 

@@ -68,7 +68,7 @@ class OilEffect(Effect):
             content[f"p_{k}"] = Input("Pa", "pressure", nominal=1e6)
             content[f"u_{k}"] = Input("Pa/s", "its rate without the effect", nominal=1e6)
             content[f"y_{k}"] = Output("Pa/s", "its rate", nominal=1e6)
-        return type(cls.__name__, (cls,), content)()
+        return type(f"{cls.__name__}On{site.count}", (cls,), content)()
 
     def softer(self, p):
         """By how much the oil is softer at absolute pressure p [Pa]."""
@@ -181,7 +181,7 @@ class LineCompliance(Effect):
         """The part for so many lines, all of one kind."""
         ports = {name: HydraulicPort("where a line is") for name in site.ties}
         content = {"__module__": cls.__module__, "__doc__": cls.__doc__, "id": "", "count": len(ports)}
-        return type(cls.__name__, (cls,), {**content, **ports})()
+        return type(f"{cls.__name__}On{len(ports)}", (cls,), {**content, **ports})()
 
     def equations(self):
         for port in (getattr(self, f"port_{k}") for k in range(self.count)):

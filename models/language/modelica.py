@@ -1,6 +1,7 @@
 """A Model writes itself as Modelica source: one package that needs no library.
 
 One connector per kind of port, one class per component and choice of laws, ``Main`` with the model's parameter values.
+Added parts stand in a class that extends the machine, or in classes written anew, see `modelica_additions`.
 A law is a record of its parameters; its relation stands in the equations of the component that uses it. Dotted paths
 stay as they are, except that a word of Modelica gets an underscore (``end`` -> ``end_``).
 Source: Modelica Language Specification 3.6.
@@ -20,6 +21,7 @@ from .declarations import Input, Output, Parameter, Port, State, Variable
 from .elaboration import BoundPort, Elaboration, Equation
 from .flattening import elaborate
 from .model import Model
+from .modelica_additions import WithAdditions, mentions, with_additions
 from .modelica_expression import modelica_equation, modelica_expression, modelica_number
 from .units import modelica_unit
 
@@ -43,8 +45,12 @@ def modelica_text(model: Model) -> str:
     """
     elaboration, root = elaborate(model.root, model.name)
     writer = _PackageWriter(elaboration)
-    top = writer.class_of(root)
-    changes = _nested(_changed_settings(model, elaboration))
+    top, renamed = writer.class_of(root), {}
+    if any(addition.part is not None for addition in model.additions):
+        tied = with_additions(model)
+        writer = _PackageWriter(tied.elaboration, writer, tied)
+        top, elaboration, renamed = writer.class_with_additions(top), tied.elaboration, tied.renamed
+    changes = _nested(_changed_settings(model, elaboration, renamed))
     connectors = [_connector(kind) for kind in writer.port_kinds]
     if writer.has_signals:
         connectors += ["connector RealInput = input Real;", "connector RealOutput = output Real;"]
@@ -108,15 +114,23 @@ class _Body:
 class _PackageWriter:
     """Writes the classes of one bound component tree; equal texts share one class."""
 
-    def __init__(self, elaboration: Elaboration):
+    def __init__(
+        self, elaboration: Elaboration, before: _PackageWriter | None = None, tied: WithAdditions | None = None
+    ):
         self.elaboration = elaboration
-        self.classes: dict[str, str] = {}  # name -> text
-        self.bodies: dict[tuple[str, str], str] = {}  # (class, body) -> name
-        self.port_kinds: list[Port] = []
-        self.has_signals = False
+        self.tied = tied
+        self.classes: dict[str, str] = before.classes if before else {}  # name -> text
+        self.bodies: dict[tuple[str, str], str] = before.bodies if before else {}  # (class, body) -> name
+        self.port_kinds: list[Port] = before.port_kinds if before else []
+        self.has_signals = bool(before and before.has_signals)
         self.paths = {
             entry.symbol.element_hash(): entry.path
             for entry in (*elaboration.parameters, *elaboration.states, *elaboration.variables, *elaboration.inputs)
+        }
+        self.paths |= {
+            signal.symbol.element_hash(): f"{owner}.{signal.word}"
+            for owner, signals in (tied.signals if tied else {}).items()
+            for signal in signals
         }
         self.parameters = {p.symbol.element_hash() for p in elaboration.parameters}
         self.rates = {rate.element_hash(): symbol for symbol, rate in elaboration.derivatives.values()}
@@ -129,6 +143,8 @@ class _PackageWriter:
         """Name of the class of a bound component, written the first time it is met."""
         body = self._body(component)
         kind = type(component).__name__
+        if self.tied and self.tied.is_opened(component.path):
+            kind = f"{kind}Opened"
         taken = {MAIN, "RealInput", "RealOutput", *(port.__name__ for port in Port.__subclasses__())}
         passive = all(line.startswith("parameter ") for line in body.declarations) and not body.equations
         text = body.text(_quoted(_sentence(component)))
@@ -139,21 +155,58 @@ class _PackageWriter:
             self.bodies[kind, text] = name
         return self.bodies[kind, text]
 
+    def class_with_additions(self, top: str) -> str:
+        """Name of the class of the machine with its added parts: the machine opened where it must be, and extended."""
+        opened = self.class_of(self.tied.root)
+        parts = [self.tied.parts[path] for path in self.tied.parts if path in self.tied.extending]
+        if not parts:
+            return opened
+        body = _Body(declarations=[f"extends {opened};", *(self._added_declaration(part) for part in parts)])
+        self._fill(body, "", extending=True)
+        name = next(n for n in _names(f"{top}Extended") if n not in self.classes)
+        added = ", ".join(part.path for part in parts)
+        self.classes[name] = f"model {name}{body.text(_quoted(f'{opened} with {added}'))}\nend {name};"
+        return name
+
+    def _added_declaration(self, part: Component) -> str:
+        home, _, leaf = part.path.rpartition(".")
+        return f"{self.class_of(part)} {identifier(leaf)}{self._modifiers(part, self._names_in(home))};"
+
     def _body(self, component: Component) -> _Body:
         body, path = _Body(), component.path
         for name in declarations(type(component)):
             body.declarations.append(self._declaration(component, name))
+        for part in self.tied.within(path) if self.tied else ():
+            body.declarations.append(self._added_declaration(part))
+        for signal in self.tied.signals.get(path, ()) if self.tied else ():
+            unit = f'(unit="{modelica_unit(signal.unit)}")' if modelica_unit(signal.unit) else ""
+            body.declarations.append(
+                f"Real{'Output' if signal.is_output else 'Input'} {identifier(signal.word)}{unit};"
+            )
+            self.has_signals = True
+        self._fill(body, path, extending=False)
+        return body
+
+    def _fill(self, body: _Body, path: str, extending: bool) -> None:
+        """Connections and equations of the class at ``path``; at the root those ``extending`` it or the rest."""
         for owner, connection in self.elaboration.connections:
-            if owner == path:
-                ends = (self._end(end, path) for end in (connection.first, connection.second))
-                body.equations.append(f"connect({', '.join(ends)});")
+            ends = (connection.first, connection.second)
+            if owner == path and extending == self._is_extending(ends):
+                body.equations.append(f"connect({', '.join(self._end(end, path) for end in ends)});")
         for equations, lines in (
             (self.initial_equations.get(path, ()), body.initial),
             (self.equations.get(path, ()), body.equations),
         ):
             for equation in equations:
-                lines.append(self._equation(equation, path, body) + ";")
-        return body
+                if extending == self._is_extending(ca.symvar(ca.vertcat(equation.left, equation.right)), path):
+                    lines.append(self._equation(equation, path, body) + ";")
+
+    def _is_extending(self, ends, path: str = "") -> bool:
+        """Whether a statement of the root names a part of the extending class."""
+        return not path and self.tied is not None and mentions(self.tied, ends, self._path_of)
+
+    def _path_of(self, symbol: ca.SX) -> str | None:
+        return next(self._paths_of(symbol), None)
 
     def _equation(self, equation: Equation, path: str, body: _Body) -> str:
         new = (f"shared_{k}" for k in range(len(body.shared) + 1, 10_000))
@@ -167,7 +220,7 @@ class _PackageWriter:
     # -- declarations ------------------------------------------------------------------------------------------
     def _declaration(self, component: Component, name: str) -> str:
         changed, own = component.changes.get(name), declarations(type(component))[name]
-        declared = changed if isinstance(changed, (Parameter, State)) else own
+        declared = changed if isinstance(changed, (Parameter, State, Variable, Input, Output)) else own
         here = getattr(component, name)
         word = identifier(name)
         if isinstance(here, Component):
@@ -309,9 +362,13 @@ def _modifier(attributes: Mapping[str, str]) -> str:
     return f"({', '.join(f'{key}={value}' for key, value in attributes.items())})" if attributes else ""
 
 
-def _changed_settings(model: Model, elaboration: Elaboration) -> dict[str, str]:
+def _changed_settings(model: Model, elaboration: Elaboration, renamed: Mapping[str, str]) -> dict[str, str]:
     """Values of the model that differ from the declarations, by path."""
-    values = {path: setting["value"] for path, setting in model.settings.items() if "value" in setting}
+    values = {}
+    for path, setting in model.settings.items():
+        first, dot, rest = path.partition(".")
+        if "value" in setting:
+            values[f"{renamed.get(first, first)}{dot}{rest}"] = setting["value"]
     declared = {entry.path: entry.declaration.value for entry in elaboration.parameters}
     return {p: f"={modelica_number(value)}" for p, value in values.items() if value != declared.get(p)}
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hydrotwin.models.components import (
     Cylinder,
     FourEdgeValve,
@@ -12,8 +14,10 @@ from hydrotwin.models.components import (
     SpeedControlledMotor,
 )
 from hydrotwin.models.components.mechanical import ForceSource
+from hydrotwin.models.effects import add_effect
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der
 from hydrotwin.models.laws import Viscous
+from hydrotwin.simulation import prepare
 
 
 class PumpBench(Component):
@@ -103,3 +107,42 @@ def axis() -> Model:
 
 def tanks() -> Model:
     return Model(Tanks(), "tanks")
+
+
+class PassOn(Component):
+    """A signal that comes out as it goes in."""
+
+    command = Input("V", "in", nominal=2.0, interpolation="linear")
+    reading = Output("V", "out", nominal=2.0)
+    memory = State(0.0, "V.s", "a model has a state")
+
+    def equations(self):
+        yield der(self.memory) == self.command
+        yield self.reading == self.command
+
+
+def pass_on() -> Model:
+    return Model(PassOn(), "pass_on", step=5e-4)
+
+
+def run(model: Model, time, /, *inputs, **values):
+    """Outputs (n, ny) over ``time`` (n,) for inputs (n,) each; values: parameters by path, dots as two underscores."""
+    flat = model.flat
+    p = flat.parameter_vector({k.replace("__", "."): v for k, v in values.items()})
+    u = np.column_stack(inputs)
+    x = np.asarray(flat.start_given()(u[0], p, [])).ravel()
+    return np.asarray(prepare(flat, method="vm").run(np.asarray(time), u, p, x)[0])
+
+
+def passed(effect: str, site: str, time, signal, /, **values):
+    """What an effect at one end of `pass_on` makes of a signal (n,)."""
+    return run(add_effect(pass_on(), effect, site, values), time, signal)[:, 0]
+
+
+def seen(model: Model, paths, u=(), **states):
+    """Any variables of a model by path, at its start but for ``states`` (dots as two underscores)."""
+    flat = model.flat
+    changes = {k.replace("__", "."): v for k, v in states.items()}
+    start = np.asarray(flat.start_given()(list(u), flat.parameter_vector(), [])).ravel()
+    x = [changes.get(s.name, v) for s, v in zip(flat.states, start, strict=True)]
+    return np.asarray(model.observe(paths)(0.0, x, list(u), flat.parameter_vector())).ravel()

@@ -1,0 +1,138 @@
+"""Effects on commands and drives, held against what their equations say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models import spool_valve
+from hydrotwin.models.components import Cylinder, LinearLoad, Pump
+from hydrotwin.models.components.mechanical import SpeedSource
+from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.effects.command import CommandSaturation, RateLimit
+from hydrotwin.models.language import Component, Input, Model, Output, connect
+from tests.effects.benches import axis, passed, pump_bench, seen
+
+TIME = np.arange(0.0, 1.0, 1e-3)
+STEP = np.where(TIME < 0.1, 0.0, 3.0)
+SINE = 3.0 * np.sin(2 * np.pi * 2 * TIME)
+
+
+def test_a_dead_time_shows_the_command_as_it_was():
+    late = passed("dead_time", "command", TIME, SINE, time=0.05)
+    np.testing.assert_allclose(late[60:], SINE[10:-50], atol=1e-9)
+
+
+def test_a_dead_time_that_the_model_has_already_is_freed_and_not_put_in_twice():
+    (found,) = candidates(spool_valve.model(), ["dead_time"])
+    assert found.site.frees == "solenoid.dead_time" and found.addition.part is None
+    assert all(0 < probe["solenoid.dead_time"] < 0.3 for probe in found.probes)
+    late = spool_valve.model().plus([found.addition])
+    assert next(p for p in late.flat.parameters if p.name == "solenoid.dead_time").free
+    assert not candidates(late, ["dead_time"])
+
+
+def test_a_lag_follows_a_step_exponentially():
+    lagging = passed("actuator_lag", "command", TIME, STEP, time_constant=0.05)
+    expected = 3.0 * (1 - np.exp(-np.maximum(TIME - 0.0995, 0) / 0.05))  # the step takes one sample
+    np.testing.assert_allclose(lagging, expected, atol=0.02 * 3.0)  # all but a jump of T_0 / (T + T_0)
+
+
+@pytest.mark.parametrize("lag", [0.0005, 0.003, 0.1])
+def test_a_lag_of_any_length_is_behind_a_ramp_by_itself(lag):
+    lagging = passed("actuator_lag", "command", TIME, TIME, time_constant=lag)
+    assert (TIME - lagging)[-1] == pytest.approx(lag, abs=1e-5)
+
+
+def test_a_limited_rate_turns_a_step_into_a_ramp():
+    limited = passed("rate_limit", "command", TIME, STEP, rate=10.0)
+    ramp = np.clip(10.0 * (TIME - 0.1), 0.0, 3.0)
+    np.testing.assert_allclose(limited, ramp, atol=0.03)
+    assert np.max(np.diff(limited)) < 10.0 * (1e-3 + 1.1e-3)  # R T_0 of it at once
+
+
+def test_a_limited_rate_leaves_what_is_slower_alone():
+    np.testing.assert_allclose(passed("rate_limit", "command", TIME, SINE, rate=60.0), SINE, atol=1e-9)
+
+
+def test_commands_beyond_a_limit_do_no_more_than_the_limit():
+    limited = passed("command_saturation", "command", TIME, SINE, limit=1.0)
+    np.testing.assert_allclose(limited, np.clip(SINE, -1, 1), atol=1e-12)
+
+
+def test_a_deadband_swallows_small_commands_and_shortens_large_ones():
+    left = passed("command_deadband", "command", TIME, SINE, width=0.5)
+    np.testing.assert_allclose(left, np.sign(SINE) * np.maximum(np.abs(SINE) - 0.5, 0), atol=1e-12)
+
+
+def test_a_drive_may_give_more_in_one_direction_than_in_the_other():
+    given = passed("direction_asymmetry", "command", TIME, SINE, asymmetry=0.1)
+    np.testing.assert_allclose(given, np.where(SINE > 0, 1.1, 0.9) * SINE, atol=1e-12)
+
+
+def test_a_null_offset_is_added_to_the_command():
+    np.testing.assert_allclose(passed("null_bias", "command", TIME, SINE, offset=0.2), SINE + 0.2, atol=1e-12)
+
+
+def test_a_drift_grows_with_time():
+    np.testing.assert_allclose(passed("drift", "command", TIME, SINE, rate=0.01), SINE * (1 + 0.01 * TIME), atol=1e-12)
+
+
+def test_a_null_offset_sits_where_the_command_enters_and_nowhere_else_on_the_way_to_the_valve():
+    assert [c.site.name for c in candidates(spool_valve.model(), ["null_bias"])] == ["current"]
+
+
+def test_a_drive_under_load_turns_slower_by_its_droop_times_the_torque():
+    model = add_effect(pump_bench(), "motor_droop", values={"slope": 20.0})
+    pressures = {"cylinder__cap_pressure": 5e6, "cylinder__rod_pressure": 1e6}
+    torque = 2e-7 * (5e6 - 0.8 * 1e6)
+    drive, pump, taken = seen(
+        model, ["motor.shaft.w", "pump.shaft.w", "pump.shaft.tau"], [2.0], motor__speed=200.0, motor_droop__torque=torque,
+        **pressures,
+    )  # fmt: skip
+    assert drive == 200.0
+    assert taken == pytest.approx(torque)
+    assert pump == pytest.approx(200.0 - 20.0 * torque)
+
+
+class MeasuredDrive(Component):
+    """A pump and a cylinder, driven by the measured speed of the pump."""
+
+    speed = Input("rad/s", "measured speed", nominal=100.0, interpolation="linear")
+    position = Output("m", "position")
+    drive = SpeedSource()
+    pump = Pump()
+    cylinder = Cylinder()
+    load = LinearLoad()
+
+    def equations(self):
+        yield connect(self.speed, self.drive.speed)
+        yield connect(self.drive.shaft, self.pump.shaft)
+        yield connect(self.pump.cap, self.cylinder.cap)
+        yield connect(self.pump.rod, self.cylinder.annulus)
+        yield connect(self.cylinder.rod, self.load.flange)
+        yield self.position == self.load.position
+
+
+def test_a_drive_whose_speed_was_measured_has_no_droop():
+    measured = Model(MeasuredDrive())
+    told = Model(MeasuredDrive(speed=Input("rad/s", "wanted speed", nominal=100.0)))
+    assert not candidates(measured, ["motor_droop"])
+    assert [c.site.name for c in candidates(told, ["motor_droop"])] == ["drive.shaft"]
+    assert not candidates(axis(), ["motor_droop"])
+
+
+def test_limits_are_tried_where_the_command_is_large():
+    starts = [probe["limit"] for probe in CommandSaturation.probes_for({"u": SINE})]
+    assert len(starts) == 3 and 3.0 > starts[0] > starts[-1] > 1.0
+    assert CommandSaturation.probes_for({"u": np.zeros(5)}) == []
+
+
+def test_rates_are_tried_that_the_command_exceeds_now_and_then():
+    starts = [probe["rate"] for probe in RateLimit.probes_for({"u": SINE, "time": TIME})]
+    steepest = 3.0 * 2 * np.pi * 2
+    assert starts == sorted(starts, reverse=True)
+    assert all(0 < rate < steepest for rate in starts)
+    assert RateLimit.probes_for({"u": np.ones(5), "time": np.arange(5.0)}) == []
+    (step,) = {max(p["rate"] for p in RateLimit.probes_for({"u": STEP, "time": TIME}))}
+    assert step <= 3.0 / 0.02

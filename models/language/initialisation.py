@@ -10,7 +10,7 @@ import numpy as np
 from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
 from .solving import Unknown, solve_block
-from .structure import match
+from .structure import match, ordered_blocks
 
 LARGEST_LAST_STEP = 1e-6  # of nominal
 
@@ -44,21 +44,31 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
         for i in free:
             del known[symbols[i].element_hash()]
         known = {key: _followed(name, value, known, "its start") for key, value in known.items()}
-        if free:
-            members = [
-                Unknown(f"start of {states[i].path}", symbols[i], states[i].declaration.nominal, guesses[i])
-                for i in free
-            ]
-            kept = [replace(residuals[determines[i]], known) for i in free]
-            solution, newton = solve_block(name, members, kept, lambda: "the initial equations")
-            if newton:
-                converged = newton.error < LARGEST_LAST_STEP
-                solution = [ca.if_else(converged, value, np.nan) for value in solution]
-            known |= {symbols[i].element_hash(): value for i, value in zip(free, solution, strict=True)}
+        kept = [replace(residuals[determines[i]], known) for i in free]
+        members = [
+            Unknown(f"start of {states[i].path}", symbols[i], states[i].declaration.nominal, guesses[i]) for i in free
+        ]
+        known |= _solved_in_order(name, members, kept)
         x = ca.vertcat(*(_followed(name, s, known, "its start") for s in symbols)) if states else ca.SX.zeros(0)
         return ca.Function("start", [u, p, z], [x], ["u", "p", "z"], ["x"])
 
     return start_given
+
+
+def _solved_in_order(name: str, members: list[Unknown], residuals: list[ca.SX]) -> dict[int, ca.SX]:
+    """Start values of the loose states, by hash; residual k determines member k. Only true loops are solved at once."""
+    index = {m.symbol.element_hash(): k for k, m in enumerate(members)}
+    incidence = [{index[s.element_hash()] for s in ca.symvar(r) if s.element_hash() in index} for r in residuals]
+    found: dict[int, ca.SX] = {}
+    for block in ordered_blocks(incidence, np.arange(len(members))):
+        own = [members[k] for k in block]
+        left = [replace(residuals[k], found) for k in block]
+        solution, newton = solve_block(name, own, left, lambda: "the initial equations")
+        if newton:
+            converged = newton.error < LARGEST_LAST_STEP
+            solution = [ca.if_else(converged, value, np.nan) for value in solution]
+        found |= {m.symbol.element_hash(): value for m, value in zip(own, solution, strict=True)}
+    return found
 
 
 def _declared_start(solved: Solved, state) -> ca.SX:

@@ -24,8 +24,8 @@ from hydrotwin.models.language.flat import FlatModel, Signal
 from hydrotwin.simulation import prepare
 
 from .discovery import Experiment
+from .locate import amount
 from .refit import Question
-from .regions import amount
 
 SHORTEST, LONGEST = 10.0, 60.0  # s
 SAMPLES = 4000  # of an experiment, at most
@@ -293,10 +293,7 @@ def _projected(runners: Sequence[_Member], now: _Now, time, u, noise) -> list[tu
     for a, b in combinations(range(len(runners)), 2):
         d = ((found[b][0] - found[a][0]) / noise)[:, used]
         best = min(
-            (
-                _absorbed(sign * d, found[k][1][:, used] / noise[used][:, None], now.information[k], runners[k])
-                for k, sign in ((a, 1.0), (b, -1.0))
-            ),
+            (_absorbed(d, found[k][1][:, used] / noise[used][:, None], now.information[k], runners[k]) for k in (a, b)),
             key=lambda left: float(np.sum(left**2)),
         )
         whole = np.full((len(time), len(noise)), np.nan)

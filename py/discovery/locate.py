@@ -21,9 +21,10 @@ from scipy.fft import irfft, next_fast_len, rfft
 from hydrotwin.identification.problem import Recording
 from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.units import display_units, from_si
 
 from .discovery import Location
-from .regions import Quantity, amount, bin_edges, bins_of, correlation_time, finite, has_gap, quantities
+from .regions import Quantity, autocorrelation, bin_edges, bins_of, finite, has_gap, quantities
 
 SPLITS = 24  # values tried of every quantity
 DEPTH = 2
@@ -34,6 +35,8 @@ SMALL = 0.3  # of the largest mean: a place not worth telling
 LONGEST_LAG = 2.0  # s
 GRID = 4096  # samples of a recording that drivers are looked for on
 DRIVERS = 3
+FAST = 15.0  # rad/s from which a speed is read in rpm
+SHOWN = ("Pa", "rad", "m", "m/s", "m2", "m3", "m3/s")  # SI units that nobody reads
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,8 @@ def _limits(q: Quantity, low: float | None, high: float | None) -> str:
     if q.kind == "direction":
         words = {(None, -0.5): "falls", (-0.5, None): "rests or rises", (None, 0.5): "rests or falls"}
         words |= {(0.5, None): "rises", (-0.5, 0.5): "rests"}
+        if q.name.startswith("sign"):
+            words = {key: _SIGNS[w] for key, w in words.items()}
         return f"{q.of} {words[low, high]}"
     peak = float(np.nanmax(np.abs(np.concatenate(q.values))))
     low, high = (None if v is None else amount(v, q.unit, peak) for v in (low, high))
@@ -191,12 +196,39 @@ def _limits(q: Quantity, low: float | None, high: float | None) -> str:
     return f"{q.name} < {high}" if low is None else f"{q.name} > {low}"
 
 
+_SIGNS = {
+    "falls": "is negative",
+    "rests": "is zero",
+    "rises": "is positive",
+    "rests or rises": "is not negative",
+    "rests or falls": "is not positive",
+}
+
+
 def _over(value: float, noise: float) -> float:
     return abs(value) / noise if noise > 0 else np.inf
 
 
 def _times(value: float) -> str:
     return f"{value:.2g} noise" if value < 100 else f"{value:.0f} noise"
+
+
+def correlation_time(series: Sequence[np.ndarray]) -> float:
+    """Samples that count as one: 1 + 2 sum of the autocorrelation."""
+    return float(2.0 * autocorrelation(series).sum() - 1.0)
+
+
+def amount(value: float, unit: str, peak: float | None = None) -> str:
+    """A value in SI in the unit a person reads: 2.1 bar, 12 mm/s, 0.4°."""
+    shown = unit
+    if unit == "rad/s":
+        shown = "rpm" if abs(value if peak is None else peak) > FAST else "deg/s"
+    elif unit in SHOWN:
+        shown = display_units(unit)[0]
+    number = float(from_si(float(value), shown)) if shown != unit else float(value)
+    digits = f"{number:.3g}" if not 999.5 <= abs(number) < 1e6 else f"{number:.0f}"
+    text = shown.replace("deg", "°")
+    return digits if text == "1" else f"{digits}°" if text == "°" else f"{digits} {text}"
 
 
 # -- what it follows ---------------------------------------------------------------------------------------------------

@@ -18,11 +18,11 @@ from itertools import combinations
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.integrate import cumulative_trapezoid
 from scipy.stats import norm, t
 
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.models.language.units import display_units, from_si
 
 from .discovery import Region
 
@@ -31,10 +31,9 @@ KEPT = 4  # quantities told of each output
 ALIKE = 0.97  # correlation from which two quantities tell the same
 GAP = 1.02  # squared residual over squared noise from which there is a gap
 SIGMAS = 3.0
+PERIODS = 3.0  # seen at least, of a wave
 CLEAN = 0.1  # noise of a smoothed quantity over its spread that is good enough
 WINDOWS = (1, 2, 4, 8, 16, 32, 64, 128)  # samples on either side of a local line
-SHOWN = ("Pa", "rad", "m", "m/s", "m2", "m3", "m3/s")  # SI units that nobody reads
-FAST = 15.0  # rad/s from which a speed is read in rpm
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +49,22 @@ class Quantity:
     kind: str
     of: str
     values: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Carrier:
+    """Something that turns or travels: (n,) per recording in turns, metres or seconds.
+
+    absolute : the same place is the same value in every recording, so that a wave has one phase everywhere; what is
+        integrated from a speed has a phase of its own in every window. low, high : frequencies searched.
+    """
+
+    name: str
+    unit: str
+    absolute: bool
+    angle: tuple[np.ndarray, ...]
+    low: float
+    high: float
 
 
 def quantities(flat: FlatModel, recordings: Sequence[Recording], noise: np.ndarray) -> tuple[Quantity, ...]:
@@ -80,19 +95,48 @@ def _of_output(signal, series, noise: float) -> list[Quantity]:
     unit, kinds = signal.unit, {"m": "position", "rad": "position", "Pa": "pressure"}
     kind = "velocity" if unit in ("m/s", "rad/s") else kinds.get(unit, "other")
     smooth = [_smoothed(time, y, noise, slope=False) for time, y in series]
-    if not _beyond([s[0] for s in smooth], max(s[1] for s in smooth)):
+    if not _beyond(smooth, noise):
         return []
     found = [Quantity(signal.name, unit, kind, signal.name, tuple(s[0] for s in smooth))]
     if kind == "position":
         smooth = [_smoothed(time, y, noise, slope=True) for time, y in series]
-        if not _beyond([s[0] for s in smooth], max(s[1] for s in smooth)):
+        if not _beyond(smooth):
             return found
         values = tuple(s[0] for s in smooth)
         found.append(Quantity(f"velocity of {signal.name}", per_second(unit), "velocity", signal.name, values))
     if found[-1].kind == "velocity":
-        sign = directions([s[0] for s in smooth], max(s[1] for s in smooth))
-        found.append(Quantity(f"direction of {signal.name}", "1", "direction", signal.name, sign))
+        sign = directions([s[0] for s in smooth], max(s[1] for s in smooth if np.isfinite(s[1])))
+        name = f"sign of {signal.name}" if kind == "velocity" else f"direction of {signal.name}"
+        found.append(Quantity(name, "1", "direction", signal.name, sign))
     return found
+
+
+def carriers(recordings: Sequence[Recording], seen: Sequence[Quantity]) -> tuple[Carrier, ...]:
+    """Measured positions and angles, integrals of measured speeds, and time."""
+    found = []
+    for q in seen:
+        if q.kind == "position":
+            found.append((q.name, q.unit, True, q.values))
+        elif q.kind == "velocity" and q.name == q.of:
+            travelled = [_travelled(r.time, v) for r, v in zip(recordings, q.values, strict=True)]
+            found.append((q.name, "rad" if q.unit == "rad/s" else "m", False, travelled))
+    found.append(("time", "s", False, [r.time - r.time[0] for r in recordings]))
+    made = []
+    for name, unit, absolute, values in found:
+        turns = tuple(np.asarray(v) / (2 * np.pi if unit == "rad" else 1.0) for v in values)
+        reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in turns)
+        high = 40.0 if unit == "rad" else 300.0 / reach
+        if unit == "s":
+            high = 0.4 / max(float(np.median(np.diff(r.time))) for r in recordings)
+        low = PERIODS / reach
+        if low < high:
+            made.append(Carrier(name, unit, absolute, turns, low, high))
+    return tuple(made)
+
+
+def _travelled(time: np.ndarray, v: np.ndarray) -> np.ndarray:
+    known = np.isfinite(v)
+    return cumulative_trapezoid(np.interp(time, time[known], v[known]), time, initial=0.0) if known.any() else v
 
 
 def directions(velocities: Sequence[np.ndarray], noise: float) -> tuple[np.ndarray, ...]:
@@ -153,11 +197,12 @@ def _changes(values: Sequence[np.ndarray]) -> bool:
     return len(seen) > 1 and np.ptp(seen) > 1e-9 * np.abs(seen).max()
 
 
-def _beyond(values: Sequence[np.ndarray], noise: float) -> bool:
-    """A measured quantity that moves by more than its noise."""
-    seen = np.concatenate(values)
+def _beyond(smooth: Sequence[tuple[np.ndarray, float]], least: float = 0.0) -> bool:
+    """A measured quantity that moves by more than its noise; ``smooth`` are values and their noise per recording."""
+    seen = np.concatenate([values for values, _ in smooth])
     seen = seen[np.isfinite(seen)]
-    return len(seen) > 1 and np.isfinite(noise) and float(np.std(seen)) > 2.0 * noise
+    noise = max((n for _, n in smooth if np.isfinite(n)), default=np.inf)
+    return len(seen) > 1 and float(np.std(seen)) > max(2.0 * noise, 3.0 * least)
 
 
 def per_second(unit: str) -> str:
@@ -184,19 +229,6 @@ def bin_edges(quantity: Quantity, count: int = BINS) -> np.ndarray:
 def bins_of(quantity: Quantity, edges: np.ndarray) -> tuple[np.ndarray, ...]:
     """The bin of every sample, -1 where the quantity is unknown."""
     return tuple(np.where(np.isfinite(v), np.searchsorted(edges[1:-1], v, side="right"), -1) for v in quantity.values)
-
-
-def amount(value: float, unit: str, peak: float | None = None) -> str:
-    """A value in SI in the unit a person reads: 2.1 bar, 12 mm/s, 0.4°."""
-    shown = unit
-    if unit == "rad/s":
-        shown = "rpm" if abs(value if peak is None else peak) > FAST else "deg/s"
-    elif unit in SHOWN:
-        shown = display_units(unit)[0]
-    number = float(from_si(float(value), shown)) if shown != unit else float(value)
-    digits = f"{number:.3g}" if not 999.5 <= abs(number) < 1e6 else f"{number:.0f}"
-    text = shown.replace("deg", "°")
-    return digits if text == "1" else f"{digits}°" if text == "°" else f"{digits} {text}"
 
 
 def finite(residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -231,11 +263,6 @@ def self_product(x: np.ndarray) -> np.ndarray:
     """``sum_i x_i x_{i+lag}`` for lag 0..n-1."""
     size = next_fast_len(2 * len(x), real=True)
     return irfft(np.abs(rfft(x, size)) ** 2, size)[: len(x)]
-
-
-def correlation_time(series: Sequence[np.ndarray]) -> float:
-    """Samples that count as one: 1 + 2 sum of the autocorrelation."""
-    return float(2.0 * autocorrelation(series).sum() - 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,11 +382,13 @@ def _together(maps: Sequence[Map], level: float) -> list[np.ndarray]:
 
 
 def _telling(seen: Sequence[Quantity], shares: Sequence[float]) -> list[int]:
-    """The quantities that separate best, without those that tell the same as a better one."""
+    """The quantities that separate best, one of a kind first, without those that tell the same as a better one."""
+    order = [int(i) for i in np.argsort(shares)[::-1]]
+    first = [i for n, i in enumerate(order) if seen[i].kind not in {seen[k].kind for k in order[:n]}]
     chosen: list[int] = []
-    for i in np.argsort(shares)[::-1]:
+    for i in (*first, *order):
         if len(chosen) < KEPT and all(abs(_correlation(seen[i], seen[k])) < ALIKE for k in chosen):
-            chosen.append(int(i))
+            chosen.append(i)
     return chosen
 
 

@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.linalg
 from scipy.fft import next_fast_len, rfft
-from scipy.integrate import cumulative_trapezoid
 
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
 
 from .discovery import Unknown
-from .regions import Quantity, amount, finite, has_gap, quantities
+from .locate import amount
+from .regions import PERIODS, Carrier, Quantity, carriers, finite, has_gap, quantities
 
 SAMPLES = 16_000  # looked at
 EXPLAINED = 0.1  # share of the squared residual below which nothing explains it
@@ -36,7 +36,6 @@ FOLLOWED = 3  # quantities of a Gaussian process
 LENGTHS = (0.4, 1.2)  # in standard deviations of a quantity
 PLAIN = 0.8  # of what the Gaussian process explains: a formula with this much is told
 WINDOW = 500  # samples over which an integrated speed keeps its phase
-PERIODS = 3.0  # seen at least, of a wave
 LATER = 0.8  # what a period in time counts against a period in something that moves
 
 
@@ -62,22 +61,6 @@ class Term:
     def of(self, seen: np.ndarray) -> np.ndarray:
         q = seen[:, self.column]
         return {"q": q, "|q|": np.abs(q), "q^2": q**2, "q|q|": q * np.abs(q)}[self.shape]
-
-
-@dataclass(frozen=True, eq=False)
-class Carrier:
-    """Something that turns or travels: (n,) per recording in turns, metres or seconds.
-
-    absolute : the same place is the same value in every recording, so that a wave has one phase everywhere; what is
-        integrated from a speed has a phase of its own in every window. low, high : frequencies searched.
-    """
-
-    name: str
-    unit: str
-    absolute: bool
-    angle: tuple[np.ndarray, ...]
-    low: float
-    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,34 +178,6 @@ def _samples(recordings, residuals, j, seen, turning: Sequence[Carrier], fits: i
 
 
 # -- waves -------------------------------------------------------------------------------------------------------------
-def carriers(recordings: Sequence[Recording], seen: Sequence[Quantity]) -> tuple[Carrier, ...]:
-    """Measured positions and angles, integrals of measured speeds, and time."""
-    found = []
-    for q in seen:
-        if q.kind == "position":
-            found.append((q.name, q.unit, True, q.values))
-        elif q.kind == "velocity" and q.name == q.of:
-            travelled = [_travelled(r.time, v) for r, v in zip(recordings, q.values, strict=True)]
-            found.append((q.name, "rad" if q.unit == "rad/s" else "m", False, travelled))
-    found.append(("time", "s", False, [r.time - r.time[0] for r in recordings]))
-    made = []
-    for name, unit, absolute, values in found:
-        turns = tuple(np.asarray(v) / (2 * np.pi if unit == "rad" else 1.0) for v in values)
-        reach = max(float(np.nanmax(v) - np.nanmin(v)) for v in turns)
-        high = 40.0 if unit == "rad" else 300.0 / reach
-        if unit == "s":
-            high = 0.4 / max(float(np.median(np.diff(r.time))) for r in recordings)
-        low = PERIODS / reach
-        if low < high:
-            made.append(Carrier(name, unit, absolute, turns, low, high))
-    return tuple(made)
-
-
-def _travelled(time: np.ndarray, v: np.ndarray) -> np.ndarray:
-    known = np.isfinite(v)
-    return cumulative_trapezoid(np.interp(time, time[known], v[known]), time, initial=0.0) if known.any() else v
-
-
 def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.ndarray) -> tuple[float, float]:
     """Frequency of the strongest wave in r over a carrier, and the squared residual it takes away.
 
@@ -398,8 +353,7 @@ def _kernel(A: np.ndarray, B: np.ndarray, length: float) -> np.ndarray:
 # -- words -------------------------------------------------------------------------------------------------------------
 def _symbol(q: Quantity) -> str:
     if q.kind == "direction":
-        inner = q.of if q.name.endswith("speed") else f"der({q.of})"
-        return f"sign({inner})"
+        return f"sign({q.of})" if q.name.startswith("sign") else f"sign(der({q.of}))"
     return f"der({q.of})" if q.name in (f"velocity of {q.of}", f"rate of {q.of}") else q.name.replace(" - ", "-")
 
 

@@ -1,0 +1,76 @@
+"""Choose: which of the refitted candidates is named, what cannot be told from it, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .decide import T_NEEDED, TOGETHER, Evidence, bic_gain, compared
+from .refit import Question
+from .search import Tried
+
+TEMPERATURE = 4.0  # by which BIC differences are divided: chosen on the tuning seeds of the benchmark
+REFINEMENT = 0.3  # of what the simple effect leaves: what its refinement must close to be preferred
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """The chosen candidate(s), the class that explains the recordings as well, and probabilities by label."""
+
+    best: Tried
+    members: tuple[Tried, ...]
+    probability: dict[str, float]
+
+
+def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
+    """The best of the candidates that pass; None when none does."""
+    passing = [t for t in tried if t.evidence and t.evidence.passes(library) and not t.implausible]
+    if not passing:
+        return None
+    best = _simplest(max(passing, key=lambda t: _score(t, q)), passing, q)
+    members = [best, *(t for t in passing if t is not best and _as_good(t, best, q))]
+    weight = {label(t): _weight(t, best, q) for t in passing}
+    total = sum(weight.values())
+    probability = {name: w / total for name, w in weight.items()}
+    members[1:] = sorted(members[1:], key=lambda t: -probability[label(t)])
+    return Choice(best, tuple(members), probability)
+
+
+def label(tried: Tried) -> str:
+    """``id at site``, several joined by `` + ``."""
+    return " + ".join(c.label for c in tried.members)
+
+
+def _score(tried: Tried, q: Question) -> float:
+    fitted = tried.structure.fitted
+    return -2 * fitted.likelihood - fitted.parameters * np.log(max(q.counts.sum(), 2))
+
+
+def _simplest(best: Tried, passing: Sequence[Tried], q: Question) -> Tried:
+    """The effect that ``best`` refines, unless the refinement is worth it."""
+    refined = {name for c in best.members for name in c.effect.refines}
+    simple = [t for t in passing if len(t.members) == 1 and t.members[0].id in refined]
+    if not simple:
+        return best
+    first = max(simple, key=lambda t: _score(t, q))
+    over = compared(best.structure.fitted, first.structure.fitted, q)
+    return best if worth_refining(over) else first
+
+
+def worth_refining(over: Evidence) -> bool:
+    """Whether a refinement explains clearly more than the simple effect."""
+    return over.bic_gain > TOGETHER and over.paired_t > T_NEEDED and over.closed > REFINEMENT
+
+
+def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
+    over = compared(best.structure.fitted, tried.structure.fitted, q)
+    return abs(over.bic_gain) < TOGETHER and not abs(over.paired_t) > T_NEEDED
+
+
+def _weight(tried: Tried, best: Tried, q: Question) -> float:
+    if tried is best:
+        return 1.0
+    behind = max(bic_gain(best.structure.fitted, tried.structure.fitted, q), 0.0)
+    return float(np.exp(-behind / (2 * TEMPERATURE)))

@@ -1,0 +1,141 @@
+"""Decide: is one structure better than another, by evidence on the fit recordings and on those held out?
+
+BIC counts what the samples are worth: a residual that is coloured repeats itself, so n becomes n / tau, tau the
+integrated correlation time of what the better structure leaves,
+
+    gain = 2 sum_j (n_j / tau_j) (l_j(before) - l_j(after)) - dk ln n_eff,   l_j = ln s_j + RMSE_j^2 / (2 s_j^2).
+
+On held-out recordings the logarithms of block errors are compared in pairs: a mean would be ruled by one bad block.
+Source: G. Schwarz, Annals of Statistics 1978 (BIC); A. Sokal 1997 (integrated correlation time).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from .refit import Question, Refitted, pooled_rmse
+
+BLOCKS = 40  # over all held-out recordings
+SHORTEST = 25  # samples of a block
+BIC_NEEDED = 10.0
+T_NEEDED = 2.0
+WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
+TOGETHER = 10.0  # BIC within which two structures are as good
+MEASURABLE = 1.02  # MSE over noise^2
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One structure against another: positive means the first is better."""
+
+    bic_gain: float
+    paired_t: float
+    closed: float
+
+    def passes(self, library: int) -> bool:
+        """Whether it may be named out of a library of so many candidates."""
+        return self.bic_gain > bic_needed(library) and self.paired_t > T_NEEDED and self.closed > WORTH
+
+
+def bic_needed(library: int) -> float:
+    """10 + 2 ln(number of candidates)."""
+    return BIC_NEEDED + 2 * np.log(max(library, 1))
+
+
+def compared(better: Refitted, other: Refitted, q: Question) -> Evidence:
+    """Evidence for ``better`` over ``other``."""
+    return Evidence(
+        bic_gain(better, other, q),
+        paired_t(better.residuals_select, other.residuals_select, other.size),
+        closed(better, other, q),
+    )
+
+
+def bic_gain(better: Refitted, other: Refitted, q: Question) -> float:
+    """BIC of ``other`` minus BIC of ``better``, with effective sample sizes."""
+    after, before = better.rmse, other.rmse
+    used = np.isfinite(q.noise) & (q.counts > 0)
+    tau = correlation_times(better.residuals_fit)
+    worth = np.where(used, q.counts / tau, 0.0)
+    size_after, size_before = np.fmax(after, q.noise), np.fmax(before, q.noise)
+    drop = np.log(size_before / size_after) + 0.5 * ((before / size_before) ** 2 - (after / size_after) ** 2)
+    extra = better.parameters - other.parameters
+    return float(2 * np.nansum(worth[used] * drop[used]) - extra * np.log(max(worth.sum(), 2.0)))
+
+
+def correlation_times(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """Integrated correlation time in samples, (ny,), at least 1, averaged over recordings."""
+    times = []
+    for r in residuals:
+        times.append([_correlation_time(column[np.isfinite(column)]) for column in r.T])
+    return np.maximum(np.nanmean(np.array(times), axis=0), 1.0) if times else np.ones(0)
+
+
+def _correlation_time(r: np.ndarray) -> float:
+    n = len(r)
+    if n < 8 or not np.ptp(r) > 0:
+        return 1.0
+    r = r - 0.0  # a bias is structure, not noise: the mean stays in
+    size = 1 << int(np.ceil(np.log2(2 * n)))
+    spectrum = np.abs(np.fft.rfft(r, size)) ** 2
+    rho = np.fft.irfft(spectrum, size)[: n // 2]
+    rho = rho / rho[0]
+    tau = 1 + 2 * np.cumsum(rho[1:])
+    window = np.arange(1, len(tau) + 1)
+    stop = np.argmax(window >= 5 * tau) if np.any(window >= 5 * tau) else len(tau) - 1
+    return float(max(tau[stop], 1.0))
+
+
+def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
+    """Logarithm of the mean square of every block, outputs in units of ``size`` (ny,) averaged. (blocks,)"""
+    total = sum(len(r) for r in residuals)
+    length = max(SHORTEST, total // BLOCKS)
+    errors = []
+    for r in residuals:
+        for piece in np.array_split(r, max(1, len(r) // length)):
+            seen = np.isfinite(piece).any(axis=0) & np.isfinite(size)
+            with np.errstate(invalid="ignore", over="ignore"):
+                squares = np.nanmean((piece[:, seen] / size[seen]) ** 2, axis=0)
+            errors.append(np.log(max(float(np.mean(squares)), 1e-300)) if np.isfinite(squares).all() else 700.0)
+    return np.array(errors)
+
+
+def paired_t(better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray) -> float:
+    """t of the paired differences of log block errors; positive when ``better`` is. nan without held-out recordings."""
+    if not better:
+        return np.nan
+    difference = block_errors(other, size) - block_errors(better, size)
+    spread = np.std(difference, ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
+    return float(np.mean(difference) / max(spread, 1e-12))
+
+
+def closed(better: Refitted, other: Refitted, q: Question) -> float:
+    """Share of the reducible gap on held-out recordings (on the fit ones without any), outputs pooled.
+
+    Outputs count by their share of the gap in units of what ``other`` leaves, so that the best sensor does not rule.
+    """
+    after = better.residuals_select or better.residuals_fit
+    before = other.residuals_select or other.residuals_fit
+    return gap_closed(pooled_rmse(before), pooled_rmse(after), q.noise)
+
+
+def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
+    """``1 - sum (MSE_after - s^2) / sum (MSE_before - s^2)`` over outputs with a gap, each in units of its gap before."""
+    with np.errstate(invalid="ignore"):
+        gap = before**2 - noise**2
+        has = np.isfinite(gap) & (before**2 > MEASURABLE * noise**2)
+    if not has.any():
+        return 0.0
+    weight = np.log(before[has] / noise[has])
+    share = 1 - (after[has] ** 2 - noise[has] ** 2) / gap[has]
+    return float(weight @ np.clip(share, -10.0, 1.0) / weight.sum())
+
+
+def output_gap_closed(before: float, after: float, noise: float) -> float:
+    """The same for one output; nan when there is no measurable gap."""
+    if not before**2 > MEASURABLE * noise**2:
+        return float("nan")
+    return float(min(1.0, 1 - (after**2 - noise**2) / (before**2 - noise**2)))

@@ -1,0 +1,160 @@
+"""discover: find where a model disagrees with recordings, name what is missing, add it, show the gap shrink."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+
+from hydrotwin.identification.horizon import measured_start
+from hydrotwin.models.effects import candidates as fitting_candidates
+from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.model import Model
+
+from .answering import Found, Step, answer
+from .choose import choose
+from .decide import T_NEEDED, closed, compared
+from .discovery import Discovery
+from .executor import Starts, executor_for, mapped
+from .progress import reporting
+from .recordings import split
+from .refit import Question, RefitJob, Refitted, refit
+from .search import CONVINCING, Search, Structure
+
+MOST_EFFECTS = 3
+
+
+def discover(
+    model: Model,
+    records: Sequence,
+    *,
+    validate: Sequence = (),
+    free: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    exclude: Sequence[str] = (),
+    max_effects: int = MOST_EFFECTS,
+    initial_states: str = "auto",
+    outputs: Sequence[str] | None = None,
+    noise: Mapping[str, float] | None = None,
+    step: float | None = None,
+    executor: str | Executor | None = None,
+    progress: bool | Callable | None = None,
+    memory=None,
+) -> Discovery:
+    """Name the physical effects that a model lacks, from recordings of the machine.
+
+    The model is identified on ``records``; every effect of the catalogue that fits somewhere in it is screened, the
+    promising ones are refitted together with the base parameters, and one is named only when it is better by far on the
+    recordings it was fitted to, better on those held out, and closes a worthwhile part of the gap. ``validate`` takes
+    part in nothing but the final figures.
+
+    Args:
+        model: what the machine is thought to be.
+        records: recordings to learn from, at least one, better three.
+        validate: recordings to show the answer on.
+        free: globs over the base parameters to identify; None: those the model declares free.
+        effects, exclude: globs over effect ids or ``id at site``.
+        max_effects: most effects to add.
+        initial_states: as in `identify`; "free" when a start state is unknown.
+        noise: sensor noise by output, SI, in place of the estimate.
+        executor: where refits run, see `executor_for`.
+        progress: True for a bar, or a function ``(stage, done, total, note)``.
+        memory: a `Memory` of finished refits, to go on after an interruption.
+
+    Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
+    diverges from every start).
+    """
+    began = time.perf_counter()
+    if not isinstance(model, Model):
+        raise DeclarationError(
+            f"gap: '{getattr(model, 'name', model)}' is no component model, so no effect can be added inside it. "
+            "Wrap it, or compare it only: hydrotwin compare."
+        )
+    if max_effects < 1:
+        raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
+    flat = model.flat
+    data = split(flat, records, validate, outputs, noise)
+    question = Question(data.fit, data.select, data.noise, initial_states, step)
+    names = _free_names(flat, free)
+    with reporting(progress, flat.name) as report, executor_for(executor) as pool:
+        run = _runner(pool, report, memory)
+        report("identify the base", 0, 1, "")
+        base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
+        search = Search(model, names, fitting_candidates(model, effects, exclude), question, run, report)
+        found = _searched(search, Structure((), base), max_effects)
+        return answer(search, data, found, began)
+
+
+def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:
+    from hydrotwin.identification.problem import free_parameters
+
+    return free_parameters(flat, free).names
+
+
+def _only(answers: list) -> Refitted:
+    if isinstance(answers[0], str):
+        raise SolveError(f"gap: the base model cannot be identified ({answers[0]}). Correct its start values first.")
+    return answers[0]
+
+
+def _runner(pool, report, memory):
+    """``run(function, jobs, stage)``: the answers in order, from memory where they are known."""
+
+    def run(function, jobs, stage: str) -> list:
+        done = 0
+        report(stage, 0, len(jobs), "")
+
+        def on_done(index: int, result) -> None:
+            nonlocal done
+            done += 1
+            report(stage, done, len(jobs), getattr(jobs[index], "label", ""))
+
+        ready = [_portable(job) for job in jobs]
+        return list(mapped(pool, function, ready, on_done))
+
+    return run
+
+
+def _portable(job):
+    """A job that can travel: its model keeps the start functions that the job needs, and no others."""
+    flat, order = job.flat, [s.name for s in job.flat.states]
+    measured = {tuple(measured_start(flat, r)) for r in (*job.question.fit, *job.question.select)}
+    together = set.intersection(*(set(names) for names in measured))
+    known = getattr(job, "fitted", None)
+    wanted = {*measured, tuple(n for n in order if n in together), tuple(order)}
+    if known is not None:
+        wanted |= {tuple(n for n in order if n in states) for states in known.states}
+    return dataclasses.replace(
+        job, flat=dataclasses.replace(flat, initialisation=Starts({names: flat.start_given(names) for names in wanted}))
+    )
+
+
+def _searched(search: Search, base: Structure, most: int) -> Found:
+    """Forward steps while something passes; pairs from the base when that does not explain most of the gap."""
+    found = _forward(search, base, base, most, ())
+    if most < 2 or closed(found.last.fitted, base.fitted, search.question) > CONVINCING or not found.screens:
+        return found
+    screen, ranked, tried = found.screens[0]
+    pairs = search.pairs(base, screen, ranked, tried)
+    choice = choose(pairs, len(search.candidates) ** 2 // 2, search.question)
+    if choice is None:
+        return found
+    step = Step(choice, tuple(ranked), (*tried, *pairs), base)
+    other = _forward(search, base, choice.best.structure, most, (step,))
+    over = compared(other.last.fitted, found.last.fitted, search.question)
+    return other if over.bic_gain > 0 and over.paired_t > T_NEEDED else found
+
+
+def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
+    screens = []
+    while len(now.members) < most and not search.explained(now.fitted):
+        screen, ranked = search.screened(now)
+        tried = search.singles(now, search.shortlist(ranked))
+        screens.append((screen if not screens else None, ranked, tried))
+        choice = choose(tried, len(search.candidates), search.question)
+        if choice is None:
+            break
+        steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
+        now = choice.best.structure
+    return Found(base, now, steps, tuple(screens))

@@ -1,0 +1,118 @@
+"""Which recordings fit, which select and which only report, and whether they can show anything at all.
+
+The split is by recording: a sample's neighbours know too much about it. One lone recording is cut in time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.identification.noise import output_noise
+from hydrotwin.identification.problem import Recording, recordings
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import FlatModel
+
+SHORTEST = 200  # samples of a recording that can tell effects apart
+FIT_SHARE = 0.6  # of a lone recording
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """Recordings by role: ``fit`` and ``select`` find the effect, ``train`` is both, ``report`` shows it."""
+
+    fit: tuple[Recording, ...]
+    select: tuple[Recording, ...]
+    train: tuple[Recording, ...]
+    report: tuple[Recording, ...]
+    noise: np.ndarray
+    outputs: tuple[str, ...]
+    findings: tuple[str, ...]
+
+
+def split(
+    flat: FlatModel,
+    records: Sequence,
+    validate: Sequence,
+    outputs: Sequence[str] | None = None,
+    noise: Mapping[str, float] | None = None,
+) -> Split:
+    """Sort recordings into roles.
+
+    With three training recordings or more every third selects; with two the second does; a lone one is cut in time.
+
+    Raises
+    ------
+    DataError : nothing to fit to, too few samples, an input that never moves, outputs that never move.
+    """
+    if not len(records):
+        raise DataError(f"gap: no recording of {flat.name}. Give at least one, better three, and one to validate.")
+    findings = []
+    wanted, constant = _moving(flat, records, outputs)
+    findings += [
+        f"gap: output '{name}' is constant in every recording and says nothing. It is left out; record it in motion."
+        for name in constant
+    ]
+    train = recordings(flat, records, wanted, "record")
+    report = recordings(flat, validate, wanted, "validation record") if len(validate) else ()
+    _require_motion(flat, train)
+    if not report:
+        findings.append(
+            "gap: no validation recording: nothing here was kept from the search. Record another run with other "
+            "commands and give it as --validate."
+        )
+    fit, select = _roles(train)
+    return Split(fit, select, train, report, output_noise(flat, train, noise), tuple(wanted), tuple(findings))
+
+
+def _roles(train: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
+    if len(train) >= 3:
+        select = tuple(r for i, r in enumerate(train) if i % 3 == 1)
+        return tuple(r for r in train if r not in select), select
+    if len(train) == 2:
+        return (train[0],), (train[1],)
+    whole = train[0]
+    at = int(FIT_SHARE * len(whole.time))
+    return (_part(whole, slice(0, at), "first part"),), (_part(whole, slice(at, None), "last part"),)
+
+
+def _part(recording: Recording, part: slice, label: str) -> Recording:
+    return dataclasses.replace(
+        recording,
+        name=f"{recording.name} ({label})",
+        time=recording.time[part],
+        u=recording.u[part],
+        y=recording.y[part],
+    )
+
+
+def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Outputs that are recorded and move, and those that are recorded and do not."""
+    wanted = [s.name for s in flat.outputs if outputs is None or s.name in outputs]
+    recorded = [n for n in wanted if any(n in r.signals and np.isfinite(r[n]).any() for r in records)]
+    if not recorded:
+        return wanted, []  # `recordings` says what is missing
+    still = [n for n in recorded if all(n not in r.signals or np.nanstd(r[n]) == 0 for r in records)]
+    if len(still) == len(recorded):
+        raise DataError(
+            f"gap: every recorded output of {flat.name} is constant ({', '.join(still)}). Nothing moves. "
+            "Record motion in both directions, at several speeds."
+        )
+    return [n for n in recorded if n not in still], still
+
+
+def _require_motion(flat: FlatModel, train: Sequence[Recording]) -> None:
+    longest = max(train, key=lambda r: len(r.time))
+    if len(longest.time) < SHORTEST:
+        raise DataError(
+            f"gap: {longest.name} has {len(longest.time)} samples, the longest of all. Effects cannot be told apart "
+            f"with less than {SHORTEST}. Record tens of seconds of motion in both directions."
+        )
+    if flat.inputs and all(np.ptp(r.u, axis=0).max() == 0 for r in train):
+        raise DataError(
+            f"gap: no input of {flat.name} ever moves ({', '.join(s.name for s in flat.inputs)}). "
+            "Record commands in both directions, slow and fast, with pauses."
+        )

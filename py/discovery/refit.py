@@ -1,0 +1,255 @@
+"""Refit: one structure fitted to the recordings from given starts, and what it leaves there and elsewhere.
+
+Every output is weighed by what the structure leaves of it, never by less than the sensor's noise, in turns:
+
+    min over p, x0, s   L = sum_j n_j (ln s_j + RMSE_j^2 / (2 s_j^2)),   s_j >= noise_j
+
+so that structures which reach the noise and structures which do not are compared on one scale.
+Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covariance).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.identification.descent import Task, descend, whole_runs
+from hydrotwin.identification.horizon import horizons
+from hydrotwin.identification.least_squares import Minimum, minimise
+from hydrotwin.identification.loss import Loss
+from hydrotwin.identification.noise import weights
+from hydrotwin.identification.problem import Recording, free_parameters
+from hydrotwin.identification.weighing import broadly_weighed
+from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.simulation import prepare
+
+ROUNDS = 5
+STEADY = 0.02  # relative change of the sizes that ends the rounds
+TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
+FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What is the same for every structure: the recordings, the noise (ny,) SI, what is estimated of the starts."""
+
+    fit: tuple[Recording, ...]
+    select: tuple[Recording, ...]
+    noise: np.ndarray
+    initial_states: str = "auto"
+    step: float | None = None
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Measured values of every output in the fit recordings, (ny,)."""
+        return np.sum([np.isfinite(r.y).sum(axis=0) for r in self.fit], axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class RefitJob:
+    """One structure to fit.
+
+    starts : parameter values by path, the first for the rest; the best few by cost are followed.
+    states : start states by name per fit recording, where known.
+    size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
+    coarse : lead the start through short windows first.
+    """
+
+    flat: FlatModel
+    free: tuple[str, ...]
+    question: Question
+    starts: tuple[Mapping[str, float], ...] = ({},)
+    states: tuple[Mapping[str, float], ...] = ()
+    size: np.ndarray | None = None
+    coarse: bool = False
+    follow: int = 1
+    iterations: int = 40
+    label: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Refitted:
+    """A fitted structure.
+
+    values : free parameters by path; states : start states by name per fit recording; size (ny,) as in L.
+    residuals_fit, residuals_select : (n, ny) per recording, simulated minus measured, SI, nan where not measured.
+    likelihood : L, with its constant chosen so that a structure that leaves s_j = noise_j everywhere has n/2.
+    """
+
+    values: Mapping[str, float]
+    states: tuple[Mapping[str, float], ...]
+    size: np.ndarray
+    residuals_fit: tuple[np.ndarray, ...]
+    residuals_select: tuple[np.ndarray, ...]
+    likelihood: float
+    parameters: int
+    at_bound: tuple[str, ...]
+    converged: bool
+    iterations: int
+    seconds: float = 0.0
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """RMSE over the fit recordings, (ny,), SI."""
+        return pooled_rmse(self.residuals_fit)
+
+    @property
+    def rmse_select(self) -> np.ndarray:
+        """RMSE over the select recordings, (ny,), SI."""
+        return pooled_rmse(self.residuals_select)
+
+
+def pooled_rmse(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """Root mean square of every column over several recordings, nan where nothing was measured."""
+    stacked = np.concatenate(residuals)
+    seen = np.isfinite(stacked)
+    counts = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
+    return np.sqrt(np.square(np.where(seen, stacked, 0.0)).sum(axis=0) / counts)
+
+
+def refit(job: RefitJob) -> Refitted | str:
+    """Fit a structure; a sentence when every start diverges. Pure and picklable: it runs on any executor."""
+    began = time.perf_counter()
+    try:
+        return dataclasses.replace(_refit(job), seconds=time.perf_counter() - began)
+    except SolveError as error:
+        return str(error)
+
+
+def _refit(job: RefitJob) -> Refitted:
+    q = job.question
+    flat = job.flat
+    free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
+    propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
+    silent = lambda stage, number, cost: None  # noqa: E731
+    task = Task(
+        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, 1, silent, q.noise
+    )
+    if job.coarse:
+        task = broadly_weighed(task, np.isfinite(q.noise))
+        lengths = horizons(flat, q.fit, free.vector(free.scaled(free.start)))
+        found = descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)
+        found = [found]
+    else:
+        size = job.size if job.size is not None else q.noise
+        task = dataclasses.replace(task, weights=weights(np.fmax(size, q.noise)))
+        found = _from_starts(task, job)
+    best = min((_settled(task, q, one, job.iterations) for one in found), key=lambda pair: pair[2])
+    return _answer(best[0], q, best[1], best[2])
+
+
+def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
+    """Values clipped to the parameters' bounds."""
+    known = {p.name: p.bounds for p in flat.parameters}
+    return {name: float(np.clip(v, *known[name])) for name, v in values.items()}
+
+
+def _from_starts(task: Task, job: RefitJob) -> list[Minimum]:
+    """Minima from the most promising starts."""
+    shooting, z = whole_runs(task)
+    z = _given(shooting, z, job.states)
+    base = dict(_inside(task.flat, job.starts[0]))
+    points = []
+    for start in job.starts:
+        values = {**base, **_inside(task.flat, start)}
+        q = task.free.scaled(
+            np.array([values.get(n, v) for n, v in zip(task.free.names, task.free.start, strict=True)])
+        )
+        points.append((shooting.cost(q, z), q))
+    points.sort(key=lambda pair: pair[0])
+    found, stopped = [], None
+    for _, q in points[: job.follow]:
+        try:
+            found.append(minimise(shooting, q, z, **FIRST, most=job.iterations))
+        except SolveError as error:
+            stopped = error
+    if not found:
+        raise stopped
+    return found
+
+
+def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np.ndarray:
+    """Scaled start states with the known ones put in."""
+    z = z.copy()
+    for i, known in enumerate(states):
+        for j, (name, nominal) in enumerate(zip(shooting.start.names, shooting.start.nominal, strict=True)):
+            if name in known:
+                z[i, j] = known[name] / nominal
+    return z
+
+
+def _settled(task: Task, q: Question, found: Minimum, most: int):
+    """Weights and minimum in turns until they agree: ``(task, minimum, likelihood)``."""
+    size = _sizes(task, q, found)
+    for number in range(ROUNDS):
+        task = dataclasses.replace(task, weights=weights(size))
+        shooting, _ = whole_runs(task)
+        found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=most)
+        before, size = size, _sizes(task, q, found)
+        if number and np.nanmax(np.abs(np.log(size / before))) < STEADY:
+            break
+    return task, found, _likelihood(task, q, found)
+
+
+def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | None = None) -> list[np.ndarray]:
+    """Residuals (n, ny), SI, of free runs; on other recordings than those of the fit start states are estimated."""
+    if recordings is None:
+        shooting, _ = whole_runs(task)
+        z = found.z
+    else:
+        shooting, z = whole_runs(task, recordings)
+        z = minimise(shooting, found.q, z, hold=True, most=15).z if shooting.locals else z
+    unit = np.where(task.weights > 0, task.weights, np.nan)
+    runs = []
+    for i, recording in enumerate(shooting.recordings):
+        run = shooting.residuals(i, found.q, z[i])
+        runs.append(np.full(recording.y.shape, np.inf) if run is None else run / unit)
+    return runs
+
+
+def _sizes(task: Task, q: Question, found: Minimum) -> np.ndarray:
+    return np.fmax(pooled_rmse(residuals_of(task, found)), q.noise)
+
+
+def _likelihood(task: Task, q: Question, found: Minimum) -> float:
+    return likelihood(pooled_rmse(residuals_of(task, found)), q)
+
+
+def likelihood(rmse: np.ndarray, q: Question) -> float:
+    """L of an RMSE per output, (ny,)."""
+    return float(likelihood_by_output(rmse, q).sum())
+
+
+def likelihood_by_output(rmse: np.ndarray, q: Question) -> np.ndarray:
+    """The terms of L, (ny,), 0 where nothing was measured."""
+    size = np.fmax(rmse, q.noise)
+    used = np.isfinite(q.noise) & (q.counts > 0)
+    with np.errstate(invalid="ignore"):
+        return np.where(used, q.counts * (np.log(size / q.noise) + 0.5 * (rmse / size) ** 2), 0.0)
+
+
+def _answer(task: Task, q: Question, found: Minimum, value: float) -> Refitted:
+    free, shooting = task.free, whole_runs(task)[0]
+    values = free.values(found.q)
+    names = shooting.start.names
+    near = 1e-6 * np.maximum(np.abs(free.upper - free.lower), 0)
+    near = np.where(np.isfinite(near), near, 0.0)
+    low = values <= free.lower + np.minimum(near, 1e-6 * np.abs(free.unit))
+    high = values >= free.upper - np.minimum(near, 1e-6 * np.abs(free.unit))
+    return Refitted(
+        values=dict(zip(free.names, values.tolist(), strict=True)),
+        states=tuple(dict(zip(names, (z * shooting.start.nominal).tolist(), strict=True)) for z in found.z),
+        size=np.fmax(pooled_rmse(residuals_of(task, found)), q.noise),
+        residuals_fit=tuple(residuals_of(task, found)),
+        residuals_select=tuple(residuals_of(task, found, q.select)) if q.select else (),
+        likelihood=value,
+        parameters=len(free.names),
+        at_bound=tuple(n for n, at in zip(free.names, low | high, strict=True) if at),
+        converged=found.converged,
+        iterations=found.iterations,
+    )

@@ -1,0 +1,343 @@
+"""The search: forward from the identified model, one effect or pair at a time, with a look back."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.declarations import Input, Port
+from hydrotwin.models.language.errors import HydrotwinError, SolveError
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.model import Model
+from hydrotwin.simulation import prepare
+
+from .decide import MEASURABLE, Evidence, bic_needed, compared
+from .refit import Question, RefitJob, Refitted, pooled_rmse, refit
+from .screen import Screen, Screened
+
+SHORTLIST = 10
+PER_EFFECT = 2  # sites of one effect in a shortlist
+LEAST_EVIDENCE = 3.0  # predicted, of L with effective samples: a third of what passing takes
+LEAST_OF_BEST = 0.02
+PAIRED = 6  # candidates of which pairs are tried
+PAIRS = 6
+CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
+APART = 1e6  # s between recordings that are seen as one
+REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
+IMPLAUSIBLE = 10.0  # times the largest usual value
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """The base with some candidates added, fitted."""
+
+    members: tuple[Candidate, ...]
+    fitted: Refitted
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        return tuple(c.label for c in self.members)
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """One candidate (or pair) in one step: screen, refit and evidence against the structure before."""
+
+    members: tuple[Candidate, ...]
+    screened: Screened | None
+    structure: Structure | None = None
+    evidence: Evidence | None = None
+    reason: str = ""
+
+    @property
+    def implausible(self) -> str:
+        """A sentence when a value lies far outside what is usual."""
+        if self.structure is None:
+            return ""
+        for c in self.members:
+            for name, (_, high) in c.typical.items():
+                value = abs(self.structure.fitted.values.get(name, 0.0))
+                if c.site.frees is None and high > 0 and value > IMPLAUSIBLE * high:
+                    return f"{name} = {value:.3g} is more than {IMPLAUSIBLE:g} times the usual {high:.3g}"
+        return ""
+
+
+@dataclass(eq=False)
+class Search:
+    """What a search knows: the base model, its candidates, the recordings, and how jobs are run."""
+
+    base: Model
+    free: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    question: Question
+    run: Callable[[Callable, Sequence, str], list]
+    report: Callable[[str, int, int, str], None]
+    unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
+    not_testable: dict[str, Screened] = field(default_factory=dict)
+    _big: FlatModel | None = None
+    _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
+
+    # -- models -------------------------------------------------------------------------------------------------
+    def model(self, members: Sequence[Candidate]) -> Model:
+        """The base with candidates added, in the order of the catalogue."""
+        order = {c.label: i for i, c in enumerate(self.candidates)}
+        chosen = sorted(members, key=lambda c: order[c.label])
+        return self.base.plus([c.addition for c in chosen]) if chosen else self.base
+
+    @property
+    def big(self) -> FlatModel:
+        """Every usable candidate at neutral in one model; what does not fit beside the others is left out."""
+        if self._big is None:
+            usable = list(self.candidates)
+            try:
+                self._big = self.model(usable).flat
+            except HydrotwinError:
+                usable = [c for c in usable if self._fits(c)]
+                self.candidates = tuple(usable)
+                self._big = self.model(usable).flat
+        return self._big
+
+    def _fits(self, candidate: Candidate) -> bool:
+        try:
+            _ = self.model([candidate]).flat
+        except HydrotwinError as error:
+            self.unusable[candidate.label] = str(error)
+            return False
+        return True
+
+    def names(self, members: Sequence[Candidate]) -> tuple[str, ...]:
+        """Free parameters of a structure."""
+        return tuple(dict.fromkeys([*self.free, *(n for c in members for n in c.free)]))
+
+    # -- one step -----------------------------------------------------------------------------------------------
+    def screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
+        """All candidates that are not in the structure yet, the most promising first."""
+        _ = self.big
+        rest = [c for c in self.candidates if c.label not in now.key]
+        self.report("screen", 0, len(rest), "")
+        screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
+        found = []
+        seen = self._seen(screen, [c for c in rest if hasattr(c.effect, "probes_for")])
+        blind = []
+        for c in rest:
+            by_derivative = screen.by_derivative(c)
+            if c.label in seen or not by_derivative.visible > 0:
+                blind.append((c, self._amplitudes(c, seen.get(c.label)), by_derivative))
+            else:
+                found.append(by_derivative)
+        found += self._probed(screen, now, blind)
+        for s in found:
+            if not s.testable:
+                self.not_testable[s.candidate.label] = s
+        return screen, sorted(found, key=lambda s: -s.evidence)
+
+    def _amplitudes(self, candidate: Candidate, seen: Mapping[str, np.ndarray] | None) -> list[dict[str, float]]:
+        own = []
+        if seen is not None:
+            own = [
+                {(k if "." in k else f"{candidate.name}.{k}"): float(v) for k, v in probe.items()}
+                for probe in candidate.effect.probes_for(seen)
+            ]
+        return own or [dict(p) for p in candidate.probes]
+
+    def _seen(self, screen: Screen, wanted: Sequence[Candidate]) -> dict[str, dict[str, np.ndarray]]:
+        """What the parts of candidates see along the present fit: their inputs and ports."""
+        paths: dict[str, dict[str, str]] = {}
+        for c in wanted:
+            own: dict[str, str] = {}
+            for name, declared in declarations(type(c.effect.at(c.site)) if not c.site.frees else c.effect).items():
+                if isinstance(declared, Input):
+                    own[name] = f"{c.name}.{name}"
+                elif isinstance(declared, Port):
+                    for letter, _ in (declared.potential, declared.flow):
+                        own[f"{name}.{letter}"] = f"{c.name}.{name}.{letter}"
+            paths[c.label] = own
+        flat_paths = [p for own in paths.values() for p in own.values()]
+        if not flat_paths:
+            return {}
+        observe = self.model(self.candidates).observe(flat_paths)
+        p = screen.free.vector(screen.free.scaled(screen.free.start))
+        values, times, begin = [], [], 0.0
+        for recording, x in zip(self.question.fit, screen.trajectories(), strict=True):
+            t = recording.time
+            values.append(observe(t[None, :], x.T, recording.u.T, p).full().T)
+            times.append(t - t[0] + begin)
+            begin = times[-1][-1] + APART
+        table = dict(zip(flat_paths, np.concatenate(values).T, strict=True)) | {"time": np.concatenate(times)}
+        return {
+            label: {"time": table["time"], **{k: table[path] for k, path in own.items()}} for label, own in paths.items()
+        }
+
+    def _probed(self, screen: Screen, now: Structure, blind) -> list[Screened]:
+        """Candidates run at finite amplitudes, each by its best one."""
+        jobs = []
+        for c, amplitudes, _ in blind:
+            members = [*now.members, c]
+            jobs.append(ProbeJob(self.model(members).flat, self.question, now.fitted, tuple(amplitudes), c.label))
+        before, found = screen.weighted(now.fitted.residuals_fit), []
+        for (c, amplitudes, kept), runs in zip(blind, self.run(probe, jobs, "probe"), strict=True):
+            visible = kept.visible
+            for values, residuals in zip(amplitudes, runs, strict=True):
+                if residuals is not None:
+                    tried = screen.by_amplitude(c, values, screen.weighted(residuals) - before)
+                    visible = max(visible, tried.visible)
+                    kept = tried if tried.gain > kept.gain else kept
+            found.append(dataclasses.replace(kept, visible=visible))
+        return found
+
+    def shortlist(self, ranked: Sequence[Screened]) -> list[Screened]:
+        """The candidates worth a refit, and the simpler effects that they refine."""
+        chosen: list[Screened] = []
+        least = max(LEAST_EVIDENCE, LEAST_OF_BEST * max((s.evidence for s in ranked), default=0.0))
+        for s in ranked:
+            same = sum(k.candidate.id == s.candidate.id for k in chosen)
+            if s.evidence > least and same < PER_EFFECT and len(chosen) < SHORTLIST:
+                chosen.append(s)
+        refined = {name for s in chosen for name in s.candidate.effect.refines}
+        for s in ranked:
+            if s.candidate.id in refined and s not in chosen and s.evidence > LEAST_EVIDENCE / 3:
+                chosen.append(s)
+        return [s for s in chosen if not self._no_better_than_simple(s, chosen)]
+
+    @staticmethod
+    def _no_better_than_simple(one: Screened, chosen: Sequence[Screened]) -> bool:
+        """A refinement that promises no more than the simple effect at its site waits until that is named."""
+        simple = [
+            s.evidence
+            for s in chosen
+            if s.candidate.id in one.candidate.effect.refines and s.candidate.site.name == one.candidate.site.name
+        ]
+        return bool(simple) and one.evidence < max(simple) + max(LEAST_EVIDENCE, REFINED * max(simple))
+
+    # -- refits -------------------------------------------------------------------------------------------------
+    def refitted(self, now: Structure, groups: Sequence[tuple[Sequence[Candidate], Sequence[Mapping]]]) -> list[Tried]:
+        """``now`` with each group of candidates added, fitted; starts are values by path."""
+        jobs, index = [], []
+        for k, (group, starts) in enumerate(groups):
+            members = self.joined(now, group)
+            if tuple(sorted(c.label for c in members)) not in self._known:
+                jobs.append(self._job(now, members, starts))
+                index.append(k)
+        answers = self.run(refit, jobs, "refit")
+        for k, answer in zip(index, answers, strict=True):
+            members = self.joined(now, groups[k][0])
+            key = tuple(sorted(c.label for c in members))
+            self._known[key] = answer if isinstance(answer, str) else Structure(members, answer)
+        tried = []
+        for group, _ in groups:
+            key = tuple(sorted(c.label for c in self.joined(now, group)))
+            known = self._known[key]
+            if isinstance(known, str):
+                tried.append(Tried(tuple(group), None, reason=known))
+            else:
+                tried.append(Tried(tuple(group), None, known, compared(known.fitted, now.fitted, self.question)))
+        return tried
+
+    @staticmethod
+    def joined(now: Structure, group: Sequence[Candidate]) -> tuple[Candidate, ...]:
+        """Members with a group added; a refinement takes the place of the simple effect at its site."""
+        replaced = {(name, c.site.name) for c in group for name in c.effect.refines}
+        return (*(m for m in now.members if (m.id, m.site.name) not in replaced), *group)
+
+    def _job(self, now: Structure, members: Sequence[Candidate], starts: Sequence[Mapping[str, float]]) -> RefitJob:
+        flat = self.model(members).flat
+        known = {p.name for p in flat.parameters}
+        base = {n: v for n, v in now.fitted.values.items() if n in known}
+        neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
+        points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
+        label = " + ".join(c.label for c in members)
+        return RefitJob(
+            flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size, label=label
+        )
+
+    def starts_of(self, screened: Screened) -> list[Mapping[str, float]]:
+        """Where refits of a candidate begin: the screen's proposal, its probes, neutral."""
+        c = screened.candidate
+        return [screened.start, *c.probes, dict(c.neutral)]
+
+    def singles(self, now: Structure, shortlist: Sequence[Screened]) -> list[Tried]:
+        """Every shortlisted candidate alone."""
+        groups = [((s.candidate,), self.starts_of(s)) for s in shortlist]
+        tried = self.refitted(now, groups)
+        return [dataclasses.replace(t, screened=s) for t, s in zip(tried, shortlist, strict=True)]
+
+    def pairs(
+        self, now: Structure, screen: Screen, ranked: Sequence[Screened], singles: Sequence[Tried]
+    ) -> list[Tried]:
+        """The pairs whose linear prediction gains most beyond the better of the two."""
+        usable = [s for s in ranked if s.evidence > 0][: 2 * PAIRED]
+        fitted = {t.members[0].label: t for t in singles if t.structure}
+        scored = []
+        for one, other in itertools.combinations(usable, 2):
+            if one.candidate.id != other.candidate.id:
+                scored.append((screen.joint_gain(one, other), one, other))
+        scored.sort(key=lambda row: -row[0])
+        groups = []
+        for beyond, one, other in scored[:PAIRS]:
+            if beyond < LEAST_EVIDENCE:
+                break
+            starts = [{**one.start, **other.start}]
+            for a, b in ((one, other), (other, one)):
+                known = fitted.get(a.candidate.label)
+                if known:
+                    own = {n: known.structure.fitted.values[n] for n in a.candidate.free}
+                    starts.append({**known.structure.fitted.values, **own, **b.start})
+            groups.append(((one.candidate, other.candidate), starts))
+        return self.refitted(now, groups)
+
+    def explained(self, fitted: Refitted) -> bool:
+        """No measurable gap is left on the recordings of the search."""
+        for residuals in (fitted.residuals_fit, fitted.residuals_select):
+            if residuals:
+                with np.errstate(invalid="ignore"):
+                    if np.any(pooled_rmse(residuals) ** 2 > MEASURABLE * self.question.noise**2):
+                        return False
+        return True
+
+    @property
+    def needed(self) -> float:
+        """BIC that a name must gain."""
+        return bic_needed(len(self.candidates))
+
+
+def _known(values: Mapping[str, float], names: set[str]) -> dict[str, float]:
+    return {n: v for n, v in values.items() if n in names}
+
+
+@dataclass(frozen=True, eq=False)
+class ProbeJob:
+    """One structure run as it is, with one effect at several finite amplitudes."""
+
+    flat: FlatModel
+    question: Question
+    fitted: Refitted
+    amplitudes: tuple[Mapping[str, float], ...]
+    label: str = ""
+
+
+def probe(job: ProbeJob) -> list[tuple[np.ndarray, ...] | None]:
+    """Residuals (n, ny) of the fit recordings at every amplitude, SI; None where a run diverges."""
+    propagator = prepare(job.flat, step=job.question.step)
+    found = []
+    for amplitude in job.amplitudes:
+        try:
+            found.append(tuple(_residuals(job, propagator, amplitude)))
+        except SolveError:
+            found.append(None)
+    return found
+
+
+def _residuals(job: ProbeJob, propagator, amplitude: Mapping[str, float]):
+    flat = job.flat
+    p = flat.parameter_vector({**job.fitted.values, **amplitude})
+    for recording, states in zip(job.question.fit, job.fitted.states, strict=True):
+        names = tuple(s.name for s in flat.states if s.name in states)
+        x0 = flat.start_given(names)(recording.u[0], p, [states[n] for n in names]).full().ravel()
+        y, _ = propagator.run(recording.time, recording.u, p, x0)
+        yield y - recording.y

@@ -122,9 +122,9 @@ class EntrainedAir(OilEffect):
 class Cavitation(OilEffect):
     """Below a pressure the oil tears: the pressure stays, and the hollow has to be filled again before it rises.
 
-        dp/dt = (dp/dt without it) / (1 + K clip((p_v - p)/p_w, 0, 1))
+        dp/dt = (dp/dt without it) / (1 + max(p_v - p, 0)/p_w)
 
-    with a large K: below p_v a volume gives way without much change of pressure. No oil is gained or lost.
+    with a small p_w: below p_v a volume gives way without much change of pressure. No oil is gained or lost.
     Source: Nykaenen et al. 2000.
     """
 
@@ -137,12 +137,10 @@ class Cavitation(OilEffect):
     experiment = "pull fast against the load with both pressures measured, and look whether motion comes back late"
 
     pressure = Parameter(-BEYOND, "Pa", "p_v", bounds=(-BEYOND, 2e6), nominal=1e5, source="far below: none", free=True)
-    softness = Parameter(1e3, "1", "K", bounds=(1, 1e6), source="numerical: a hollow has no stiffness")
-    transition = Parameter(5e3, "Pa", "p_w", bounds=(1, 1e5), source="numerical")
+    transition = Parameter(200.0, "Pa", "p_w", bounds=(1, 1e5), source="numerical")
 
     def softer(self, p):
-        share = ca.fmin(ca.fmax((self.pressure - p) / self.transition, 0), 1)
-        return 1 + self.softness * share
+        return 1 + ca.fmax(self.pressure - p, 0) / self.transition
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:

@@ -1,0 +1,160 @@
+"""Friction opposes, takes energy, and has the force that its formula says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.effects.friction import (
+    AsymmetricFriction,
+    CoulombFriction,
+    PositionDependentFriction,
+    PreslidingFriction,
+    PressureDependentFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from tests.components.bench import at, bench, run
+from tests.effects import benches
+
+SPEEDS = (-0.5, -0.05, -0.01, 0.01, 0.05, 0.5)
+ALL = (
+    ViscousFriction(viscous=80.0),
+    CoulombFriction(force=50.0),
+    StribeckFriction(force=40.0, excess=25.0, stribeck_velocity=0.02),
+    PreslidingFriction(force=50.0, displacement=1e-4, rise=0.4),
+    PositionDependentFriction(force=20.0, slope=400.0),
+    AsymmetricFriction(out=60.0, back=20.0),
+    PressureDependentFriction(force=10.0, per_pressure=2e-5),
+)
+
+
+def force(part, speed, place=0.0, **inputs):
+    """Force on a flange that moves at a speed [m/s], at a place [m]."""
+    states = {"flange_end.place": place, "flange_end.speed": speed}
+    return at(bench(part, flange="potential"), states, **inputs)["flange_f"]
+
+
+@pytest.mark.parametrize("v", SPEEDS)
+def test_viscous_friction_grows_in_proportion_to_speed(v):
+    assert force(ViscousFriction(viscous=80.0), v) == pytest.approx(80.0 * v)
+
+
+@pytest.mark.parametrize("v", SPEEDS)
+def test_coulomb_friction_is_the_same_at_every_speed(v):
+    assert force(CoulombFriction(force=50.0), v) == pytest.approx(50.0 * np.sign(v), rel=1e-6)
+
+
+@pytest.mark.parametrize("v", SPEEDS)
+def test_stribeck_friction_falls_from_static_to_kinetic(v):
+    expected = (40.0 + 25.0 * np.exp(-((v / 0.02) ** 2))) * np.sign(v)
+    assert force(ALL[2], v) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("v", SPEEDS)
+def test_stribeck_friction_without_excess_is_coulomb_friction(v):
+    assert force(StribeckFriction(force=50.0), v) == force(CoulombFriction(force=50.0), v)
+
+
+def test_friction_of_either_direction_has_its_own_size():
+    assert force(AsymmetricFriction(out=60.0, back=20.0), 0.1) == pytest.approx(60.0)
+    assert force(AsymmetricFriction(out=60.0, back=20.0), -0.1) == pytest.approx(-20.0)
+
+
+def test_friction_of_equal_sizes_is_coulomb_friction():
+    for v in (*SPEEDS, 3e-4):
+        assert force(AsymmetricFriction(out=50.0, back=50.0), v) == pytest.approx(force(ALL[1], v))
+
+
+@pytest.mark.parametrize(("place", "expected"), [(0.0, 20.0), (0.1, 60.0), (-0.04, 4.0), (-0.2, 0.0)])
+def test_friction_changes_along_the_way_and_never_drives(place, expected):
+    part = PositionDependentFriction(force=20.0, slope=400.0)
+    assert force(part, 0.1, place) == pytest.approx(expected, abs=1e-12)
+    assert force(part, -0.1, place) == pytest.approx(-expected, abs=1e-12)
+
+
+def test_seals_rub_more_under_pressure_whichever_side_it_is_on():
+    part = PressureDependentFriction(force=10.0, per_pressure=2e-5)
+    assert force(part, 0.1, p_a=5e6, p_b=1e6) == pytest.approx(90.0)
+    assert force(part, 0.1, p_a=1e6, p_b=5e6) == pytest.approx(90.0)
+    assert force(part, -0.1, p_a=3e6, p_b=3e6) == pytest.approx(-10.0)
+
+
+@pytest.mark.parametrize("part", ALL, ids=lambda p: p.id)
+def test_friction_takes_energy_on_any_motion(part):
+    time = np.linspace(0, 2, 2001)
+    motion = 0.8 * np.sin(9 * time) + 0.5 * np.cos(23 * time)
+    inputs = {"p_a": 4e6, "p_b": 1e6} if isinstance(part, PressureDependentFriction) else {}
+    y = run(bench(part, flange="potential"), time, flange=motion, **inputs)
+    power = y["flange_f"] * np.gradient(y["flange_s"], time)
+    assert np.trapezoid(power, time) > 0
+    if not isinstance(part, PreslidingFriction):  # bristles give back what they stored
+        assert np.all(power > -1e-3 * power.max())
+
+
+def test_a_coasting_mass_loses_speed_in_proportion_to_time():
+    model = add_effect(benches.axis(), "coulomb_friction", values={"force": 50.0}).with_parameters(
+        {"carriage.friction.viscous": 0.0}
+    )
+    time = np.linspace(0, 3, 31)
+    y = run(model, time, start={"carriage.velocity": 0.4})
+    assert np.allclose(y["velocity"], 0.4 - 50.0 / 500.0 * time, atol=1e-4)
+
+
+def test_bristles_are_a_spring_before_they_slide():
+    model = bench(PreslidingFriction(force=50.0, displacement=1e-4), flange="potential")
+    time = np.linspace(0, 0.1, 101)
+    y = run(model, time, flange=2 * 1e-6 / 0.1**2)  # 1 um in 0.1 s, a hundredth of the displacement before sliding
+    assert np.allclose(y["flange_f"], 50.0 * y["flange_s"] / 1e-4, rtol=0.01, atol=1e-3)
+
+
+@pytest.mark.parametrize("v", (-0.4, -0.02, 0.02, 0.4))
+def test_sliding_bristles_rub_with_the_stribeck_force(v):
+    model = bench(
+        PreslidingFriction(force=50.0, displacement=1e-4, rise=0.4, stribeck_velocity=0.02), flange="potential"
+    )
+    y = run(model, np.linspace(0, 1, 101), start={"flange_end.speed": v})
+    assert y["flange_f"][-1] == pytest.approx(50.0 * (1 + 0.4 * np.exp(-((v / 0.02) ** 2))) * np.sign(v), rel=1e-4)
+
+
+def test_bristles_hold_a_mass_that_a_smoothed_sign_lets_creep():
+    time = np.linspace(0, 20, 4001)
+    push = 40.0 * np.minimum(time / 5, 1.0)
+    damped = benches.axis().with_parameters({"carriage.friction.viscous": 3000.0})
+    models = (add_effect(damped, f"{word}_friction", values={"force": 50.0}) for word in ("presliding", "coulomb"))
+    held, creeping = (run(model, time, force=push)["position"] for model in models)
+    assert held[-1] == pytest.approx(1e-4 * np.log(50.0 / (50.0 - 40.0)), rel=0.1)  # Dahl: F = F_c (1 - exp(-s/delta))
+    assert held[-1] - held[2000] < 1e-6
+    assert creeping[-1] - creeping[2000] > 5e-3
+
+
+@pytest.mark.parametrize("v", (0.05, 0.5, 5.0, 50.0))
+def test_bristles_are_never_faster_than_the_step_of_the_model(v):
+    rate = [
+        at(bench(PreslidingFriction(displacement=2e-5), flange="potential"), {**moving, "part.bristles": zeta})
+        for moving in [{"flange_end.place": 0.0, "flange_end.speed": v}]
+        for zeta in (0.0, 1.0)
+    ]
+    assert 0 < rate[0]["der(part.bristles)"] - rate[1]["der(part.bristles)"] <= 1000.0
+
+
+@pytest.mark.parametrize("effect", [e.id for e in map(type, ALL)])
+def test_every_friction_slows_a_machine_down(effect):
+    model = benches.axis() if effect != "pressure_dependent_friction" else benches.valve_bench()
+    (found,) = candidates(model, [effect])
+    time = np.linspace(0, 1, 101)
+    word, value = ("force", 300.0) if effect != "pressure_dependent_friction" else ("spool", 0.2)
+    free, rubbing = (run(m, time, **{word: value})["position"] for m in (model, _at_a_start(model, found)))
+    start = free[0]
+    assert 0 <= rubbing[-1] - start < free[-1] - start
+
+
+def _at_a_start(model, candidate):
+    return model.plus([candidate.addition]).with_parameters(candidate.probes[0])
+
+
+def test_starts_of_position_dependent_friction_span_the_positions_seen():
+    for probe in PositionDependentFriction.probes_for({"flange.s": np.linspace(0.1, 0.5, 100)}):
+        level = probe["force"] + probe["slope"] * np.array([0.12, 0.48])
+        assert np.all(level > -10.0) and level.max() > 20.0

@@ -9,12 +9,10 @@ Source: Modelica Language Specification 3.6.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import casadi as ca
-import numpy as np
 
 from .component import Component, declarations
 from .declarations import Input, Output, Parameter, Port, State, Variable
@@ -23,16 +21,9 @@ from .flattening import elaborate
 from .model import Model
 from .modelica_additions import WithAdditions, mentions, with_additions
 from .modelica_expression import modelica_equation, modelica_expression, modelica_number
+from .modelica_words import attributes_of, identifier, indented, modelica_path, modifier, nested, quoted, sentence_of
 from .units import modelica_unit
 
-WORDS = frozenset({
-    "algorithm", "and", "annotation", "assert", "block", "break", "class", "connect", "connector", "constant",
-    "constrainedby", "der", "discrete", "each", "else", "elseif", "elsewhen", "encapsulated", "end", "enumeration",
-    "equation", "expandable", "extends", "external", "false", "final", "flow", "for", "function", "if", "import",
-    "impure", "in", "initial", "inner", "input", "loop", "model", "not", "operator", "or", "outer", "output", "package",
-    "parameter", "partial", "protected", "public", "pure", "record", "redeclare", "replaceable", "return", "stream",
-    "then", "time", "true", "type", "when", "while", "within", "Real", "Integer", "Boolean", "String",
-})  # fmt: skip
 MAIN = "Main"
 
 
@@ -50,14 +41,14 @@ def modelica_text(model: Model) -> str:
         tied = with_additions(model)
         writer = _PackageWriter(tied.elaboration, writer, tied)
         top, elaboration, renamed = writer.class_with_additions(top), tied.elaboration, tied.renamed
-    changes = _nested(_changed_settings(model, elaboration, renamed))
+    changes = nested(_changed_settings(model, elaboration, renamed))
     connectors = [_connector(kind) for kind in writer.port_kinds]
     if writer.has_signals:
         connectors += ["connector RealInput = input Real;", "connector RealOutput = output Real;"]
-    main = f"model {MAIN}{_quoted(f'{model.name} with its parameter values')}\n  extends {top}{changes};\nend {MAIN};"
+    main = f"model {MAIN}{quoted(f'{model.name} with its parameter values')}\n  extends {top}{changes};\nend {MAIN};"
     body = "\n\n".join([*connectors, *writer.classes.values(), main])
-    head = f"package {identifier(model.name)}{_quoted(_sentence(model.root))}\n"
-    return head + _indented(body) + f"\nend {identifier(model.name)};\n"
+    head = f"package {identifier(model.name)}{quoted(sentence_of(model.root))}\n"
+    return head + indented(body) + f"\nend {identifier(model.name)};\n"
 
 
 def modelica_main(model: Model) -> str:
@@ -65,25 +56,11 @@ def modelica_main(model: Model) -> str:
     return f"{identifier(model.name)}.{MAIN}"
 
 
-def identifier(name: str) -> str:
-    """A name as Modelica takes it.
-
-    >>> identifier("end"), identifier("rod_area"), identifier("3rd bench-run")
-    ('end_', 'rod_area', '_3rd_bench_run')
-    """
-    return f"{name}_" if name in WORDS else re.sub(r"\W|^(?=\d)", "_", name, flags=re.ASCII)
-
-
-def modelica_path(path: str) -> str:
-    """A dotted path as a Modelica component reference."""
-    return ".".join(identifier(part) for part in path.split("."))
-
-
 def _connector(kind: Port) -> str:
     (letter, unit), (flow, flow_unit) = kind.potential, kind.flow
     nominal, flow_nominal = (f", nominal={modelica_number(n)}" if n != 1 else "" for n in kind.nominals)
     return (
-        f"connector {type(kind).__name__}{_quoted(_sentence(kind))}\n"
+        f"connector {type(kind).__name__}{quoted(sentence_of(kind))}\n"
         f'  Real {identifier(letter)}(unit="{modelica_unit(unit)}"{nominal});\n'
         f'  flow Real {identifier(flow)}(unit="{modelica_unit(flow_unit)}"{flow_nominal});\n'
         f"end {type(kind).__name__};"
@@ -147,7 +124,7 @@ class _PackageWriter:
             kind = f"{kind}Opened"
         taken = {MAIN, "RealInput", "RealOutput", *(port.__name__ for port in Port.__subclasses__())}
         passive = all(line.startswith("parameter ") for line in body.declarations) and not body.equations
-        text = body.text(_quoted(_sentence(component)))
+        text = body.text(quoted(sentence_of(component)))
         if (kind, text) not in self.bodies:
             name = next(n for n in _names(kind) if n not in self.classes and n not in taken)
             word = "record" if passive else "model"
@@ -165,7 +142,7 @@ class _PackageWriter:
         self._fill(body, "", extending=True)
         name = next(n for n in _names(f"{top}Extended") if n not in self.classes)
         added = ", ".join(part.path for part in parts)
-        self.classes[name] = f"model {name}{body.text(_quoted(f'{opened} with {added}'))}\nend {name};"
+        self.classes[name] = f"model {name}{body.text(quoted(f'{opened} with {added}'))}\nend {name};"
         return name
 
     def _added_declaration(self, part: Component) -> str:
@@ -230,11 +207,11 @@ class _PackageWriter:
         if isinstance(here, BoundPort):
             if type(declared) not in [type(kind) for kind in self.port_kinds]:
                 self.port_kinds.append(declared)
-            return f"{type(declared).__name__} {word}{_quoted(declared.description)};"
-        attributes = _attributes(declared)
+            return f"{type(declared).__name__} {word}{quoted(declared.description)};"
+        attributes = attributes_of(declared)
         if isinstance(declared, Parameter):
             value = self._value(component, name, declared)
-            return f"parameter Real {word}{_modifier(attributes)}{value}{_quoted(declared.description)};"
+            return f"parameter Real {word}{modifier(attributes)}{value}{quoted(declared.description)};"
         if isinstance(declared, State):
             attributes |= self._start_attributes(component, name, declared)
         elif isinstance(declared, Variable) and declared.start:
@@ -244,7 +221,7 @@ class _PackageWriter:
         signal = isinstance(declared, (Input, Output))
         self.has_signals |= signal
         kind = f"Real{type(declared).__name__}" if signal else "Real"
-        return f"{kind} {word}{_modifier(attributes)}{_quoted(declared.description)};"
+        return f"{kind} {word}{modifier(attributes)}{quoted(declared.description)};"
 
     def _value(self, component: Component, name: str, declared: Parameter) -> str:
         """`` = ...`` of a parameter in its class; values given from around the component are modifiers there."""
@@ -348,20 +325,6 @@ class _PackageWriter:
                     yield Equation(state.symbol, start, state.owner.path)
 
 
-def _attributes(declared) -> dict[str, str]:
-    """``unit, min, max, nominal`` as far as they say something."""
-    found = {"unit": f'"{modelica_unit(declared.unit)}"'} if modelica_unit(declared.unit) else {}
-    low, high = getattr(declared, "bounds", (-np.inf, np.inf))
-    found |= {key: modelica_number(b) for key, b in (("min", low), ("max", high)) if np.isfinite(b)}
-    if declared.nominal not in (None, 1.0):
-        found["nominal"] = modelica_number(declared.nominal)
-    return found
-
-
-def _modifier(attributes: Mapping[str, str]) -> str:
-    return f"({', '.join(f'{key}={value}' for key, value in attributes.items())})" if attributes else ""
-
-
 def _changed_settings(model: Model, elaboration: Elaboration, renamed: Mapping[str, str]) -> dict[str, str]:
     """Values of the model that differ from the declarations, by path."""
     values = {}
@@ -373,33 +336,6 @@ def _changed_settings(model: Model, elaboration: Elaboration, renamed: Mapping[s
     return {p: f"={modelica_number(value)}" for p, value in values.items() if value != declared.get(p)}
 
 
-def _nested(changes: Mapping[str, str]) -> str:
-    """Changes by path as one nested modifier: ``(cylinder(friction(viscous=700)))``."""
-    if not changes:
-        return ""
-    groups: dict[str, dict[str, str]] = {}
-    for path, change in changes.items():
-        first, _, rest = path.partition(".")
-        groups.setdefault(first, {})[rest] = change
-    parts = [f"{identifier(first)}{inside.get('') or _nested(inside)}" for first, inside in groups.items()]
-    return f"({', '.join(parts)})"
-
-
 def _names(kind: str) -> Iterator[str]:
     yield kind
     yield from (f"{kind}_{k}" for k in range(2, 1000))
-
-
-def _sentence(described) -> str:
-    """First line of what a class says about itself."""
-    return (type(described).__doc__ or "").strip().split("\n")[0].replace("``", "")
-
-
-def _quoted(text: str) -> str:
-    """A description as it follows a declaration, nothing for no text."""
-    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return f' "{escaped}"' if text else ""
-
-
-def _indented(text: str) -> str:
-    return "\n".join(f"  {line}" if line else line for line in text.split("\n"))

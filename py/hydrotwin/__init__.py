@@ -27,7 +27,7 @@ _WHERE = {
     "candidates": "models.effects",
     "check_fmu": "export",
     "compare": "comparison",
-    "discover": "discovery",
+    "discover": "discovery.discover",
     "effects": "models.effects",
     "export_fmu": "export",
     "from_control": "simulation.control_system",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import sys
 import tomllib
+from types import SimpleNamespace
 from unittest import mock
 
 import numpy as np
@@ -40,11 +42,11 @@ def here(recordings, tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def discover():
-    """`hydrotwin.discovery.discover` replaced; the test says what it finds or raises."""
-    with mock.patch("hydrotwin.discovery.discover", create=True) as replaced:
-        replaced.return_value = friction_found()
-        yield replaced
+def discover(monkeypatch):
+    """`hydrotwin.discover` replaced; the test says what it finds or raises."""
+    replaced = mock.Mock(return_value=friction_found())
+    monkeypatch.setitem(sys.modules, "hydrotwin.discovery.discover", SimpleNamespace(discover=replaced))
+    return replaced
 
 
 # -- effects -------------------------------------------------------------------------------------------------------

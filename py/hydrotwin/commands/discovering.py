@@ -92,7 +92,7 @@ def gap(
     Where simulation and recordings disagree, every effect of the catalogue is tried at every place it fits. The answer
     is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
     """
-    from hydrotwin.discovery import discover
+    from hydrotwin.discovery.discover import discover
     from hydrotwin.discovery.progress import described
     from hydrotwin.discovery.resume import Memory
     from hydrotwin.models.effects import candidates

@@ -154,7 +154,7 @@ class Quantisation(Effect):
     y = Output("signal", "reading")
     step = Parameter(0.0, "signal", "step q", bounds=(0, 0.2), nominal=1e-3, source=FRADEN, free=True)
     resolution = Parameter(1e-6, "signal", "q_0", bounds=(1e-12, 1.0), source="numerical")
-    roundness = Parameter(0.02, "1", "1 - sharpness of the corners", bounds=(1e-4, 1.0), source="numerical")
+    roundness = Parameter(0.005, "1", "1 - sharpness of the corners", bounds=(1e-4, 1.0), source="numerical")
 
     sites = staticmethod(model_outputs)
 

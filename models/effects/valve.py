@@ -109,7 +109,7 @@ class SpoolHysteresis(Lagged):
         0.0, "signal", "half width h of the play", bounds=(0, 0.3), nominal=0.01, source=JELALI, free=True
     )
     offset = Parameter(0.0, "1", "start within the play", bounds=(-1, 1), nominal=1.0, source="unknown: centre")
-    resolution = Parameter(2e-3, "s", "T_p", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(1e-3, "s", "T_p", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(_first_signals)
 

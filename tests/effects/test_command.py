@@ -86,10 +86,8 @@ def test_a_drive_under_load_turns_slower_by_its_droop_times_the_torque():
     model = add_effect(pump_bench(), "motor_droop", values={"slope": 20.0})
     pressures = {"cylinder__cap_pressure": 5e6, "cylinder__rod_pressure": 1e6}
     torque = 2e-7 * (5e6 - 0.8 * 1e6)
-    drive, pump, taken = seen(
-        model, ["motor.shaft.w", "pump.shaft.w", "pump.shaft.tau"], [2.0], motor__speed=200.0, motor_droop__torque=torque,
-        **pressures,
-    )  # fmt: skip
+    turning = {"motor__speed": 200.0, "motor_droop__torque": torque}
+    drive, pump, taken = seen(model, ["motor.shaft.w", "pump.shaft.w", "pump.shaft.tau"], [2.0], **turning, **pressures)
     assert drive == 200.0
     assert taken == pytest.approx(torque)
     assert pump == pytest.approx(200.0 - 20.0 * torque)

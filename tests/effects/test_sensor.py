@@ -1,0 +1,82 @@
+"""Effects on sensors, held against what their equations say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models.effects import add_effect
+from tests.effects.benches import axis, passed
+
+TIME = np.arange(0.0, 2.0, 1e-3)
+STEP = np.where(TIME < 0.1, 0.0, 3.0)
+
+
+def sine(frequency):
+    return 3.0 * np.sin(2 * np.pi * frequency * TIME)
+
+
+def test_a_bias_is_added_to_the_reading():
+    np.testing.assert_allclose(passed("sensor_bias", "reading", TIME, sine(2), offset=-0.3), sine(2) - 0.3, atol=1e-12)
+
+
+def test_a_wrong_scale_multiplies_the_reading():
+    np.testing.assert_allclose(passed("sensor_scale", "reading", TIME, sine(2), error=0.04), 1.04 * sine(2), atol=1e-12)
+
+
+def test_a_slow_sensor_follows_a_step_exponentially():
+    reading = passed("sensor_lag", "reading", TIME, STEP, time_constant=0.05)
+    expected = 3.0 * (1 - np.exp(-np.maximum(TIME - 0.0995, 0) / 0.05))
+    np.testing.assert_allclose(reading, expected, atol=0.02 * 3.0)
+
+
+@pytest.mark.parametrize("delay", [0.001, 0.005, 0.02, 0.1])
+def test_a_late_sensor_shows_a_slow_motion_as_it_was(delay):
+    reading = passed("sensor_delay", "reading", TIME, sine(1.0), time=delay)
+    expected = 3.0 * np.sin(2 * np.pi * 1.0 * (TIME - delay))
+    np.testing.assert_allclose(reading[1000:], expected[1000:], atol=2e-3 * 3.0)
+
+
+def test_a_late_sensor_keeps_the_height_of_faster_motion_and_its_delay():
+    delay, frequency = 0.05, 5.0
+    reading = passed("sensor_delay", "reading", TIME, sine(frequency), time=delay)[1000:]
+    turn = np.exp(-2j * np.pi * frequency * TIME[1000:])
+    ratio = np.sum(reading * turn) / np.sum(sine(frequency)[1000:] * turn)
+    assert abs(ratio) == pytest.approx(1.0, abs=5e-3)
+    assert -np.angle(ratio) == pytest.approx(2 * np.pi * frequency * delay, rel=0.01)
+
+
+def test_a_quantised_reading_is_a_multiple_of_the_step_almost_everywhere():
+    q = 0.2
+    reading = passed("quantisation", "reading", TIME, sine(1.0), step=q)
+    off = np.abs(reading / q - np.round(reading / q))
+    assert np.mean(off < 0.02) > 0.9
+    assert np.max(np.abs(reading - sine(1.0))) <= q / 2 * (1 + 1e-6)
+
+
+def test_a_quantised_reading_follows_the_signal_on_average_and_has_a_finite_slope():
+    model = add_effect(axis(), "quantisation", "position", {"step": 0.01})
+    flat = model.flat
+    p = flat.parameter_vector()
+    places = np.linspace(0.0, 0.1, 2001)
+    seen = np.array([float(flat.ode(0, [s, 0.0], [0.0], p)[1][0]) for s in places])
+    slope = np.diff(seen) / np.diff(places)
+    assert np.isfinite(slope).all()
+    assert slope.mean() == pytest.approx(1.0, rel=1e-3)
+
+
+def test_a_quantised_reading_has_the_variance_that_the_noise_floor_allows_for():
+    q = 0.02
+    error = passed("quantisation", "reading", TIME, sine(1.3), step=q) - sine(1.3)
+    assert np.var(error) == pytest.approx(q**2 / 12, rel=0.1)
+
+
+@pytest.mark.parametrize("effect", ["sensor_lag", "sensor_delay", "sensor_bias", "sensor_scale", "quantisation"])
+def test_a_state_that_a_doubtful_sensor_measures_starts_from_its_first_sample_nonetheless(effect):
+    model = add_effect(axis(), effect, "position")
+    assert {s.name: s.measured_by for s in model.flat.states}["carriage.position"] == "position"
+
+
+def test_a_reading_that_arrives_late_starts_where_the_machine_stands():
+    reading = passed("sensor_delay", "reading", TIME, np.full(len(TIME), 2.0), time=0.1)
+    np.testing.assert_allclose(reading, 2.0, atol=1e-9)

@@ -1,0 +1,176 @@
+"""Effects on valves and supplies, held against what their equations say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models import spool_valve
+from hydrotwin.models.components import FourEdgeValve
+from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter, connect
+from hydrotwin.models.language.places import Places
+from hydrotwin.simulation import prepare
+from tests.effects.benches import ValveBench, run, seen, valve_bench
+
+CAP, ROD = "cylinder__cap_pressure", "cylinder__rod_pressure"
+
+
+class Amplifier(Component):
+    """An amplifier in front of the valve."""
+
+    u = Input("1", "in")
+    y = Output("1", "out")
+    gain = Parameter(1.0, "1", bounds=(0, 10))
+
+    def equations(self):
+        yield self.y == self.gain * self.u
+
+
+class ToldValve(FourEdgeValve):
+    """A valve that tells how far it is open."""
+
+    opened = Output("1", "position of its spool")
+
+    def equations(self):
+        yield from super().equations()
+        yield self.opened == self.spool
+
+
+class AmplifiedBench(ValveBench):
+    """The valve bench with an amplifier between input and valve."""
+
+    valve = ToldValve()
+
+    opening = Output("1", "opening of the valve")
+    amplifier = Amplifier()
+
+    def equations(self):
+        yield from (e for k, e in enumerate(super().equations()) if k)
+        yield connect(self.spool, self.amplifier.u)
+        yield connect(self.amplifier.y, self.valve.spool)
+        yield self.opening == self.valve.opened
+
+
+def amplified() -> Model:
+    return Model(AmplifiedBench(), "amplified", step=5e-4)
+
+
+def opening(effect, time, signal, /, **values):
+    """Opening of the valve behind the amplifier for a signal (n,)."""
+    return run(add_effect(amplified(), effect, values=values), time, signal)[:, 1]
+
+
+def flow(model, spool, p_a=4e6, p_b=3e6, **states):
+    """Flow into port a of the valve."""
+    return seen(model, ["valve.a.q"], [spool], **{CAP: p_a, ROD: p_b}, **states)[0]
+
+
+TIME = np.arange(0.0, 4.0, 1e-3)
+TRIANGLE = 0.5 * (1 - 4 * np.abs((TIME / 2 + 0.75) % 1 - 0.5))
+
+
+def test_an_overlap_closes_the_valve_near_its_centre():
+    left = opening("valve_overlap", TIME, TRIANGLE, overlap=0.1)
+    np.testing.assert_allclose(left, np.sign(TRIANGLE) * np.maximum(np.abs(TRIANGLE) - 0.1, 0), atol=1e-9)
+
+
+def test_an_overlap_may_differ_by_side():
+    left = opening("asymmetric_overlap", TIME, TRIANGLE, positive=0.2, negative=0.05)
+    np.testing.assert_allclose(left, np.maximum(TRIANGLE - 0.2, 0) + np.minimum(TRIANGLE + 0.05, 0), atol=1e-9)
+
+
+def play(signal, h):
+    """The exact play operator, from the centre of its play."""
+    y, found = signal[0], []
+    for u in signal:
+        y = min(max(y, u - h), u + h)
+        found.append(y)
+    return np.array(found)
+
+
+def test_a_spool_with_hysteresis_follows_like_a_play():
+    h = 0.05
+    followed = opening("spool_hysteresis", TIME, TRIANGLE, half_width=h)
+    np.testing.assert_allclose(followed, play(TRIANGLE, h), atol=2.1e-3)  # 1/s of slope times two lags of 1 ms
+
+
+def test_a_spool_with_hysteresis_may_start_anywhere_in_its_play():
+    time, still = np.arange(0, 0.1, 1e-3), np.zeros(100)
+    np.testing.assert_allclose(opening("spool_hysteresis", time, still, half_width=0.05, offset=-1.0), -0.05, atol=1e-9)
+
+
+def test_hysteresis_acts_once_on_the_way_to_a_valve_where_the_moving_part_gets_its_signal():
+    assert [c.site.name for c in candidates(spool_valve.model(), ["spool_hysteresis"])] == ["slide.target"]
+    assert [c.site.name for c in candidates(amplified(), ["spool_hysteresis"])] == ["valve.spool"]
+    assert [c.site.name for c in candidates(valve_bench(), ["spool_hysteresis"])] == ["valve.spool"]
+
+
+def test_a_spool_of_fixed_natural_frequency_has_that_one_freed_and_another_one_gets_a_lag():
+    fixed = spool_valve.model().with_settings({"slide.natural_frequency": {"free": False}})
+    (found,) = candidates(fixed, ["spool_lag"])
+    assert found.site.frees == "slide.natural_frequency"
+    assert [probe["slide.natural_frequency"] for probe in found.probes] == pytest.approx([72.0, 96.0, 156.0])
+    assert next(p for p in fixed.plus([found.addition]).flat.parameters if p.name == found.site.frees).free
+    (found,) = candidates(spool_valve.model(), ["spool_lag"])
+    assert found.site.through == "valve.spool"
+
+
+def test_a_lag_of_the_spool_is_behind_a_ramp_by_itself():
+    time = np.arange(0, 1, 1e-3)
+    behind = (time - opening("spool_lag", time, time, time_constant=0.02))[-1]
+    assert behind == pytest.approx(0.02 + 0.0005, abs=5e-5)  # a held ramp is half a sample late itself
+
+
+@pytest.mark.parametrize("spool", [0.1, 0.5, 1.0])
+def test_a_valve_that_saturates_passes_what_two_edges_in_series_pass(spool):
+    c, k, dp = 0.8, 6e-8, 1e7 - 4e6
+    through = -flow(add_effect(valve_bench(), "flow_saturation", values={"ratio": c}), spool)
+    first, second = (through / (k * spool)) ** 2, (through / (k / np.sqrt(c))) ** 2
+    assert first + second == pytest.approx(dp, rel=1e-4)
+
+
+def test_a_supply_that_gives_way_loses_pressure_in_proportion_to_the_flow():
+    model = add_effect(valve_bench(), "supply_droop", "supply.port", {"resistance": 5e9})
+    behind, source = seen(model, ["valve.supply.p", "supply.port.p"], [0.5], supply_droop_supply_port__drawn=1e-4)
+    assert source == 1e7
+    assert behind == pytest.approx(1e7 - 5e9 * 1e-4)
+
+
+def test_a_supply_settles_where_flow_and_pressure_agree():
+    model = add_effect(valve_bench(), "supply_droop", "supply.port", {"resistance": 5e9})
+    flat, time = model.flat, np.arange(0, 0.4, 1e-3)
+    u, p = np.full((len(time), 1), 0.3), flat.parameter_vector()
+    x = np.asarray(flat.start_given()(u[0], p, [])).ravel()
+    states = np.asarray(prepare(flat, method="vm").run(time, u, p, x)[1])
+    end = states[-1] if len(states) == len(time) else states.T[-1]
+    drawn, q, behind = np.asarray(
+        model.observe(["supply_droop_supply_port.drawn", "supply.port.q", "valve.supply.p"])(0.4, end, u[0], p)
+    ).ravel()
+    assert drawn == pytest.approx(-q, rel=0.02) and drawn > 1e-6
+    assert behind == pytest.approx(1e7 - 5e9 * -q, rel=0.01)
+
+
+def test_a_return_line_backs_up_when_oil_flows_to_the_tank():
+    model = add_effect(valve_bench(), "supply_droop", "tank.port", {"resistance": 5e9})
+    behind, tank = seen(model, ["valve.tank.p", "tank.port.p"], [0.5], supply_droop_tank_port__drawn=-1e-4)
+    assert behind > tank == 2e5
+
+
+def test_a_resisting_load_opens_a_valve_whose_flow_depends_on_it_so():
+    model = add_effect(valve_bench(), "load_dependent_flow", values={"share": 0.5})
+    more, same = flow(model, 0.5, 4e6, 1e6), flow(valve_bench(), 0.5, 4e6, 1e6)
+    assert more / same == pytest.approx(1 + np.tanh(0.5 * 0.3), rel=1e-6)
+    back, as_before = flow(model, -0.5, 4e6, 1e6), flow(valve_bench(), -0.5, 4e6, 1e6)
+    assert back / as_before == pytest.approx(1 - np.tanh(0.5 * 0.3), rel=1e-6)
+
+
+def test_a_valve_that_the_input_moves_itself_has_no_overlap_of_its_own_beside_the_commands_deadband():
+    assert not candidates(valve_bench(), ["valve_overlap"])
+    assert candidates(valve_bench(), ["command_deadband"])
+
+
+def test_a_signal_is_traced_back_through_the_parts_that_make_it():
+    places = Places(spool_valve.model())
+    assert places.upstream("valve.spool") == ("slide.target", "solenoid.current", "current")
+    assert Places(valve_bench()).upstream("valve.spool") == ("spool",)

@@ -92,7 +92,7 @@ def play(signal, h):
 def test_a_spool_with_hysteresis_follows_like_a_play():
     h = 0.05
     followed = opening("spool_hysteresis", TIME, TRIANGLE, half_width=h)
-    np.testing.assert_allclose(followed, play(TRIANGLE, h), atol=2.1e-3)  # 1/s of slope times two lags of 1 ms
+    np.testing.assert_allclose(followed, play(TRIANGLE, h), atol=3e-3)  # 1/s of slope times lag and sample of 1 ms
 
 
 def test_a_spool_with_hysteresis_may_start_anywhere_in_its_play():

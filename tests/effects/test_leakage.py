@@ -1,0 +1,103 @@
+"""Leaks and losses of pumps, held against what their equations say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models import cehA, spool_valve
+from hydrotwin.models.components import PressureSource
+from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.effects.sites import low_pressure_node
+from hydrotwin.models.language import Model
+from hydrotwin.models.language.places import Places
+from tests.effects.benches import ValveBench, pump_bench, seen, valve_bench
+
+PRESSURES = {"cylinder__cap_pressure": 5e6, "cylinder__rod_pressure": 1e6}
+
+
+def change(model, effect, paths, speed=0.0, site=None, /, **values):
+    """What an effect adds to variables of a model (SI), at 50 and 10 bar."""
+    inputs = [0.0] * len(model.flat.inputs)
+    state = dict(PRESSURES, **({"motor__speed": speed} if "motor.speed" in {s.name for s in model.flat.states} else {}))
+    more = add_effect(model, effect, site, values)
+    return seen(more, paths, inputs, **state) - seen(model, paths, inputs, **state)
+
+
+CHAMBERS = ["cylinder.cap.q", "cylinder.annulus.q"]
+
+
+def test_an_internal_leak_takes_from_the_high_pressure_what_it_gives_to_the_low_one():
+    out, into = change(pump_bench(), "internal_leakage", CHAMBERS, conductance=1e-12)
+    assert out == pytest.approx(-4e-6) and into == pytest.approx(4e-6)
+
+
+def test_an_external_leak_takes_from_one_chamber_alone():
+    model = pump_bench()
+    out, into = change(model, "external_leakage", CHAMBERS, 0.0, "cylinder.cap", conductance=1e-12)
+    assert out == pytest.approx(-5e-6) and into == 0
+
+
+def test_an_external_leak_runs_against_the_pressure_of_the_tank_whatever_it_is_set_to():
+    model = valve_bench().with_parameters({"tank.pressure": 3e5})
+    out, _ = change(model, "external_leakage", CHAMBERS, 0.0, "cylinder.cap", conductance=1e-12)
+    assert out == pytest.approx(-(5e6 - 3e5) * 1e-12)
+
+
+def test_a_turbulent_leak_grows_with_the_root_of_the_pressure():
+    out, into = change(pump_bench(), "turbulent_leakage", CHAMBERS, coefficient=1e-9)
+    assert out == pytest.approx(-1e-9 * np.sqrt(4e6), rel=1e-3) and into == -out
+
+
+def test_no_two_nodes_leak_under_two_names():
+    for model in (cehA.model(), spool_valve.model(), pump_bench(), valve_bench()):
+        inside = {frozenset(c.site.ties.values()) for c in candidates(model, ["internal_leakage"])}
+        tank = low_pressure_node(Places(model))
+        outside = candidates(model, ["external_leakage"])
+        assert len(inside) == len(candidates(model, ["internal_leakage"]))
+        assert outside
+        assert not any(tank and frozenset((c.site.ties["port"], tank.name)) in inside for c in outside)
+
+
+def test_the_tank_is_the_lowest_prescribed_pressure_and_a_supply_alone_is_none():
+    assert low_pressure_node(Places(valve_bench())).name in ("tank.port", "valve.tank")
+    two_supplies = Model(ValveBench(tank=PressureSource(pressure=5e6)))
+    assert low_pressure_node(Places(two_supplies)) is None
+    assert low_pressure_node(Places(pump_bench())) is None
+
+
+@pytest.mark.parametrize(("speed", "share"), [(0.0, 1.0), (100.0, 0.5), (-300.0, 0.25)])
+def test_a_pump_slips_less_the_faster_it_turns(speed, share):
+    out, into = change(pump_bench(), "pump_slip", CHAMBERS, speed, conductance=1e-12)
+    assert out == pytest.approx(-4e-6 * share, rel=1e-6) and into == pytest.approx(-out)
+
+
+@pytest.mark.parametrize("speed", [-200.0, 50.0, 200.0])
+def test_a_share_of_the_flow_is_lost_on_both_sides_of_the_pump_more_at_low_speed(speed):
+    flows = change(pump_bench(), "speed_dependent_efficiency", CHAMBERS, speed, loss=0.2)
+    share = 0.2 / (1 + abs(speed) / 50.0)
+    assert flows[0] == pytest.approx(-share * 2e-7 * speed, rel=1e-6)
+    assert flows[1] == pytest.approx(share * 0.8 * 2e-7 * speed, rel=1e-6)
+
+
+@pytest.mark.parametrize(("speed", "sign"), [(200.0, 1), (-200.0, -1)])
+def test_a_pump_may_deliver_more_in_one_direction(speed, sign):
+    flows = change(pump_bench(), "displacement_asymmetry", CHAMBERS, speed, asymmetry=0.1)
+    assert flows[0] == pytest.approx(sign * 0.1 * 2e-7 * speed, rel=1e-6)
+    assert flows[1] == pytest.approx(-sign * 0.1 * 0.8 * 2e-7 * speed, rel=1e-6)
+
+
+def test_a_displacement_is_freed_where_it_is_fixed_and_volumes_are_none():
+    freed = [c.site.frees for c in candidates(pump_bench(), ["displacement_error"])]
+    assert freed == ["pump.displacement"]
+    assert [c.site.frees for c in candidates(valve_bench(), ["displacement_error"])] == [
+        "valve.orifice.flow_coefficient"
+    ]
+    free = pump_bench().with_settings({"pump.displacement": {"free": True}})
+    assert not candidates(free, ["displacement_error"])
+
+
+def test_starts_of_a_freed_parameter_lie_around_what_is_stated():
+    (found,) = candidates(pump_bench(), ["displacement_error"])
+    assert [probe["pump.displacement"] for probe in found.probes] == pytest.approx([2.1e-7, 1.9e-7])
+    assert found.typical["pump.displacement"] == pytest.approx((1.7e-7, 2.3e-7))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
 
 from hydrotwin.models.language import Flange, HydraulicPort, Input, Parameter, State, der
 from hydrotwin.models.language.places import Places
@@ -183,15 +182,6 @@ class PositionDependentFriction(Effect):
     def equations(self):
         level = ca.fmax(self.force + self.slope * self.flange.s, 0)
         yield self.flange.f == level * ca.tanh(der(self.flange.s) / self.smoothing_velocity)
-
-    @classmethod
-    def probes_for(cls, seen) -> list[dict]:
-        """Friction that vanishes towards either end of the positions seen."""
-        low, high = np.quantile(np.asarray(seen["flange.s"]), (0.02, 0.98))
-        span = max(float(high - low), 1e-4)
-        rising = [{"force": -F * low / span, "slope": F / span} for F in (50.0, 500.0)]
-        falling = [{"force": F * high / span, "slope": -F / span} for F in (50.0, 500.0)]
-        return [{**p, "force": max(float(p["force"]), 0.0)} for p in (*rising, *falling)]
 
 
 class AsymmetricFriction(Effect):

@@ -154,7 +154,10 @@ def _at_a_start(model, candidate):
     return model.plus([candidate.addition]).with_parameters(candidate.probes[0])
 
 
-def test_starts_of_position_dependent_friction_span_the_positions_seen():
-    for probe in PositionDependentFriction.probes_for({"flange.s": np.linspace(0.1, 0.5, 100)}):
-        level = probe["force"] + probe["slope"] * np.array([0.12, 0.48])
-        assert np.all(level > -10.0) and level.max() > 20.0
+def test_a_slope_of_friction_shows_in_its_first_derivative():
+    model = add_effect(benches.axis(), "position_dependent_friction")
+    time = np.linspace(0, 2, 201)
+    plain = run(model, time, force=200.0)["velocity"]
+    little = run(model.with_parameters({"position_dependent_friction.slope": 1e-3}), time, force=200.0)["velocity"]
+    more = run(model.with_parameters({"position_dependent_friction.slope": 2e-3}), time, force=200.0)["velocity"]
+    assert plain[-1] - little[-1] == pytest.approx((plain[-1] - more[-1]) / 2, rel=1e-3) and plain[-1] > little[-1]

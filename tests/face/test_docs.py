@@ -1,0 +1,80 @@
+"""docs/gap.md keeps its word: its commands parse, its Python runs, its files are read."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import sys
+from types import SimpleNamespace
+from unittest import mock
+
+import pytest
+import typer
+
+import hydrotwin as ht
+from hydrotwin.cli import app, spread
+from hydrotwin.models import cehA
+from hydrotwin.models.effects import add_effect
+from hydrotwin.models.language.modelica import modelica_text
+from tests.face.command_line import ROOT
+from tests.report import gap_discoveries
+
+TEXT = (ROOT / "docs/gap.md").read_text(encoding="utf-8")
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS = re.findall(r"^    (hydrotwin .*)$", TEXT + README, re.MULTILINE)
+PYTHON = [block.partition("```")[0] for block in TEXT.split("```python\n")[1:]]
+
+
+@pytest.mark.parametrize("line", [c for c in dict.fromkeys(COMMANDS) if not c.endswith("\\")])
+def test_a_command_line_of_the_documentation_is_one(line):
+    command, *words = spread(shlex.split(line)[1:])
+    typer.main.get_command(app).commands[command].make_context(command, words)
+
+
+def test_the_documentation_shows_each_option_of_gap_that_changes_what_is_tried_or_where_it_runs():
+    for option in (
+        "--free",
+        "--effects",
+        "--exclude",
+        "--max-effects",
+        "--executor",
+        "--fresh",
+        "--validate",
+        "--json",
+    ):
+        assert option in TEXT, option
+
+
+def test_the_snippet_that_discovers_writes_a_report(recordings, tmp_path, monkeypatch, capsys):
+    for path in recordings.glob("*.csv"):
+        shutil.copy(path, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    asked = mock.Mock(return_value=gap_discoveries.named())
+    monkeypatch.setitem(sys.modules, "hydrotwin.discovery.discover", SimpleNamespace(discover=asked))
+    exec(compile(next(s for s in PYTHON if "ht.discover" in s), "gap.md", "exec"), {})
+    assert len(asked.call_args.args[1]) == 3 and len(asked.call_args.kwargs["validate"]) == 2
+    assert capsys.readouterr().out.startswith("named")
+    assert (tmp_path / "gap/report.html").exists()
+
+
+def test_the_snippet_that_adds_an_effect_by_hand_writes_the_file_that_is_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    exec(compile(next(s for s in PYTHON if "ht.add_effect" in s), "gap.md", "exec"), {})
+    said = capsys.readouterr().out
+    assert "internal_leakage at cylinder.annulus-cylinder.cap" in said and "extends CehA;" in said
+    (tmp_path / "shown.toml").write_text(TEXT.split("```toml\n")[1].partition("```")[0])
+    written, shown = ht.load("leaking.toml"), ht.load("shown.toml")
+    assert [(a.effect, a.site, a.name) for a in written.additions] == [
+        (a.effect, a.site, a.name) for a in shown.additions
+    ]
+    values = [{p.name: p.value for p in m.flat.parameters}["internal_leakage.conductance"] for m in (written, shown)]
+    assert values == [2e-14, 2e-14]
+
+
+def test_the_modelica_that_is_shown_is_what_is_written():
+    shown = TEXT.split("```modelica\n")[1].partition("```")[0]
+    written = modelica_text(add_effect(cehA.model(), "coulomb_friction"))
+    assert "\n".join(f"  {line}" for line in shown.strip().splitlines()) in written.replace(
+        "    extends", "    extends"
+    )

@@ -144,14 +144,20 @@ class PumpSlip(Effect):
 
         q = G (p_a - p_b) / (1 + |w| / w_0)
 
-    Source: Ivantysyn and Ivantysynova 2001; the fall with speed stands for gaps that fill from the film in motion.
+    With w_0 far above all speeds it is an `InternalLeakage`. Source: Ivantysyn and Ivantysynova 2001; the fall with
+    speed stands for gaps that fill from the film in motion.
     """
 
     id, title = "pump_slip", "slip of the pump"
     equation = "q = G dp / (1 + |w| / w_0)"
     source = IVANTYSYN
-    typical = {"conductance": (1e-14, 1e-11)}
-    probes = ({"conductance": 2e-13}, {"conductance": 4e-12})
+    typical = {"conductance": (1e-14, 1e-11), "reference_speed": (5.0, 500.0)}
+    probes = (
+        {"conductance": 3e-13, "reference_speed": 10.0},
+        {"conductance": 3e-13, "reference_speed": 100.0},
+        {"conductance": 4e-12, "reference_speed": 50.0},
+    )
+    refines = ("internal_leakage",)
     confused_with = ("internal_leakage", "external_leakage", "speed_dependent_efficiency", "motor_droop")
     experiment = "hold under load with the pump at rest, then lift the same load at several speeds"
 
@@ -161,7 +167,9 @@ class PumpSlip(Effect):
     conductance = Parameter(
         0.0, "m3/(s.Pa)", "slip conductance at rest G", bounds=(0, 1e-9), nominal=1e-13, source=IVANTYSYN, free=True
     )
-    reference_speed = Parameter(100.0, "rad/s", "speed w_0 that halves it", bounds=(1, 1e4), source="assumed")
+    reference_speed = Parameter(
+        50.0, "rad/s", "speed w_0 that halves it", bounds=(1, 1e4), nominal=50.0, source="assumed", free=True
+    )
 
     sites = staticmethod(_slip_sites)
 

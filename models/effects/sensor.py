@@ -66,6 +66,33 @@ class SensorScale(Effect):
         yield self.y == (1 + self.error) * self.u
 
 
+class SensorCurvature(Effect):
+    """The characteristic of the sensor is bent, right at zero and at full scale R, twice the signal's nominal.
+
+    y = u + c u (|u| / R - 1)
+    """
+
+    id, title = "sensor_curvature", "curved characteristic of the sensor"
+    equation = "y = u + c u (|u| / R - 1)"
+    source = FRADEN
+    typical = {"curvature": (-0.5, 0.5)}
+    probes = ({"curvature": 0.2}, {"curvature": 0.5}, {"curvature": -0.2})
+    confused_with = ("sensor_scale", "linkage_error", "flow_saturation")
+    experiment = "known values over the whole range, one after the other"
+    order = 2
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    curvature = Parameter(0.0, "1", "curvature c", bounds=(-0.95, 0.95), nominal=0.1, source=FRADEN, free=True)
+    full_scale = Parameter(2.0, "signal", "full scale R", bounds=(1e-6, 1e6), source="twice the nominal")
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        u = self.u
+        yield self.y == u + self.curvature * u * (ca.fabs(u) / self.full_scale - 1)
+
+
 class SensorBias(Effect):
     """The reading is off by a constant: ``y = u + b``."""
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 import casadi as ca
 
-from .component import Component
+from .component import Component, declarations
+from .declarations import Input, Output, Port
 from .elaboration import BoundPort, Connection, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError, nearest
 
@@ -69,15 +70,23 @@ def _hang(elaboration: Elaboration, addition: Addition, ends: dict) -> None:
     part = addition.part.bind(addition.name, elaboration)
     for own, port in addition.ties.items():
         owner = _owner(elaboration, _port(elaboration, port))
-        elaboration.connections.append((owner, Connection(_port(elaboration, port), getattr(part, own))))
+        elaboration.connections.append((owner, Connection(_port(elaboration, port), _end(part, own))))
     for own, path in addition.reads.items():
-        elaboration.equations.append(Equation(getattr(part, own), _variable(elaboration, path), ""))
+        elaboration.equations.append(Equation(_end(part, own), _variable(elaboration, path), ""))
     for end, close in opened.items():
-        close(getattr(part, f"u{end}"), getattr(part, f"y{end}"))
+        close(_end(part, f"u{end}"), _end(part, f"y{end}"))
         if known is ends and paths[end] in {entry.path for entry in elaboration.inputs}:
             ends[paths[end]] = (addition.name, getattr(part, f"y{end}"))
     if addition.between:
         _put_between(elaboration, _port(elaboration, addition.between), part)
+
+
+def _end(part: Component, name: str):
+    """A port or signal of an added part."""
+    own = [k for k, d in declarations(type(part)).items() if isinstance(d, (Port, Input, Output))]
+    if name not in own:
+        raise DeclarationError(f"{part.path}: the added part has no port or signal '{name}'. {nearest(name, own)}")
+    return getattr(part, name)
 
 
 def _port(elaboration: Elaboration, path: str) -> BoundPort:
@@ -109,10 +118,10 @@ def _variable(elaboration: Elaboration, path: str) -> ca.SX:
 def _put_between(elaboration: Elaboration, port: BoundPort, part: Component) -> None:
     owner = _owner(elaboration, port)
     elaboration.connections[:] = [
-        (o, Connection(*(part.b if end is port and o == owner else end for end in (c.first, c.second))))
+        (o, Connection(*(_end(part, "b") if end is port and o == owner else end for end in (c.first, c.second))))
         for o, c in elaboration.connections
     ]
-    elaboration.connections.append((owner, Connection(port, part.a)))
+    elaboration.connections.append((owner, Connection(port, _end(part, "a"))))
 
 
 def _delays(part: Component) -> bool:

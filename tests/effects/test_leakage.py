@@ -68,7 +68,7 @@ def test_the_tank_is_the_lowest_prescribed_pressure_and_a_supply_alone_is_none()
 
 @pytest.mark.parametrize(("speed", "share"), [(0.0, 1.0), (100.0, 0.5), (-300.0, 0.25)])
 def test_a_pump_slips_less_the_faster_it_turns(speed, share):
-    out, into = change(pump_bench(), "pump_slip", CHAMBERS, speed, conductance=1e-12)
+    out, into = change(pump_bench(), "pump_slip", CHAMBERS, speed, conductance=1e-12, reference_speed=100.0)
     assert out == pytest.approx(-4e-6 * share, rel=1e-6) and into == pytest.approx(-out)
 
 

@@ -24,6 +24,15 @@ def test_a_wrong_scale_multiplies_the_reading():
     np.testing.assert_allclose(passed("sensor_scale", "reading", TIME, sine(2), error=0.04), 1.04 * sine(2), atol=1e-12)
 
 
+def test_a_curved_characteristic_is_right_at_zero_and_at_full_scale_and_steepest_there():
+    ramp = np.linspace(-4.0, 4.0, len(TIME))
+    reading = passed("sensor_curvature", "reading", TIME, ramp, curvature=0.4)
+    assert reading[[0, -1]] == pytest.approx([-4.0, 4.0])
+    slope = np.gradient(reading, ramp)
+    assert slope[1000] == pytest.approx(0.6, abs=0.01) and slope[-1] == pytest.approx(1.4, abs=0.01)
+    np.testing.assert_allclose(reading, -reading[::-1], atol=1e-9)
+
+
 def test_a_slow_sensor_follows_a_step_exponentially():
     reading = passed("sensor_lag", "reading", TIME, STEP, time_constant=0.05)
     expected = 3.0 * (1 - np.exp(-np.maximum(TIME - 0.0995, 0) / 0.05))

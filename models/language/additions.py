@@ -16,6 +16,7 @@ import casadi as ca
 from .component import Component, declarations
 from .declarations import Input, Output, Port
 from .elaboration import BoundPort, Connection, Elaboration, Equation, _current
+from .elaboration import connect as join
 from .errors import DeclarationError, TopologyError, nearest
 
 
@@ -70,7 +71,7 @@ def _hang(elaboration: Elaboration, addition: Addition, ends: dict) -> None:
     part = addition.part.bind(addition.name, elaboration)
     for own, port in addition.ties.items():
         owner = _owner(elaboration, _port(elaboration, port))
-        elaboration.connections.append((owner, Connection(_port(elaboration, port), _end(part, own))))
+        elaboration.connections.append((owner, join(_port(elaboration, port), _end(part, own))))
     for own, path in addition.reads.items():
         elaboration.equations.append(Equation(_end(part, own), _variable(elaboration, path), ""))
     for end, close in opened.items():
@@ -121,7 +122,7 @@ def _put_between(elaboration: Elaboration, port: BoundPort, part: Component) -> 
         (o, Connection(*(_end(part, "b") if end is port and o == owner else end for end in (c.first, c.second))))
         for o, c in elaboration.connections
     ]
-    elaboration.connections.append((owner, Connection(port, _end(part, "a"))))
+    elaboration.connections.append((owner, join(port, _end(part, "a"))))
 
 
 def _delays(part: Component) -> bool:

@@ -86,7 +86,7 @@ def _refill(level, f):
 
 
 def _cavitation(level, f):
-    return {"pressure": _within(max(f.pressure[0], 0.0), 1e5, level)}
+    return {"pressure": _within(max(f.pressure[0], -1e5), 1e5, level)}  # a vacuum, if pressures are gauge: -1 bar
 
 
 def _end_stop(level, f):

@@ -25,7 +25,7 @@ def bic_alone(bench: Bench) -> Answer:
     best, chosen = bench.base, None
     scores = [bic(best)]
     for candidate in bench.candidates:
-        found = bench.refitted([candidate])
+        found = bench.refitted([candidate], follow=1)
         if isinstance(found, str):
             continue
         scores.append(bic(found))

@@ -10,7 +10,6 @@ from itertools import product
 import numpy as np
 
 from hydrotwin.discovery.refit import Question, RefitJob, Refitted, refit
-from hydrotwin.identification import identify
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
 
@@ -23,8 +22,8 @@ STARTS = 6
 class Bench:
     """One case, its identified base model, and refits of it with effects added."""
 
-    def __init__(self, made: Made, base_values=None):
-        self.made, self.model, self._given = made, made.model, base_values
+    def __init__(self, made: Made):
+        self.made, self.model = made, made.model
 
     @cached_property
     def free(self) -> tuple[str, ...]:
@@ -37,14 +36,9 @@ class Bench:
         return Question(fit, held_out, np.array([self.made.noise.get(s.name, np.nan) for s in flat.outputs]))
 
     @cached_property
-    def base_values(self) -> dict[str, float]:
-        if self._given is None:
-            self._given = identify(self.model, self.made.fit, noise=self.made.noise, threads=1).values
-        return {name: self._given[name] for name in self.free}
-
-    @cached_property
     def base(self) -> Refitted:
-        found = refit(RefitJob(self.model.flat, self.free, self.question, (self.base_values,)))
+        """The base model from its nominal values."""
+        found = refit(RefitJob(self.model.flat, self.free, self.question, coarse=True))
         if isinstance(found, str):
             raise RuntimeError(found)
         return found
@@ -53,13 +47,13 @@ class Bench:
     def candidates(self) -> tuple[Candidate, ...]:
         return candidates(self.model)
 
-    def refitted(self, chosen: Sequence[Candidate]) -> Refitted | str:
-        """The base model with candidates added, everything free, from every probe of each (at most STARTS)."""
+    def refitted(self, chosen: Sequence[Candidate], follow: int = 2) -> Refitted | str:
+        """The base model with candidates added, everything free, from their probes (the best ``follow`` go on)."""
         model = self.model.plus([c.addition for c in chosen])
         free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
         probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
-        starts = [{**self.base_values, **{k: v for probe in own for k, v in probe.items()}} for own in probes]
-        return refit(RefitJob(model.flat, free, self.question, tuple(starts[:STARTS]), follow=2))
+        starts = [{**self.base.values, **{k: v for probe in own for k, v in probe.items()}} for own in probes]
+        return refit(RefitJob(model.flat, free, self.question, tuple(starts[:STARTS]), follow=follow))
 
     def rmse(self, found: Refitted) -> dict[str, float]:
         """Held-out RMSE by recorded output, SI."""

@@ -67,7 +67,7 @@ def _answer(method, made, bench):
     from benchmarks.gap.score import answer_of
 
     if method == "discover":
-        from hydrotwin.discovery import discover
+        from hydrotwin.discovery.discover import discover
 
         return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
     if method == "sindy":

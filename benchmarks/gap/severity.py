@@ -2,7 +2,7 @@
 
     gap     = rms over fit recordings, samples, recorded outputs of (y_with - y_without) / noise
     visible = the same after the part that wrong free parameters and start states can absorb, to first order, is taken
-              off: what a refitted base model leaves
+              off: a lower bound of what a refitted base model leaves, which cannot follow so far where it is nonlinear
 
 Both with the true base parameters, the same command, and no noise.
 """

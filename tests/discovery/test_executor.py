@@ -134,6 +134,27 @@ def test_a_script_without_a_main_guard_may_use_processes(way, tmp_path):
     assert (answer.stdout.strip(), answer.returncode) == ("[1, 2]", 0), answer.stderr
 
 
+INTERRUPTED = """
+import os, signal, sys, threading, time
+from hydrotwin.discovery.executor import executor_for, mapped
+jobs = [60.0] * 4
+try:
+    with executor_for("processes", workers=2) as executor:
+        threading.Timer(3.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        list(mapped(executor, time.sleep, jobs))
+except KeyboardInterrupt:
+    print("stopped", flush=True)
+"""
+
+
+def test_ctrl_c_stops_running_jobs_at_once_and_leaves_no_process():
+    began = time.perf_counter()
+    answer = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=50)
+    assert answer.stdout.strip() == "stopped", answer.stderr
+    assert "Traceback" not in answer.stderr, answer.stderr
+    assert time.perf_counter() - began < 40  # output pipes close when the last worker is gone
+
+
 @pytest.mark.parametrize(
     ("spec", "kind", "says"),
     [

@@ -59,7 +59,7 @@ def test_the_catalogue_lists_every_effect_with_equation_parameters_and_place():
         assert row["equation"] and row["fits"] and row["title"] and row["source"], row["id"]
         assert row["parameters"] and all(p["typical"] for p in row["parameters"]), row["id"]
     friction = rows["coulomb_friction"]
-    assert (friction["equation"], friction["fits"]) == ("F = F_c sign(v)", "every moving flange")
+    assert (friction["equation"], friction["fits"]) == ("F = F_c sign(v)", "a flange")
     assert friction["parameters"][0]["unit"] == "N"
     printed = hydrotwin("effects")
     assert printed.code == 0

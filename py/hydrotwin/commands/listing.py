@@ -10,6 +10,7 @@ import numpy as np
 from hydrotwin.models.language import Input, Model, Output, Parameter
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Port
+from hydrotwin.models.language.places import Places
 
 from .shared import out, table
 
@@ -18,13 +19,14 @@ def catalogue_rows() -> list[dict]:
     """Every effect: what it is, its parameters with unit and typical range, what kind of place it fits."""
     from hydrotwin.models.effects import CATALOGUE
 
+    fits = kinds_of_place()
     return [
         {
             "id": effect.id,
             "title": effect.title,
             "family": effect.family,
             "equation": effect.equation,
-            "fits": place_of(effect),
+            "fits": fits[effect.id],
             "parameters": [_parameter(effect, name, p) for name, p in _own(effect).items()] or _freed(effect),
             "refines": list(effect.refines),
             "confused_with": list(effect.confused_with),
@@ -59,27 +61,22 @@ def _parameter(effect, name: str, p: Parameter) -> dict:
     }
 
 
-def place_of(effect) -> str:
-    """The kind of place an effect fits, in words.
+def kinds_of_place() -> dict[str, str]:
+    """By effect the kinds of place it fits, in words, as met in the shipped machines.
 
-    >>> from hydrotwin.models.effects import CATALOGUE
-    >>> place_of(CATALOGUE["coulomb_friction"]), place_of(CATALOGUE["actuator_lag"])
-    ('every moving flange', 'every input of the model')
+    >>> kinds = kinds_of_place()
+    >>> kinds["coulomb_friction"], kinds["command_deadband"], kinds["area_error"]
+    ('a flange', 'an input of the model', 'a parameter of the machine')
     """
-    found = vars(effect).get("sites")
-    function = getattr(found, "__func__", found)
-    told = (getattr(function, "__doc__", None) or "").strip().partition("\n\n")[0]
-    if told:
-        first = " ".join(told.replace("``", "").split())
-        ends = [first.find(mark) for mark in (";", ":", ". ") if mark in first]
-        first = first[: min(ends)] if ends else first
-        return first[:1].lower() + first[1:].rstrip(".")
-    parts = declarations(effect).values()
-    ports = [_PORTS.get(type(p).__name__, type(p).__name__) for p in parts if isinstance(p, Port)]
-    if ports:
-        return f"a {ports[0]}" if len(ports) == 1 else f"two {ports[0]}s"
-    signals = any(isinstance(p, Input) for p in parts) and any(isinstance(p, Output) for p in parts)
-    return "a signal" if signals else "a parameter of the machine"
+    from hydrotwin.models import cehA, spool_valve
+    from hydrotwin.models.effects import CATALOGUE, candidates
+
+    met: dict[str, dict[str, None]] = {}
+    for model in (cehA.model(), spool_valve.model()):
+        places = Places(model)
+        for c in candidates(model):
+            met.setdefault(c.id, {})[_words(c.site, places)] = None
+    return {name: " or ".join(met.get(name, {})) or _declared_place(effect) for name, effect in CATALOGUE.items()}
 
 
 _PORTS = {
@@ -88,6 +85,46 @@ _PORTS = {
     "RotationalFlange": "rotational flange",
     "Shaft": "shaft",
 }
+_ROLES = {"input": "an input of the model", "output": "an output of the model", "inside": "a signal between parts"}
+_FAMILIES = {"vessel": "the level of a vessel"}  # no shipped machine has one
+
+
+def _words(site, places: Places) -> str:
+    """The kind of one place."""
+    if site.frees:
+        return "a parameter of the machine"
+    if isinstance(site.through, Mapping) or (site.through or "").startswith("der("):
+        return "the rate of a state"
+    if site.through:
+        return _ROLES[next((w.role for w in places.wires if w.path == site.through), "inside")]
+    if site.between:
+        return f"behind a port ({_port_words([site.between], places)})"
+    reads = f", reading {' and '.join(site.reads)}" if site.reads else ""
+    return f"{_port_words(list((site.ties or {}).values()), places)}{reads}"
+
+
+def _port_words(ports: list[str], places: Places) -> str:
+    """``two hydraulic nodes``, ``a flange``."""
+    kinds = [places.node_at(port).kind.__name__ for port in ports]
+    words = [_PORTS.get(kind, kind) for kind in kinds]
+    if len(set(words)) > 1:
+        return " and ".join(f"a {word}" for word in dict.fromkeys(words))
+    return f"a {words[0]}" if len(words) == 1 else f"{_COUNTED.get(len(words), len(words))} {words[0]}s"
+
+
+_COUNTED = {2: "two", 3: "three", 4: "four"}
+
+
+def _declared_place(effect) -> str:
+    """The kind of place as the ports of the part tell it, for an effect that no shipped machine has a place for."""
+    if effect.family in _FAMILIES:
+        return _FAMILIES[effect.family]
+    parts = declarations(effect).values()
+    ports = [_PORTS.get(type(p).__name__, type(p).__name__) for p in parts if isinstance(p, Port)]
+    if ports:
+        return f"a {ports[0]}" if len(ports) == 1 else f"two {ports[0]}s"
+    signals = any(isinstance(p, Input) for p in parts) and any(isinstance(p, Output) for p in parts)
+    return "a signal" if signals else "a parameter of the machine"
 
 
 def fitting_rows(model: Model) -> list[dict]:

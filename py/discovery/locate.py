@@ -186,6 +186,8 @@ def _limits(q: Quantity, low: float | None, high: float | None) -> str:
     if q.kind == "direction":
         words = {(None, -0.5): "falls", (-0.5, None): "rests or rises", (None, 0.5): "rests or falls"}
         words |= {(0.5, None): "rises", (-0.5, 0.5): "rests"}
+        if np.nanmean(np.concatenate(q.values) == 0) < 0.1:  # it hardly ever rests
+            words = {key: w.removeprefix("rests or ") for key, w in words.items()}
         if q.name.startswith("sign"):
             words = {key: _SIGNS[w] for key, w in words.items()}
         return f"{q.of} {words[low, high]}"

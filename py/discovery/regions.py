@@ -28,6 +28,7 @@ from .discovery import Region
 
 BINS = 12
 KEPT = 4  # quantities told of each output
+FAINT = 0.05  # of the best share: not worth a map of its own
 ALIKE = 0.97  # correlation from which two quantities tell the same
 GAP = 1.02  # squared residual over squared noise from which there is a gap
 SIGMAS = 3.0
@@ -76,7 +77,7 @@ def quantities(flat: FlatModel, recordings: Sequence[Recording], noise: np.ndarr
     found: list[Quantity] = []
     for j, signal in enumerate(flat.inputs):
         values = tuple(r.u[:, j] for r in recordings)
-        rates = tuple(_rate(r.time, r.u[:, j]) for r in recordings)
+        rates = tuple(np.gradient(r.u[:, j], r.time) for r in recordings)
         found.append(Quantity(signal.name, signal.unit, "input", signal.name, values))
         if np.mean(np.concatenate(rates) != 0) > 0.1:
             found.append(Quantity(f"rate of {signal.name}", per_second(signal.unit), "rate", signal.name, rates))
@@ -118,7 +119,10 @@ def carriers(recordings: Sequence[Recording], seen: Sequence[Quantity]) -> tuple
         if q.kind == "position":
             found.append((q.name, q.unit, True, q.values))
         elif q.kind == "velocity" and q.name == q.of:
-            travelled = [_travelled(r.time, v) for r, v in zip(recordings, q.values, strict=True)]
+            travelled = [
+                cumulative_trapezoid(np.nan_to_num(v), r.time, initial=0.0)
+                for r, v in zip(recordings, q.values, strict=True)
+            ]
             found.append((q.name, "rad" if q.unit == "rad/s" else "m", False, travelled))
     found.append(("time", "s", False, [r.time - r.time[0] for r in recordings]))
     made = []
@@ -134,19 +138,10 @@ def carriers(recordings: Sequence[Recording], seen: Sequence[Quantity]) -> tuple
     return tuple(made)
 
 
-def _travelled(time: np.ndarray, v: np.ndarray) -> np.ndarray:
-    known = np.isfinite(v)
-    return cumulative_trapezoid(np.interp(time, time[known], v[known]), time, initial=0.0) if known.any() else v
-
-
 def directions(velocities: Sequence[np.ndarray], noise: float) -> tuple[np.ndarray, ...]:
     """-1, 0 or 1 of each velocity; what is within its noise, or below 1 % of the fast ones, rests."""
     rest = max(3.0 * noise, 0.01 * float(np.nanquantile(np.abs(np.concatenate(velocities)), 0.95)))
     return tuple(np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > rest), np.nan) for v in velocities)
-
-
-def _rate(time: np.ndarray, u: np.ndarray) -> np.ndarray:
-    return np.gradient(u, time) if len(time) > 1 else np.zeros_like(u)
 
 
 def _smoothed(time: np.ndarray, y: np.ndarray, noise: float, slope: bool) -> tuple[np.ndarray, float]:
@@ -339,41 +334,36 @@ def regions(
     before = finite(before)
     after = before if after is None else finite(after)
     gaps = [j for j in range(len(flat.outputs)) if has_gap(before, j, noise[j])]
-    if not gaps:
-        return ()
-    seen = quantities(flat, recordings, noise)
+    seen = quantities(flat, recordings, noise) if gaps else ()
     edges = [bin_edges(q) for q in seen]
+    maps = _maps(seen, edges, gaps, before, after, noise)
+    if not maps:
+        return ()
+    places, level = list(maps), 2.0 * norm.sf(SIGMAS)
+    first, last = (dict(zip(places, _together([m[k] for m in maps.values()], level), strict=True)) for k in (0, 1))
+    found = []
+    for j in gaps:
+        signal = flat.outputs[j]
+        for i in _telling(seen, [maps[j, i][0].share for i in range(len(seen))]):
+            one, two = maps[j, i]
+            place = signal.name, signal.unit, seen[i].name, seen[i].unit, edges[i]
+            found.append(Region(*place, one.mean, one.error, first[j, i], two.mean, two.error, last[j, i]))
+    return tuple(found)
+
+
+def _maps(seen, edges, gaps, before, after, noise) -> dict[tuple[int, int], tuple[Map, Map]]:
+    """Before and after by output and quantity."""
     labels = [bins_of(q, e) for q, e in zip(seen, edges, strict=True)]
-    rows, first, last, kept = [], [], [], []
-    shared: dict[tuple, Binning] = {}
+    made, shared = {}, {}
     for j in gaps:
         known = [np.isfinite(r[:, j]) for r in before]
-        pattern = b"".join(np.packbits(k).tobytes() for k in known)
-        maps = []
+        pattern = b"".join(k.tobytes() for k in known)
         for i, label in enumerate(labels):
             if (i, pattern) not in shared:
                 shared[i, pattern] = Binning(label, known, len(edges[i]) - 1)
             binning = shared[i, pattern]
-            maps.append(tuple(binning.map([r[:, j] for r in each], noise[j]) for each in (before, after)))
-        signal = flat.outputs[j]
-        chosen = _telling(seen, [m[0].share for m in maps])
-        for i, (one, two) in enumerate(maps):
-            rows.append((j, i))
-            first.append(one)
-            last.append(two)
-        kept += [(j, i) for i in chosen]
-    level = 2.0 * norm.sf(SIGMAS)
-    sure = [_together(maps, level) for maps in (first, last)]
-    found = []
-    for j, i in kept:
-        k, signal = rows.index((j, i)), flat.outputs[j]
-        found.append(
-            Region(
-                *(signal.name, signal.unit, seen[i].name, seen[i].unit, edges[i]),
-                *(first[k].mean, first[k].error, sure[0][k], last[k].mean, last[k].error, sure[1][k]),
-            )
-        )
-    return tuple(found)
+            made[j, i] = tuple(binning.map([r[:, j] for r in each], noise[j]) for each in (before, after))
+    return made
 
 
 def _together(maps: Sequence[Map], level: float) -> list[np.ndarray]:
@@ -387,7 +377,8 @@ def _telling(seen: Sequence[Quantity], shares: Sequence[float]) -> list[int]:
     first = [i for n, i in enumerate(order) if seen[i].kind not in {seen[k].kind for k in order[:n]}]
     chosen: list[int] = []
     for i in (*first, *order):
-        if len(chosen) < KEPT and all(abs(_correlation(seen[i], seen[k])) < ALIKE for k in chosen):
+        telling = len(chosen) < 2 or shares[i] > FAINT * max(shares)
+        if len(chosen) < KEPT and telling and all(abs(_correlation(seen[i], seen[k])) < ALIKE for k in chosen):
             chosen.append(i)
     return chosen
 

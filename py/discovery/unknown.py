@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 import scipy.linalg
@@ -28,6 +29,7 @@ from .regions import PERIODS, Carrier, Quantity, carriers, finite, has_gap, quan
 SAMPLES = 16_000  # looked at
 EXPLAINED = 0.1  # share of the squared residual below which nothing explains it
 WORTH = 0.01  # share that a term or quantity must add on the select recordings
+WAVE = 0.05  # the same of a wave: it has a frequency and a phase to choose
 TERMS = 4
 ENOUGH = 0.95  # of what is not noise: nothing more is looked for
 INDUCING = 100
@@ -35,7 +37,8 @@ TRAINED = 1000  # samples that the Gaussian process learns from
 FOLLOWED = 3  # quantities of a Gaussian process
 LENGTHS = (0.4, 1.2)  # in standard deviations of a quantity
 PLAIN = 0.8  # of what the Gaussian process explains: a formula with this much is told
-WINDOW = 500  # samples over which an integrated speed keeps its phase
+PARTS = 100_000  # windows of one recording, at most
+WINDOW = 250  # samples over which an integrated speed keeps its phase
 LATER = 0.8  # what a period in time counts against a period in something that moves
 
 
@@ -160,7 +163,7 @@ def _samples(recordings, residuals, j, seen, turning: Sequence[Carrier], fits: i
         n = len(recording.time)
         columns = np.stack([q.values[i] for q in seen], axis=1)
         angles = np.stack([c.angle[i] for c in turning], axis=1) if turning else np.empty((n, 0))
-        windows = i * 10_000 + np.arange(n) // WINDOW
+        windows = i * PARTS + np.arange(n) // WINDOW
         here = np.isfinite(residuals[i][:, j]) & np.isfinite(columns).all(axis=1) & np.isfinite(angles).all(axis=1)
         here &= np.arange(n) % stride == 0
         late = np.arange(n) >= n // 2 if fits == len(recordings) else np.full(n, i >= fits)
@@ -181,9 +184,9 @@ def _samples(recordings, residuals, j, seen, turning: Sequence[Carrier], fits: i
 def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.ndarray) -> tuple[float, float]:
     """Frequency of the strongest wave in r over a carrier, and the squared residual it takes away.
 
-    Windows add their power; where the phase is the same everywhere there is one window.
+    The windows of one phase add their power.
     """
-    parts = [np.arange(len(r))] if carrier.absolute else _windows(window)
+    parts = _windows(carrier, window)
     spans = [float(np.ptp(angle[p])) for p in parts]
     step = 1.0 / (4.0 * carrier.high)
     size = next_fast_len(int(2 * max(spans) / step) + 16, real=True)
@@ -192,7 +195,7 @@ def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.nda
         cell = ((angle[part] - angle[part].min()) / step).astype(int)
         power += 2.0 / len(part) * np.abs(rfft(np.bincount(cell, r[part]), size)) ** 2
     frequency = np.arange(len(power)) / (size * step)
-    power[(frequency < max(carrier.low, PERIODS / np.median(spans))) | (frequency > carrier.high)] = 0.0
+    power[(frequency < max(carrier.low, 2 * PERIODS / np.median(spans))) | (frequency > carrier.high)] = 0.0
     best, width = frequency[int(np.argmax(power))], 1.0 / (size * step)
     near = best + width * np.linspace(-1.0, 1.0, 11)
     energy = [sum(_taken(2 * np.pi * f * angle[p], r[p]) for p in parts) for f in near]
@@ -200,8 +203,10 @@ def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.nda
     return float(near[k]), float(energy[k]) - 2.0 * len(parts) * float(np.mean(r**2))
 
 
-def _windows(window: np.ndarray) -> list[np.ndarray]:
-    return np.split(np.arange(len(window)), np.flatnonzero(np.diff(window)) + 1)
+def _windows(carrier: Carrier, window: np.ndarray) -> list[np.ndarray]:
+    """Samples over which a wave keeps its phase: all, a recording (time), or a window (an integrated speed)."""
+    part = window * 0 if carrier.absolute else window // PARTS if carrier.unit == "s" else window
+    return np.split(np.arange(len(part)), np.flatnonzero(np.diff(part)) + 1)
 
 
 def _taken(phase: np.ndarray, r: np.ndarray) -> float:
@@ -222,7 +227,7 @@ def wave(t: Wave, angle: np.ndarray, r: np.ndarray, window: np.ndarray) -> list[
     if t.carrier.absolute:
         return [np.cos(phase), np.sin(phase)]
     column = np.empty(len(r))
-    for part in _windows(window):
+    for part in _windows(t.carrier, window):
         a, b = _amplitudes(phase[part], r[part])
         column[part] = np.cos(phase[part] - np.arctan2(b, a))
     return [column]
@@ -268,7 +273,7 @@ def sparse(
         options = [o for o in options if o[1] not in best.terms]
         tries = sorted(options, key=lambda o: -o[0])[:2]
         found = max((_solved((*best.terms, t), fit, select) for _, t in tries), key=lambda d: d.share, default=best)
-        if found.share < best.share + WORTH:
+        if found.share < best.share + (WAVE if isinstance(found.terms[-1], Wave) else WORTH):
             break
         best = found
     return best
@@ -280,7 +285,9 @@ def _solved(terms, fit: Sample, select: Sample) -> Description:
     scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     normal = (columns / scale).T @ (columns / scale) + 1e-9 * np.eye(len(scale))
     coefficients = scipy.linalg.solve(normal, (columns / scale).T @ fit.r, assume_a="pos") / scale
-    chance = sum(len(np.unique(select.window)) for t in terms if isinstance(t, Wave) and not t.carrier.absolute)
+    chance = sum(
+        len(_windows(t.carrier, select.window)) for t in terms if isinstance(t, Wave) and not t.carrier.absolute
+    )
     share = _share(select.r, others @ coefficients) - chance / len(select.r)
     return Description(tuple(terms), coefficients, share, columns @ coefficients)
 
@@ -311,18 +318,21 @@ def smooth(fit: Sample, select: Sample) -> tuple[float, tuple[int, ...], np.ndar
     V, s = np.clip((select.seen[judge] - centre) / spread, X.min(axis=0), X.max(axis=0)), select.r[judge]
     share, chosen, predicted = _share(s, np.full(len(s), r.mean())), (), np.full(len(s), r.mean())
     while len(chosen) < FOLLOWED:
-        tries = [
-            (*_process(X[:, [*chosen, k]], r, V[:, [*chosen, k]], s), (*chosen, k))
-            for k in range(X.shape[1])
-            if k not in chosen
-        ]
-        if not tries:
-            break
-        better, guess, columns = max(tries, key=lambda row: row[0])
+        others = [k for k in range(X.shape[1]) if k not in chosen]
+        sets = [(*chosen, k) for k in others]
+        better, guess, columns = _best_process(X, r, V, s, sets)
+        if better < share + WAVE and not chosen:  # a product shows in neither factor alone
+            better, guess, columns = _best_process(X, r, V, s, list(combinations(others, 2)))
         if better < share + max(WORTH, 0.02):
             break
         share, chosen, predicted = better, columns, guess
     return share, chosen, predicted
+
+
+def _best_process(X, r, V, s, sets) -> tuple[float, np.ndarray, tuple[int, ...]]:
+    tries = [(*_process(X[:, c], r, V[:, c], s), c) for c in map(list, sets)]
+    share, guess, columns = max(tries, key=lambda row: row[0], default=(-np.inf, np.zeros(len(s)), []))
+    return share, guess, tuple(columns)
 
 
 def _thinned(n: int, most: int) -> np.ndarray:

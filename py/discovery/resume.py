@@ -8,7 +8,8 @@ import json
 import shutil
 import struct
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 
 import casadi as ca
@@ -18,10 +19,10 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.writing import replacing
 
-from .executor import versions
+from .executor import mapped, portable, versions
 
 _TEXT = "__json__"
-_ARRAY = "__array__"
+_ARRAY, _TUPLE, _KIND = "__array__", "__tuple__", "__kind__"
 
 
 class Memory:
@@ -63,6 +64,68 @@ class Memory:
         return self.folder / f"{key}.npz"
 
 
+def recalled(
+    memory: Memory | None,
+    executor: Executor,
+    function: Callable,
+    jobs: Sequence,
+    on_done: Callable[[int, object], None] | None = None,
+    kinds: Iterable[type] = (),
+) -> list:
+    """``function(job)`` of every job in order, as `mapped`; what ``memory`` knows is not computed again.
+
+    kinds : the dataclasses that answers are made of.
+    """
+    if memory is None:
+        return list(mapped(executor, function, jobs, on_done))
+    keys = [key_of(f"{function.__module__}.{function.__qualname__}", job) for job in jobs]
+    known = {kind.__name__: kind for kind in kinds}
+    found: dict[int, object] = {}
+    for index, key in enumerate(keys):
+        stored = memory.get(key)
+        if stored is not None:
+            found[index] = unpacked(stored["answer"], known)
+            if on_done:
+                on_done(index, found[index])
+    open_jobs = [index for index in range(len(jobs)) if index not in found]
+
+    def done(position: int, answer) -> None:
+        index = open_jobs[position]
+        memory.put(keys[index], {"answer": packed(answer)})
+        if on_done:
+            on_done(index, answer)
+
+    answers = mapped(executor, function, [jobs[index] for index in open_jobs], done)
+    found |= dict(zip(open_jobs, answers, strict=True))
+    return [found[index] for index in range(len(jobs))]
+
+
+def packed(value):
+    """A value as a `Memory` keeps it: dataclasses and tuples become tables that say so."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = {f.name: packed(getattr(value, f.name)) for f in dataclasses.fields(value)}
+        return {_KIND: type(value).__name__, **fields}
+    if isinstance(value, tuple):
+        return {_TUPLE: [packed(v) for v in value]}
+    if isinstance(value, list):
+        return [packed(v) for v in value]
+    if isinstance(value, Mapping):
+        return {name: packed(v) for name, v in value.items()}
+    return value
+
+
+def unpacked(value, kinds: Mapping[str, type]):
+    """What `packed` was given; ``kinds``: the dataclasses by name that may be made."""
+    if isinstance(value, list):
+        return [unpacked(v, kinds) for v in value]
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {_TUPLE}:
+        return tuple(unpacked(v, kinds) for v in value[_TUPLE])
+    fields = {name: unpacked(v, kinds) for name, v in value.items() if name != _KIND}
+    return kinds[value[_KIND]](**fields) if _KIND in value else fields
+
+
 def key_of(*content) -> str:
     """A hash of everything a job depends on: its data, the model's equations, the versions that compute.
 
@@ -84,9 +147,9 @@ def _feed(digest, value) -> None:
         _put(digest, "", data.tobytes())
     elif isinstance(value, FlatModel):
         known = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "initialisation"}
+        starts = portable(value).initialisation.functions
         _put(digest, "flat", b"")
-        _feed(digest, known)
-        _feed(digest, value.start_given(()))
+        _feed(digest, [known, {"\0".join(names): function for names, function in starts.items()}])
     elif isinstance(value, ca.Function):
         _put(digest, "function", value.serialize().encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):

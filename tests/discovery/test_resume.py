@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.executor import portable
-from hydrotwin.discovery.resume import Memory, key_of
+from hydrotwin.discovery.executor import executor_for, portable
+from hydrotwin.discovery.resume import Memory, key_of, packed, recalled, unpacked
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError
 
@@ -95,6 +95,61 @@ def test_the_same_job_has_the_same_key_built_twice_and_packed():
     first, again = cehA.model().flat, cehA.model().flat
     assert key_of(first) == key_of(again) == key_of(portable(first))
     assert key_of({"a": 1, "b": 2}) == key_of({"b": 2, "a": 1})
+
+
+def test_a_model_packed_for_one_job_alone_has_a_key_too():
+    flat = cehA.model().flat
+    from hydrotwin.discovery.executor import Starts
+
+    alone = dataclasses.replace(flat, initialisation=Starts({("arm.angle",): flat.start_given(("arm.angle",))}))
+    assert key_of(alone) != key_of(flat)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fitted:
+    """An answer with everything an answer may have in it."""
+
+    values: dict
+    runs: tuple
+    inner: object = None
+
+
+def test_an_answer_made_of_dataclasses_and_tuples_is_made_again(tmp_path):
+    answer = Fitted({"a.b": 0.1}, (np.array([1.0, 2.0]), ("x", 1)), Fitted({}, ()))
+    memory = Memory(tmp_path)
+    memory.put(key_of("it"), {"answer": packed(answer)})
+    again = unpacked(memory.get(key_of("it"))["answer"], {"Fitted": Fitted})
+    assert isinstance(again, Fitted) and isinstance(again.inner, Fitted) and again.inner.runs == ()
+    assert again.values == {"a.b": 0.1} and again.runs[1] == ("x", 1)
+    assert np.array_equal(again.runs[0], answer.runs[0])
+
+
+def squared(x: float) -> Fitted | str:
+    """A job; the negative one fails once."""
+    if x < 0:
+        raise KeyboardInterrupt
+    return Fitted({"square": x * x}, ()) if x else "nothing to fit"
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_an_interrupted_list_of_jobs_goes_on_where_it_stopped(tmp_path, kept):
+    memory, told = Memory(tmp_path) if kept else None, []
+    with executor_for("threads", workers=1) as pool:
+        with pytest.raises(KeyboardInterrupt):
+            recalled(memory, pool, squared, [1.0, 0.0, -1.0, 3.0], kinds=[Fitted])
+        if kept:
+            for path in tmp_path.glob("*.npz"):  # what is known is not computed: the stored answer is believed
+                stored = memory.get(path.stem)
+                if isinstance(stored["answer"], dict):
+                    memory.put(path.stem, {"answer": packed(Fitted({"square": 42.0}, ()))})
+        answers = recalled(memory, pool, squared, [1.0, 0.0, 2.0, 3.0], lambda k, a: told.append(k), kinds=[Fitted])
+    assert [a if isinstance(a, str) else a.values["square"] for a in answers] == [
+        42.0 if kept else 1.0,
+        "nothing to fit",
+        4.0,
+        answers[3].values["square"],
+    ]
+    assert sorted(told) == [0, 1, 2, 3]
 
 
 def test_what_has_no_content_is_refused():

@@ -73,17 +73,17 @@ def sources(places: Places) -> Iterator[Site]:
     """Ports of supplies that hold their pressure; between them and their node a part with ports ``a``, ``b`` fits."""
     for node in places.nodes_of(HydraulicPort):
         for port in node.ports:
-            part = places.part(port.rpartition(".")[0])
-            if part and len(part.ports) == 1 and not part.states and not part.inputs:
+            if places.holds(port):
                 yield Site(port, between=port)
 
 
 def flange_joints(places: Places) -> Iterator[Site]:
     """Joints between two moving parts: the port of one of them, behind which a part ``a``-``b`` fits."""
     for node in places.nodes_of(Flange):
-        moving = [p for p in node.ports if "." in p]
+        owners = {p: places.part(p.rpartition(".")[0]) for p in node.ports}
+        moving = [p for p, part in owners.items() if part]
         if len(moving) >= 2 and not places.is_prescribed(node):
-            hydraulic = [p for p in moving if places.part(p.rpartition(".")[0]).ports_of(HydraulicPort)]
+            hydraulic = [p for p in moving if owners[p].ports_of(HydraulicPort)]
             yield Site((hydraulic or moving)[0], between=(hydraulic or moving)[0])
 
 
@@ -117,9 +117,10 @@ def drives(places: Places) -> Iterator[Site]:
     """
     measured = [i for i in places.model.flat.inputs if i.interpolation == "linear" and compatible(i.unit, "rad/s")]
     for node in places.nodes_of(Shaft):
-        owners = {port: places.part(port.rpartition(".")[0]) for port in node.ports if "." in port}
-        driving = [port for port, part in owners.items() if part and set(part.ports.values()) == {Shaft}]
-        driving += [p for p, part in owners.items() if part and p not in driving and ElectricPin in part.ports.values()]
+        owners = {port: places.part(port.rpartition(".")[0]) for port in node.ports}
+        owners = {port: part for port, part in owners.items() if part}
+        driving = [port for port, part in owners.items() if set(part.ports.values()) == {Shaft}]
+        driving += [port for port, part in owners.items() if ElectricPin in part.ports.values()]
         driving = [p for p in driving if owners[p].states or (owners[p].inputs and not measured)]
         if len(owners) > 1 and len(driving) == 1:
             yield Site(driving[0], between=driving[0])

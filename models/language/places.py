@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+import casadi as ca
+
 from .component import Component, Law
 from .declarations import Variable
 from .elaboration import BoundPort, Elaboration
@@ -66,10 +68,10 @@ class StatePlace:
 
 
 class Places:
-    """Every place of a model. ``model`` is a `Model`; its additions count as part of it."""
+    """Every place of a model. ``model`` is a `Model`; what was added to it offers no places and renames none."""
 
     def __init__(self, model):
-        elaboration, root = elaborate(model.root, model.name, tuple(model.settings), model.additions)
+        elaboration, root = elaborate(model.root, model.name, tuple(model.settings))
         self.model = model
         self._elaboration: Elaboration = elaboration
         self._bound = {part.path: part for part in _walk(root)}
@@ -96,9 +98,18 @@ class Places:
         return tuple(node for node in self.nodes if issubclass(node.kind, kind))
 
     def is_prescribed(self, node: Node) -> bool:
-        """A part with this port alone and no memory holds it: a tank, a supply, a stop."""
-        owners = [self.part(path.rpartition(".")[0]) for path in node.ports if "." in path]
-        return any(len(p.ports) == 1 and not p.states and not p.inputs for p in owners if p)
+        """A part with this port alone holds its potential whatever flows: a tank, a supply, a stop."""
+        return any(self.holds(path) for path in node.ports)
+
+    def holds(self, port: str) -> bool:
+        """The part of this port fixes the potential there: the flow is in none of its equations."""
+        owner = port.rpartition(".")[0]
+        part = self.part(owner) if owner else None
+        if part is None or len(part.ports) != 1 or part.states:
+            return False
+        mine = [e for e in self._elaboration.equations if e.owner == owner or e.owner.startswith(f"{owner}.")]
+        sides = ca.vertcat(*(side for e in mine for side in (e.left, e.right)))
+        return not ca.depends_on(sides, self._elaboration.ports[port].flow)
 
     def has_memory(self, node: Node) -> bool:
         """A part on this node has states of its own."""

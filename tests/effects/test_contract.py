@@ -147,6 +147,14 @@ def _own(chosen, model):
     return {p.name for p in model.flat.parameters if chosen.name and p.name.startswith(f"{chosen.name}.")}
 
 
+@pytest.mark.parametrize("name", ["pump_bench", "valve_bench", "tanks"])
+def test_what_else_fits_keeps_its_name_once_an_effect_was_added(name):
+    labels = [c.label for c in found(name)]
+    for chosen in {c.id: c for c in found(name)}.values():
+        again = [c.label for c in candidates(added(name, chosen.label))]
+        assert again == [label for label in labels if label != chosen.label], chosen.label
+
+
 @every_site
 def test_what_is_looked_for_is_free_at_neutral_and_within_bounds_that_contain_every_start(name, label):
     chosen, flat = candidate(name, label), added(name, label).flat

@@ -113,7 +113,7 @@ def test_the_file_says_effect_site_and_name_and_is_checked_before_it_is_used(tmp
 
 
 ROW = '[[effects]]\neffect = "coulomb_friction"\nsite = "arm.pin"\nname = "coulomb_friction"\n'
-FORC = 'parameters.coulomb_friction.forc = { value = 1, unit = "N" }\n'
+FORC = '[parameters.coulomb_friction]\nforc = { value = 1, unit = "N" }\n'
 WRONG = [
     ("coulomb_friction", "colomb_friction", DeclarationError, "Did you mean 'coulomb_friction'"),
     ('"arm.pin"', '"arm.pine"', DeclarationError, "Did you mean 'arm.pin'"),

@@ -30,8 +30,8 @@ from .refit import Question
 SHORTEST, LONGEST = 10.0, 60.0  # s
 SAMPLES = 4000  # of an experiment, at most
 PAUSE = 0.05  # of the experiment at rest before it begins
-LEVELS = (1.0, 0.4, 0.15)  # of the largest amplitude seen
-FINALISTS = 6  # inputs that the sensitivities are computed for
+LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
+FINALISTS = 9  # inputs that the sensitivities are computed for
 OUTSIDE = 0.25  # of the range of an output, by which it may be left
 CLEAR = 3.0  # times the noise: two members are told apart
 Member = tuple[str, FlatModel, Mapping[str, float], Mapping[str, float] | Sequence[Mapping[str, float]]]
@@ -137,7 +137,7 @@ def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
     t = np.maximum(time - begin, 0.0)
     room = length - begin
     for part in LEVELS:
-        size = part * limits.amplitude
+        size = _readable(part * limits.amplitude)
         around = f"of ±{amount(size, unit)}{_about(limits.middle, unit)}"
         for count in (1, 2, 5):
             period = room / count
@@ -156,6 +156,12 @@ def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
             yield _limited("multisine", words, size * _multisine(t, room, top), limits)
         words = f"a slow ramp over ±{amount(size, unit)}{_about(limits.middle, unit)} and back"
         yield _limited("slow ramp", words, size * _ramp(t / room), limits)
+
+
+def _readable(size: float) -> float:
+    """The next smaller number of two digits."""
+    digit = 10.0 ** (np.floor(np.log10(size)) - 1)
+    return float(np.floor(size / digit * (1 + 1e-9)) * digit)
 
 
 def _about(middle: float, unit: str) -> str:
@@ -178,9 +184,9 @@ def _triangle(phase: np.ndarray) -> np.ndarray:
 
 
 def _steps(phase: np.ndarray) -> np.ndarray:
-    """Up, rest, down, rest; each count smaller than the one before."""
+    """Rest, up, rest, down; rounds of different sizes."""
     quarter = np.floor(4.0 * phase).astype(int)
-    sign = np.array([1.0, 0.0, -1.0, 0.0])[quarter % 4]
+    sign = np.array([0.0, 1.0, 0.0, -1.0])[quarter % 4]
     return sign * np.array([1.0, 0.5, 0.75])[quarter // 4 % 3]
 
 
@@ -284,7 +290,10 @@ def _left_of(columns: np.ndarray, seen: np.ndarray, shared: int) -> np.ndarray:
 
 
 def _projected(runners: Sequence[_Member], now: _Now, time, u, noise) -> list[tuple[float, int]] | None:
-    """Largest difference of every pair over the outputs, and that output, after what a new fit would absorb."""
+    """Largest difference of every pair over the outputs, and that output, after what a new fit would absorb.
+
+    Of a pair the member that comes nearer to the other is fitted again: which of them is true is not known.
+    """
     found = [m.sensitivities(time, u) for m in runners]
     if any(f is None for f in found):
         return None

@@ -11,6 +11,7 @@ Processes for Machine Learning, 2006, 8.3.1 (subset of regressors).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -242,13 +243,14 @@ def library(seen: Sequence[Quantity]) -> list[Term]:
         known = values[np.isfinite(values)]
         both = bool(known.min() < 0 < known.max())
         symbol, unit = _symbol(q), q.unit
+        squared = unit if unit == "1" else f"({unit})^2" if "/" in unit or "." in unit else f"{unit}^2"
         terms.append(Term(symbol, unit, k, "q"))
         if q.kind in ("direction", "time"):
             continue
-        terms.append(Term(f"{symbol}^2", f"{unit}^2", k, "q^2"))
+        terms.append(Term(f"{symbol}^2", squared, k, "q^2"))
         if both:
             terms.append(Term(f"|{symbol}|", unit, k, "|q|"))
-            terms.append(Term(f"{symbol} |{symbol}|", f"{unit}^2", k, "q|q|"))
+            terms.append(Term(f"{symbol} |{symbol}|", squared, k, "q|q|"))
     return terms
 
 
@@ -322,7 +324,8 @@ def smooth(fit: Sample, select: Sample) -> tuple[float, tuple[int, ...], np.ndar
         sets = [(*chosen, k) for k in others]
         better, guess, columns = _best_process(X, r, V, s, sets)
         if better < share + WAVE and not chosen:  # a product shows in neither factor alone
-            better, guess, columns = _best_process(X, r, V, s, list(combinations(others, 2)))
+            pair = _best_process(X[::2], r[::2], V[::2], s[::2], combinations(others, 2))[2]
+            better, guess, columns = _best_process(X, r, V, s, [pair] if pair else [])
         if better < share + max(WORTH, 0.02):
             break
         share, chosen, predicted = better, columns, guess
@@ -389,6 +392,7 @@ def written(unit: str, found: Description) -> str:
             phase = np.arctan2(-b, a) if t.carrier.absolute else None
             parts.append(f"{np.hypot(a, b):.3g} {unit} {t.written(phase)}")
         else:
-            over = unit if t.unit == "1" else f"{unit}/({t.unit})"
+            per = f"({t.unit})" if re.search(r"[/.](?!.*\)\^)", t.unit) else t.unit
+            over = unit if t.unit == "1" else f"{unit}/{per}"
             parts.append(f"{rest.pop(0):.3g} {over} {t.symbol}")
     return " + ".join(parts).replace("+ -", "- ")

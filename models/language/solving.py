@@ -53,13 +53,49 @@ def solve_block(
     if not ca.depends_on(jacobian, symbols):
         offset = ca.substitute(residual, symbols, ca.SX.zeros(len(unknowns)))
         return _eliminate(model, unknowns, jacobian, -offset, describe), None
-    names = ", ".join(u.path for u in unknowns)
-    if len(unknowns) > LARGEST_NONLINEAR_BLOCK:
+    left, residuals, explicit = (
+        _torn(unknowns, residuals) if len(unknowns) > LARGEST_NONLINEAR_BLOCK else (unknowns, residuals, [])
+    )
+    if len(left) > LARGEST_NONLINEAR_BLOCK:
+        names = ", ".join(u.path for u in left)
         raise TopologyError(
-            f"{model}: a nonlinear loop ties {names} (got {len(unknowns)} unknowns; at most {LARGEST_NONLINEAR_BLOCK} "
+            f"{model}: a nonlinear loop ties {names} (got {len(left)} unknowns; at most {LARGEST_NONLINEAR_BLOCK} "
             f"are solved). It is made of: {describe()}. Break it with a small volume, an inertia or a lag."
         )
-    return _newton(model, unknowns, residual, symbols, describe)
+    torn = ca.vertcat(*(u.symbol for u in left))
+    solution, record = _newton(model, left, ca.vertcat(*residuals), torn, describe)
+    found = dict(zip((u.path for u in left), solution, strict=True))
+    for unknown, value in reversed(explicit):
+        known = [u for u in unknowns if u.path in found]
+        symbols = [u.symbol for u in known]
+        (found[unknown.path],) = ca.substitute([value], symbols, [found[u.path] for u in known])
+    return [found[u.path] for u in unknowns], record
+
+
+def _torn(unknowns: Sequence[Unknown], residuals: Sequence[ca.SX]):
+    """Unknowns that an equation gives outright (linear, with a number before them) need no Newton's iteration.
+
+    Gives the unknowns and equations that are left, and the others as expressions, each of those that follow and of
+    what is left. Connections, and forces as a function of speed, go this way.
+    """
+    left, equations, explicit = list(unknowns), list(residuals), []
+    while len(left) > 1:
+        found = next(((i, u) for i, e in enumerate(equations) for u in left if _is_given(e, u.symbol)), None)
+        if found is None:
+            break
+        i, unknown = found
+        equation = equations.pop(i)
+        slope = ca.simplify(ca.jacobian(equation, unknown.symbol))
+        value = -ca.substitute(equation, unknown.symbol, ca.SX(0)) / slope
+        left.remove(unknown)
+        explicit.append((unknown, value))
+        equations = [ca.substitute(e, unknown.symbol, value) for e in equations]
+    return left, equations, explicit
+
+
+def _is_given(equation: ca.SX, symbol: ca.SX) -> bool:
+    slope = ca.simplify(ca.jacobian(equation, symbol))
+    return slope.is_constant() and not slope.is_zero()
 
 
 def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe) -> list[ca.SX]:

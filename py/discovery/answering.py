@@ -1,15 +1,350 @@
+"""From the end of a search to a Discovery: final fits, verdict, and everything that shows it."""
+
 from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.identification.problem import Recording
+from hydrotwin.models.language.model import Model
+
+from .choose import Choice, label
+from .decide import CLEARLY, closed, has_gap, output_gap_closed
+from .discovery import Discovery, EffectParameter, OutputGap, Overlay, Ranked, RecordingGap, Rung, Shift
+from .discovery import Step as NamedStep
+from .experiment import next_experiment
+from .locate import locations
+from .recordings import Split
+from .refit import Concluded, Question, RefitJob, conclude, pooled_rmse
+from .regions import regions
+from .screen import TESTABLE, Screened
+from .search import Search, Structure, Tried
+from .unknown import describe_unknown
+
+NAMED = 0.5  # of the gap on held-out recordings: less than that explained is not an explanation
+SHOWN = 12  # candidates of a step in the answer that were not refitted
+
+
 @dataclass(frozen=True, eq=False)
 class Step:
-    choice: object
-    ranked: tuple
-    tried: tuple
-    before: object
+    """One step of the search: what was chosen out of what, and the structure before."""
+
+    choice: Choice
+    ranked: tuple[Screened, ...]
+    tried: tuple[Tried, ...]
+    before: Structure
+
+
 @dataclass(frozen=True, eq=False)
 class Found:
-    base: object
-    last: object
-    steps: tuple
+    """Where a search ended: the base, the last structure, the steps to it; per forward step the screen."""
+
+    base: Structure
+    last: Structure
+    steps: tuple[Step, ...]
     screens: tuple
-def answer(*a): raise NotImplementedError
+
+
+def answer(search: Search, data: Split, found: Found, model: Model, began: float) -> Discovery:
+    """The Discovery of a finished search; ``model`` is what the user gave, with its own bounds."""
+    verdict = _verdict(search, found)
+    kept = found.last if verdict in ("named", "class") else found.base
+    steps = found.steps if kept is found.last else ()
+    before, after = _concluded(search, data, found.base, kept)
+    flat = search.base.flat
+    shown = data.report or data.select
+    view = View(flat, data, before, after, shown)
+    members = [_named(search, step, after, search.question) for step in steps]
+    experiment = _experiment(search, data, steps) if verdict == "class" else None
+    residual = after.refitted.residuals_fit
+    unknown = ()
+    if verdict == "unknown" or has_gap(residual, data.noise, CLEARLY).any():
+        unknown = describe_unknown(flat, data.train, residual, shown, _seen(after, data), data.noise)
+    last = found.screens[-1] if found.screens else (None, (), ())
+    final = model.plus(search.model(kept.members).additions) if kept.members else model
+    return Discovery(
+        name=search.base.name,
+        verdict=verdict,
+        answer="",
+        steps=tuple(members),
+        base=_with_fit(model, before),
+        model=_with_fit(final, after),
+        fit_before=before.fit,
+        fit_after=after.fit,
+        noise={n.name: float(s) for n, s in zip(flat.outputs, data.noise, strict=True) if np.isfinite(s)},
+        outputs={"train": view.pooled("train"), "validate": view.pooled("report")},
+        recordings=view.by_recording(),
+        locations=locations(flat, data.train, before.refitted.residuals_fit, data.noise),
+        regions=regions(flat, data.train, before.refitted.residuals_fit, residual, data.noise),
+        overlays=view.overlays(),
+        shifts=_shifts(search, before, after),
+        waterfall=_waterfall(search, found, steps),
+        last_ranked=_ranked(last[1], last[2], None) if not steps or len(found.screens) > len(steps) else (),
+        unknown=tuple(unknown),
+        experiment=experiment,
+        findings=(*data.findings, *_findings(search, found, verdict), *(str(f) for f in after.fit.findings)),
+        not_testable=tuple(_untestable(s) for s in search.not_testable.values()),
+        seconds=time.perf_counter() - began,
+        provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
+    )
+
+
+# -- verdict -----------------------------------------------------------------------------------------------------------
+def _verdict(search: Search, found: Found) -> str:
+    q = search.question
+    base = found.base.fitted
+    if not found.steps:
+        gap = has_gap((*base.residuals_fit, *base.residuals_select), q.noise, CLEARLY).any()
+        return "unknown" if gap else "none"
+    if closed(found.last.fitted, base, q) < NAMED:
+        return "unknown"
+    several = any(len({c.id for t in step.choice.members for c in t.members[:1]}) > 1 for step in found.steps)
+    return "class" if several else "named"
+
+
+def _findings(search: Search, found: Found, verdict: str) -> list[str]:
+    said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
+    tested = [c for c in search.candidates if c.label not in search.not_testable]
+    if not tested:
+        said.append(
+            "gap: none of the effects could be seen in these recordings, whatever its size. Record faster and larger "
+            "motion in both directions, with pauses."
+        )
+    if verdict == "unknown" and found.steps:
+        names = ", ".join(label(step.choice.best) for step in found.steps)
+        share = closed(found.last.fitted, found.base.fitted, search.question)
+        said.append(
+            f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings. That is too little for a "
+            "name: something else is missing."
+        )
+    return said
+
+
+# -- final fits --------------------------------------------------------------------------------------------------------
+def _concluded(search: Search, data: Split, base: Structure, last: Structure) -> tuple[Concluded, Concluded]:
+    """Both structures fitted to all training recordings and run on those to report on."""
+    q = dataclasses.replace(search.question, fit=data.train, select=data.report)
+    jobs = [_job(search, q, structure) for structure in ([base] if last is base else [base, last])]
+    answers = search.run(conclude, jobs, "final fit")
+    return answers[0], answers[-1]
+
+
+def _job(search: Search, q: Question, structure: Structure) -> RefitJob:
+    fitted = structure.fitted
+    flat = search.model(structure.members).flat
+    names = search.names(structure.members)
+    known = dict(zip((r.name for r in search.question.fit), fitted.states, strict=True))
+    states = tuple(known.get(r.name, {}) for r in q.fit)
+    return RefitJob(flat, names, q, (dict(fitted.values),), states, fitted.size, label=" + ".join(structure.key))
+
+
+def _with_fit(model: Model, concluded: Concluded) -> Model:
+    """The model with fitted values and their sigmas."""
+    settings = {}
+    for p in concluded.fit.parameters:
+        settings[p.name] = {"value": float(p.value), "source": "identified", "free": True}
+        if np.isfinite(p.sigma):
+            settings[p.name]["sigma"] = float(p.sigma)
+    return model.with_settings(settings, {"recordings": dict(concluded.fit.provenance)})
+
+
+def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
+    return after.residuals_report if data.report else after.refitted.residuals_fit[: len(data.select)]
+
+
+# -- steps -------------------------------------------------------------------------------------------------------------
+def _named(search: Search, step: Step, after: Concluded, q: Question) -> NamedStep:
+    best = step.choice.best
+    first = best.members[0]
+    return NamedStep(
+        effect=first.id,
+        site=first.site.name,
+        title=first.effect.title,
+        equation=first.effect.equation,
+        source=first.effect.source,
+        members=tuple((t.members[0].id, t.members[0].site.name) for t in step.choice.members),
+        probability=step.choice.probability[label(best)],
+        parameters=tuple(p for c in best.members for p in _parameters(c, after)),
+        gap_closed=best.evidence.closed,
+        ranked=_ranked(step.ranked, step.tried, step.choice),
+        together=tuple((c.id, c.site.name) for c in best.members[1:]),
+        sentence=first.effect.experiment,
+    )
+
+
+def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
+    """Values of an effect with their intervals, from the final fit; empty for one that is not in it."""
+    rows = {p.name: p for p in after.fit.parameters}
+    found = []
+    for name in candidate.free:
+        if name in rows:
+            p = rows[name]
+            reach = 1.96 * p.sigma if np.isfinite(p.sigma) else np.nan
+            low, high = np.clip([p.value - reach, p.value + reach], *p.bounds)
+            text = next((f.description for f in after.fit.flat.parameters if f.name == name), "")
+            typical = candidate.typical.get(name)
+            found.append(EffectParameter(name, p.value, p.unit, p.sigma, float(low), float(high), text, typical))
+    return tuple(found)
+
+
+def _ranked(ranked: Sequence[Screened], tried: Sequence[Tried], choice: Choice | None) -> tuple[Ranked, ...]:
+    members = [] if choice is None else list(choice.members)
+    rows, done = [], set()
+    for t in sorted(tried, key=lambda t: -(t.evidence.bic_gain if t.evidence else -np.inf)):
+        rows.append(_ranked_tried(t, choice, members))
+        done.add(label(t))
+    for s in [s for s in ranked if s.candidate.label not in done][:SHOWN]:
+        rows.append(
+            Ranked(
+                s.candidate.id, s.candidate.site.name, s.candidate.effect.title, s.candidate.effect.equation, s.share,
+                np.nan, np.nan, np.nan, 0.0, "not refitted",
+                "the screen promises too little" if s.testable else "it would not show in these recordings",
+            )
+        )  # fmt: skip
+    order = {"named": 0, "in class": 1}
+    return tuple(sorted(rows, key=lambda r: (order.get(r.fate, 2), -np.nan_to_num(r.bic_gain, nan=-np.inf))))
+
+
+def _ranked_tried(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> Ranked:
+    first = t.members[0]
+    share = t.screened.share if t.screened else 0.0
+    title = " and ".join(c.effect.title for c in t.members)
+    equation = "; ".join(c.effect.equation for c in t.members)
+    site = " + ".join(c.site.name for c in t.members) if len(t.members) == 1 else first.site.name
+    name = " + ".join(c.id for c in t.members)
+    if t.evidence is None:
+        return Ranked(name, site, title, equation, share, np.nan, np.nan, np.nan, 0.0, "cannot be added", t.reason)
+    probability = choice.probability.get(label(t), 0.0) if choice else 0.0
+    fate, reason = _fate(t, choice, members)
+    e = t.evidence
+    values = tuple(
+        EffectParameter(n, t.structure.fitted.values[n], "", np.nan, np.nan, np.nan, "", c.typical.get(n))
+        for c in t.members
+        for n in c.free
+    )
+    return Ranked(
+        name, site, title, equation, share, e.bic_gain, e.paired_t, e.closed, probability, fate, reason, values
+    )
+
+
+def _fate(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> tuple[str, str]:
+    if choice is not None and label(t) == label(choice.best):
+        return "named", ""
+    if label(t) in [label(m) for m in members]:
+        return "in class", "explains the recordings as well"
+    if t.implausible:
+        return "implausible", t.implausible
+    e = t.evidence
+    if choice is not None and choice.probability.get(label(t)):
+        return "rejected", "passes alone, but another explains more, or the same more simply"
+    if not e.bic_gain > 0:
+        return "rejected", "explains no more than its parameters cost"
+    if not e.paired_t > 2:
+        return "rejected", "no better on held-out recordings"
+    return "rejected", "too little evidence, or too small a part of the gap"
+
+
+def _untestable(s: Screened) -> Ranked:
+    c = s.candidate
+    reason = f"at its largest usual size it would show with |t| = {s.visible:.1f} (needed {TESTABLE:g})"
+    return Ranked(
+        c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, np.nan, np.nan, np.nan, 0.0, "not testable", reason
+    )
+
+
+def _experiment(search: Search, data: Split, steps: Sequence[Step]):
+    """The input that separates the members of the last class best."""
+    step = next(s for s in reversed(steps) if len(s.choice.members) > 1)
+    members = [
+        (label(t), search.model(t.structure.members).flat, dict(t.structure.fitted.values), t.structure.fitted.states)
+        for t in step.choice.members[:3]
+    ]
+    return next_experiment(members, search.base.flat.inputs, data.fit, search.question)
+
+
+# -- figures -----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class View:
+    """Residuals before and after, by role and recording."""
+
+    flat: object
+    data: Split
+    before: Concluded
+    after: Concluded
+    shown: tuple[Recording, ...]
+
+    def _pairs(self, role: str):
+        d = self.data
+        if role == "train":
+            return list(
+                zip(d.train, self.before.refitted.residuals_fit, self.after.refitted.residuals_fit, strict=True)
+            )
+        return list(zip(d.report, self.before.residuals_report, self.after.residuals_report, strict=True))
+
+    def _gaps(self, before: np.ndarray, after: np.ndarray) -> tuple[OutputGap, ...]:
+        rows = zip(self.flat.outputs, self.data.noise, before, after, strict=True)
+        return tuple(
+            OutputGap(s.name, s.unit, float(n), float(b), float(a), output_gap_closed(b, a, n))
+            for s, n, b, a in rows
+            if np.isfinite(n) and np.isfinite(b)
+        )
+
+    def pooled(self, role: str) -> tuple[OutputGap, ...]:
+        """Over all recordings of a role."""
+        pairs = self._pairs(role)
+        if not pairs:
+            return ()
+        _, before, after = zip(*pairs, strict=True)
+        return self._gaps(pooled_rmse(before), pooled_rmse(after))
+
+    def by_recording(self) -> tuple[RecordingGap, ...]:
+        """Each recording, with the role it had."""
+        selecting = {r.name for r in self.data.select}
+        rows = []
+        for role in ("train", "report"):
+            for recording, before, after in self._pairs(role):
+                kind = "report" if role == "report" else "select" if recording.name in selecting else "fit"
+                rows.append(RecordingGap(recording.name, kind, self._gaps(pooled_rmse([before]), pooled_rmse([after]))))
+        return tuple(rows)
+
+    def overlays(self) -> tuple[Overlay, ...]:
+        """Measured, before and after on every recording, those never used first."""
+        rows = []
+        for role in ("report", "train"):
+            for recording, before, after in self._pairs(role):
+                seen = [j for j in range(len(self.flat.outputs)) if np.isfinite(recording.y[:, j]).any()]
+                names = [self.flat.outputs[j].name for j in seen]
+                columns = (recording.y, recording.y + before, recording.y + after)
+                measured, old, new = ({n: c[:, j] for n, j in zip(names, seen, strict=True)} for c in columns)
+                inputs = {s.name: recording.u[:, j] for j, s in enumerate(self.flat.inputs)}
+                rows.append(Overlay(recording.name, role, recording.time, measured, old, new, inputs))
+        return tuple(rows)
+
+
+def _shifts(search: Search, before: Concluded, after: Concluded) -> tuple[Shift, ...]:
+    rows = {p.name: p for p in after.fit.parameters}
+    found = []
+    for p in before.fit.parameters:
+        if p.name in rows:
+            new = rows[p.name]
+            found.append(Shift(p.name, p.unit, p.value, p.sigma, new.value, new.sigma, new.at_bound))
+    return tuple(found)
+
+
+def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Rung, ...]:
+    """What is left in units of the noise, base first, after every step, on held-out recordings."""
+    noise = search.question.noise
+
+    def left(structure: Structure) -> float:
+        residuals = structure.fitted.residuals_select or structure.fitted.residuals_fit
+        ratio = pooled_rmse(residuals) / noise
+        return float(np.sqrt(np.nanmean(ratio**2)))
+
+    rungs = [Rung("identified base", left(found.base))]
+    for step in steps:
+        rungs.append(Rung(label(step.choice.best), left(step.choice.best.structure)))
+    return tuple(rungs)

@@ -30,7 +30,7 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
     if not passing:
         return None
     best = _simplest(max(passing, key=lambda t: _score(t, q)), passing, q)
-    members = [best, *(t for t in passing if t is not best and _as_good(t, best, q))]
+    members = [best, *(t for t in passing if t is not best and not _contains(t, best) and _as_good(t, best, q))]
     weight = {label(t): _weight(t, best, q) for t in passing}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}
@@ -62,6 +62,11 @@ def _simplest(best: Tried, passing: Sequence[Tried], q: Question) -> Tried:
 def worth_refining(over: Evidence) -> bool:
     """Whether a refinement explains clearly more than the simple effect."""
     return over.bic_gain > TOGETHER and over.paired_t > T_NEEDED and over.closed > REFINEMENT
+
+
+def _contains(tried: Tried, best: Tried) -> bool:
+    """Whether it is a refinement of ``best``: the same effect with more parameters is no alternative."""
+    return any(c.id in other.effect.refines for c in best.members for other in tried.members)
 
 
 def _as_good(tried: Tried, best: Tried, q: Question) -> bool:

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
+
 from .refit import Question, Refitted, pooled_rmse
 
 BLOCKS = 40  # over all held-out recordings
@@ -25,6 +27,7 @@ T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
 MEASURABLE = 1.02  # MSE over noise^2
+CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason
 
 
 @dataclass(frozen=True)
@@ -123,7 +126,7 @@ def closed(better: Refitted, other: Refitted, q: Question) -> float:
 
 
 def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
-    """``1 - sum (MSE_after - s^2) / sum (MSE_before - s^2)`` over outputs with a gap, each in units of its gap before."""
+    """``1 - sum (MSE_after - s^2) / sum (MSE_before - s^2)`` over outputs with a gap, each in units of its own."""
     with np.errstate(invalid="ignore"):
         gap = before**2 - noise**2
         has = np.isfinite(gap) & (before**2 > MEASURABLE * noise**2)
@@ -132,6 +135,15 @@ def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> floa
     weight = np.log(before[has] / noise[has])
     share = 1 - (after[has] ** 2 - noise[has] ** 2) / gap[has]
     return float(weight @ np.clip(share, -10.0, 1.0) / weight.sum())
+
+
+def has_gap(residuals: Sequence[np.ndarray], noise: np.ndarray, clearly: float = MEASURABLE) -> np.ndarray:
+    """Outputs (ny,) of which more than noise is left: mean square above ``clearly`` noise^2 and not white."""
+    stacked = np.concatenate(residuals)
+    with np.errstate(invalid="ignore"):
+        large = pooled_rmse(residuals) ** 2 > clearly * noise**2
+    coloured = [any(ljung_box(r[:, j])[1] < SIGNIFICANCE for r in residuals) for j in range(stacked.shape[1])]
+    return np.nan_to_num(large).astype(bool) & np.array(coloured)
 
 
 def output_gap_closed(before: float, after: float, noise: float) -> float:

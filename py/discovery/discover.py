@@ -11,6 +11,7 @@ from hydrotwin.identification.horizon import measured_start
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.model import Model
+from hydrotwin.models.language.units import compatible
 
 from .answering import Found, Step, answer
 from .choose import choose
@@ -23,6 +24,7 @@ from .refit import Question, RefitJob, Refitted, refit
 from .search import CONVINCING, Search, Structure
 
 MOST_EFFECTS = 3
+NARROW, WIDE = 3.0, 30.0  # factors around the start within which a positive base parameter may move
 
 
 def discover(
@@ -77,13 +79,30 @@ def discover(
     data = split(flat, records, validate, outputs, noise)
     question = Question(data.fit, data.select, data.noise, initial_states, step)
     names = _free_names(flat, free)
+    bounded = _bounded(model, names)
+    flat = bounded.flat
     with reporting(progress, flat.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory)
         report("identify the base", 0, 1, "")
         base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
-        search = Search(model, names, fitting_candidates(model, effects, exclude), question, run, report)
+        search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report)
         found = _searched(search, Structure((), base), max_effects)
-        return answer(search, data, found, began)
+        return answer(search, data, found, model, began)
+
+
+def _bounded(model: Model, names: Sequence[str]) -> Model:
+    """The model with bounds around the start values of what is always positive.
+
+    A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
+    stiffness. Volumes and pressures stay within a factor of three, the rest within thirty.
+    """
+    changes = {}
+    for p in model.flat.parameters:
+        low, high = p.bounds
+        if p.name in names and low > 0 and p.value > 0:
+            factor = NARROW if compatible(p.unit, "m3") or compatible(p.unit, "Pa") else WIDE
+            changes[p.name] = {"bounds": (max(low, p.value / factor), min(high, p.value * factor))}
+    return model.with_settings(changes, model.provenance) if changes else model
 
 
 def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:
@@ -155,6 +174,23 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             break
+        better = search.without(now, choice.best)
+        if better is not now:  # what was missing was a better fit of what is there
+            now, steps = better, _refounded(steps, better)
+            tried = [search.judged(t, now) for t in tried]
+            choice = choose(tried, len(search.candidates), search.question)
+            if choice is None:
+                continue
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = choice.best.structure
-    return Found(base, now, steps, tuple(screens))
+    return Found(base if now.members else now, now, steps, tuple(screens))
+
+
+def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:
+    """The steps with the last structure fitted better."""
+    if not steps:
+        return steps
+    last = steps[-1]
+    best = dataclasses.replace(last.choice.best, structure=better)
+    members = tuple(best if t is last.choice.best else t for t in last.choice.members)
+    return (*steps[:-1], dataclasses.replace(last, choice=dataclasses.replace(last.choice, best=best, members=members)))

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.identification.answer import answer
 from hydrotwin.identification.descent import Task, descend, whole_runs
 from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.least_squares import Minimum, minimise
@@ -133,14 +134,25 @@ def _refit(job: RefitJob) -> Refitted:
     if job.coarse:
         task = broadly_weighed(task, np.isfinite(q.noise))
         lengths = horizons(flat, q.fit, free.vector(free.scaled(free.start)))
-        found = descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)
-        found = [found]
+        found = [descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)]
     else:
-        size = job.size if job.size is not None else q.noise
-        task = dataclasses.replace(task, weights=weights(np.fmax(size, q.noise)))
         found = _from_starts(task, job)
     best = min((_settled(task, q, one, job.iterations) for one in found), key=lambda pair: pair[2])
     return _answer(best[0], q, best[1], best[2])
+
+
+def _task(job: RefitJob) -> Task:
+    flat, q = job.flat, job.question
+    free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
+    propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
+    size = np.fmax(q.noise if job.size is None else job.size, q.noise)
+    return Task(
+        flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise
+    )
+
+
+def _silent(stage: str, number: int, cost: float) -> None:
+    """A refit reports when it is done."""
 
 
 def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
@@ -253,3 +265,24 @@ def _answer(task: Task, q: Question, found: Minimum, value: float) -> Refitted:
         converged=found.converged,
         iterations=found.iterations,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """A structure fitted to all training recordings: the `Fit` with intervals, and residuals (n, ny), SI, by role."""
+
+    fit: object
+    refitted: Refitted
+    residuals_report: tuple[np.ndarray, ...]
+
+
+def conclude(job: RefitJob) -> Concluded:
+    """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part."""
+    began, q = time.perf_counter(), job.question
+    task = _task(job)
+    found = _from_starts(task, job)[0]
+    task, found, value = _settled(task, q, found, job.iterations)
+    settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
+    fit = answer(task, [found], q.select, settings, began)
+    refitted = _answer(task, q, found, value)
+    return Concluded(fit, refitted, refitted.residuals_select)

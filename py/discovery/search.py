@@ -17,8 +17,8 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.simulation import prepare
 
-from .decide import MEASURABLE, Evidence, bic_needed, compared
-from .refit import Question, RefitJob, Refitted, pooled_rmse, refit
+from .decide import Evidence, bic_needed, compared, has_gap
+from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
 
 SHORTLIST = 10
@@ -30,6 +30,7 @@ PAIRS = 6
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 APART = 1e6  # s between recordings that are seen as one
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
+LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 IMPLAUSIBLE = 10.0  # times the largest usual value
 
 
@@ -171,7 +172,8 @@ class Search:
             begin = times[-1][-1] + APART
         table = dict(zip(flat_paths, np.concatenate(values).T, strict=True)) | {"time": np.concatenate(times)}
         return {
-            label: {"time": table["time"], **{k: table[path] for k, path in own.items()}} for label, own in paths.items()
+            label: {"time": table["time"], **{k: table[path] for k, path in own.items()}}
+            for label, own in paths.items()
         }
 
     def _probed(self, screen: Screen, now: Structure, blind) -> list[Screened]:
@@ -208,11 +210,7 @@ class Search:
     @staticmethod
     def _no_better_than_simple(one: Screened, chosen: Sequence[Screened]) -> bool:
         """A refinement that promises no more than the simple effect at its site waits until that is named."""
-        simple = [
-            s.evidence
-            for s in chosen
-            if s.candidate.id in one.candidate.effect.refines and s.candidate.site.name == one.candidate.site.name
-        ]
+        simple = [s.evidence for s in chosen if s.candidate.id in one.candidate.effect.refines]
         return bool(simple) and one.evidence < max(simple) + max(LEAST_EVIDENCE, REFINED * max(simple))
 
     # -- refits -------------------------------------------------------------------------------------------------
@@ -256,6 +254,30 @@ class Search:
             flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size, label=label
         )
 
+    def without(self, now: Structure, tried: Tried) -> Structure:
+        """``now`` fitted again from where a larger structure ended: it may have come to rest too early before.
+
+        The larger one would then be praised for a better fit of what was there already.
+        """
+        names = self.names(now.members)
+        values = {n: v for n, v in tried.structure.fitted.values.items() if n in names}
+        flat = self.model(now.members).flat
+        fitted = tried.structure.fitted
+        job = RefitJob(flat, names, self.question, (values,), fitted.states, now.fitted.size, label=" + ".join(now.key))
+        again = self.run(refit, [job], "look back")[0]
+        if isinstance(again, str) or again.likelihood > now.fitted.likelihood - LOOK_BACK:
+            return now
+        better = Structure(now.members, again)
+        self._known[tuple(sorted(now.key))] = better
+        return better
+
+    def judged(self, tried: Tried, now: Structure) -> Tried:
+        """The evidence of a candidate against another structure."""
+        if tried.structure is None:
+            return tried
+        evidence = compared(tried.structure.fitted, now.fitted, self.question)
+        return dataclasses.replace(tried, evidence=evidence)
+
     def starts_of(self, screened: Screened) -> list[Mapping[str, float]]:
         """Where refits of a candidate begin: the screen's proposal, its probes, neutral."""
         c = screened.candidate
@@ -293,12 +315,8 @@ class Search:
 
     def explained(self, fitted: Refitted) -> bool:
         """No measurable gap is left on the recordings of the search."""
-        for residuals in (fitted.residuals_fit, fitted.residuals_select):
-            if residuals:
-                with np.errstate(invalid="ignore"):
-                    if np.any(pooled_rmse(residuals) ** 2 > MEASURABLE * self.question.noise**2):
-                        return False
-        return True
+        residuals = (*fitted.residuals_fit, *fitted.residuals_select)
+        return not has_gap(residuals, self.question.noise).any()
 
     @property
     def needed(self) -> float:

@@ -138,11 +138,31 @@ def test_a_large_nonlinear_loop_is_refused_and_its_unknowns_are_named():
         def equations(self):
             ring = [self.a, self.b, self.c, self.d, self.e]
             for k, each in enumerate(ring):
-                yield each + 0.1 * ca.sin(ring[(k + 1) % 5]) == 1.0
+                yield each + 0.1 * each**3 + 0.1 * ca.sin(ring[(k + 1) % 5]) == 1.0
 
     with pytest.raises(TopologyError, match="a nonlinear loop ties a, b, c, d, e") as refused:
         Model(Ring()).flat  # noqa: B018
     assert "Break it with a small volume, an inertia or a lag" in str(refused.value)
+
+
+def test_a_large_loop_is_solved_for_the_one_unknown_that_the_others_follow_from():
+    class Chain(Component):
+        a = Variable("1")
+        b = Variable("1")
+        c = Variable("1")
+        d = Variable("1")
+        e = Output("1")
+
+        def equations(self):
+            yield self.a == 2 * self.b
+            yield self.b == self.c + 1
+            yield self.c == -self.d
+            yield self.d == 0.5 * self.e
+            yield self.e == ca.tanh(self.a)
+
+    flat = Model(Chain()).flat
+    e = float(flat.ode(0, [], [], [])[1])
+    assert e == pytest.approx(np.tanh(2 * (1 - 0.5 * e)), abs=1e-12)
 
 
 def test_a_loop_without_a_root_is_refused_by_name():

@@ -72,6 +72,12 @@ def _presliding(level, f):
     return {"kinetic": kinetic, "static": 1.35 * kinetic, "stiffness": stiffness, "damping": 5e-4 * stiffness}
 
 
+def _along(level, f):
+    """Friction that changes slowly along the stroke, as a rod out of line gives it."""
+    force, travel = level * (1000.0, 3500.0)[f.second], f.travel[1] - f.travel[0]
+    return {"force": force, "share": 0.8, "length": 3 * travel}
+
+
 def _relief(level, f):
     _, middle, high = f.pressure
     return {"pressure": _within(high, high - BODY * (high - middle), level), "conductance": (1e-11, 1e-10)[f.second]}
@@ -126,7 +132,7 @@ AMPLITUDES: dict[str, Options] = {
     "coulomb_friction": grown(force=(1000.0, 3500.0)),
     "stribeck_friction": grown(kinetic=(600.0, 2000.0), extra=(480.0, 1600.0)),
     "asymmetric_friction": grown(force=(1000.0, 3500.0)),
-    "position_dependent_friction": grown(force=(1000.0, 3500.0)),
+    "position_dependent_friction": _along,
     "pressure_dependent_friction": grown(area=(2e-4, 3e-4)),
     "presliding_friction": _presliding,
     "viscous_friction": lambda level, f: {"factor": 1 + 4 * level},

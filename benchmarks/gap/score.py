@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tests import rig
+
 from .cases import Made
 
 SURE = 0.5  # probability above which a wrong name is confidently wrong
@@ -28,23 +30,70 @@ SITES = {
     "external_leakage": ("cap",),
     "line_compliance": ("cap",),
     "area_error": ("cap_area",),
+    "linkage_error": ("pin_length",),
+    "supply_droop": ("supply",),
 }
-# (rig effect, option) -> (parameter of the catalogue's effect, what the rig's value is there).
+
+
+def _option(name: str, factor: float = 1.0):
+    """The rig's option itself, in other units."""
+    return lambda made, options: factor * options[name]
+
+
+def _times_usual(made: Made, options) -> float:
+    """The base parameter that the rig multiplies."""
+    effect = next(name for name, own in made.hidden if own is options)
+    path = rig.EFFECTS[effect].fields[made.case.machine]
+    return rig.MACHINES[made.case.machine].parameters[path] * options["factor"]
+
+
+# rig effect -> parameters of the catalogue's effect (last word of the path, a pattern) that mean the same, and what
+# they are in truth. Effects whose two forms differ (ripples, knees, bristles) have none.
 PARAMETERS = {
-    ("coulomb_friction", "force"): ("force", float),
-    ("internal_leakage", "conductance"): ("conductance", float),
-    ("dead_time", "seconds"): ("time|dead_time", float),
-    ("actuator_lag", "time_constant"): ("time_constant", float),
-    ("rate_limit", "rate"): ("rate", float),
-    ("command_saturation", "limit"): ("limit", float),
-    ("command_deadband", "width"): ("width", float),
-    ("null_bias", "value"): ("offset", float),
-    ("motor_droop", "resistance"): ("slope", float),
-    ("drift", "rate"): ("rate", float),
-    ("sensor_delay", "seconds"): ("time|delay", float),
-    ("sensor_lag", "time_constant"): ("time_constant", float),
-    ("sensor_bias", "value"): ("offset|bias|value", float),
+    "coulomb_friction": {"force": _option("force")},
+    "stribeck_friction": {
+        "force": _option("kinetic"),
+        "excess": _option("extra"),
+        "stribeck_velocity": _option("velocity"),
+    },
+    "asymmetric_friction": {
+        "out": lambda made, o: o["force"] * (1 + ASYMMETRY),
+        "back": lambda made, o: o["force"] * (1 - ASYMMETRY),
+    },
+    "internal_leakage": {"conductance": _option("conductance")},
+    "turbulent_leakage": {"coefficient": _option("coefficient")},
+    "external_leakage": {"conductance": _option("cap")},
+    "pump_slip": {"conductance": _option("conductance")},
+    "entrained_air": {"fraction": _option("fraction")},
+    "line_compliance": {"compliance": _option("cap")},
+    "cavitation": {"pressure": _option("pressure")},
+    "area_error": {"cap_area": _times_usual},
+    "displacement_error": {"displacement": _times_usual},
+    "payload_error": {"extra_mass|mass": _times_usual},
+    "linkage_error": {"pin_length": _times_usual},
+    "end_stop": {"low": _option("low"), "high": _option("high")},
+    "backlash": {"gap": _option("gap")},
+    "structural_compliance": {"compliance": lambda made, o: 1 / o["stiffness"]},
+    "valve_overlap": {"overlap": _option("share")},
+    "asymmetric_overlap": {"positive": _option("pressure_a"), "negative": _option("pressure_b")},
+    "spool_hysteresis": {"half_width": _option("width", 0.5)},
+    "supply_droop": {"resistance": _option("resistance")},
+    "null_bias": {"offset": _option("value")},
+    "dead_time": {"time|dead_time": _option("seconds")},
+    "actuator_lag": {"time_constant": _option("time_constant")},
+    "command_deadband": {"width": _option("width")},
+    "command_saturation": {"limit": _option("limit")},
+    "rate_limit": {"rate": _option("rate")},
+    "direction_asymmetry": {"asymmetry": lambda made, o: (1 - o["ratio"]) / (1 + o["ratio"])},  # beside a free gain
+    "motor_droop": {"slope": _option("resistance")},
+    "drift": {"rate": _option("rate")},
+    "sensor_bias": {"offset": _option("value")},
+    "sensor_scale": {"error": lambda made, o: o["factor"] - 1},
+    "sensor_delay": {"time": _option("seconds")},
+    "sensor_lag": {"time_constant": _option("time_constant")},
+    "quantisation": {"step": _option("step")},
 }
+ASYMMETRY = rig.EFFECTS["asymmetric_friction"].defaults["asymmetry"]
 
 
 @dataclass(frozen=True)
@@ -179,24 +228,16 @@ def _parameters(made: Made, named: Sequence[Named]) -> list[dict]:
     for h, (effect, options) in enumerate(made.hidden):
         for n in named:
             if n.effect == effect and is_it(made, h, n.effect, n.site):
-                rows += [_compared(effect, option, value, n) for option, value in options.items()]
+                same = PARAMETERS.get(effect, {})
+                rows += [_compared(f"{effect}.{w}", w, true(made, options), n) for w, true in same.items()]
     return [r for r in rows if r]
 
 
-def _compared(effect, option, value, n: Named) -> dict | None:
-    if (effect, option) not in PARAMETERS:
-        return None
-    wanted, convert = PARAMETERS[effect, option]
+def _compared(label: str, wanted: str, true: float, n: Named) -> dict | None:
     for name, found, low, high in n.parameters:
         if re.fullmatch(wanted, name.rpartition(".")[2]):
-            true = convert(value)
-            return {
-                "parameter": f"{effect}.{option}",
-                "true": true,
-                "found": found,
-                "error": abs(found - true) / abs(true) if true else None,
-                "covered": low <= true <= high,
-            }
+            error = abs(found - true) / abs(true) if true else None
+            return {"parameter": label, "true": true, "found": found, "error": error, "covered": low <= true <= high}
     return None
 
 

@@ -116,6 +116,7 @@ def write_model_file(
     document["count"] = len(flat.parameters)
     effects = [_effect_table(addition) for addition in additions if addition.effect]
     if effects:
+        document.add(tomlkit.nl())
         document["effects"] = tomlkit.aot()
         document["effects"].extend(effects)
     parameters = tomlkit.table()

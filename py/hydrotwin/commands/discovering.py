@@ -184,7 +184,7 @@ def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> Non
 
 def print_discovery(found, folder: Path) -> None:
     """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
-    from hydrotwin.report.gap_text import percent, sentence
+    from hydrotwin.report.gap_text import sentence
     from hydrotwin.report.gap_words import answer, experiment_sentence
 
     out.print(f"{found.name}: {found.verdict}. {sentence(answer(found))}")
@@ -192,10 +192,7 @@ def print_discovery(found, folder: Path) -> None:
     if rows:
         out.print()
         table("what is missing", ["effect", "where", "parameter", "value", "95 % interval", "gap closed"], rows)
-    left = [
-        [o.output, o.rmse_before, o.rmse_after, o.noise, o.unit, percent(o.gap_closed)]
-        for o in found.outputs.get("validate", ()) or found.outputs.get("train", ())
-    ]
+    left = output_rows(found)
     if left:
         out.print()
         where = "validation recordings" if found.outputs.get("validate") else "recordings of the fit"
@@ -223,4 +220,19 @@ def effect_rows(found) -> list[list[str]]:
             rows.append([*lead, "", "", "", percent(step.gap_closed)])
         rows += [[f"or {e}", s, "", "", "", ""] for e, s in step.members if (e, s) != (step.effect, step.site)]
         rows += [[f"with {e}", s, "", "", "", ""] for e, s in step.together]
+    return rows
+
+
+def output_rows(found) -> list[list]:
+    """RMSE of every output on unseen recordings, in the units of the report."""
+    from hydrotwin.report.format import difference_to_shown, pretty_unit
+    from hydrotwin.report.gap_text import percent
+    from hydrotwin.report.gap_words import display_units
+
+    shown = display_units(found)
+    rows = []
+    for o in found.outputs.get("validate", ()) or found.outputs.get("train", ()):
+        unit = shown.get(o.output, o.unit)
+        sizes = [float(difference_to_shown(v, o.unit, unit)) for v in (o.rmse_before, o.rmse_after, o.noise)]
+        rows.append([o.output, *sizes, pretty_unit(unit), percent(o.gap_closed)])
     return rows

@@ -146,6 +146,8 @@ class _Forest:
             k = int(np.argmax(np.where(inside, gain, -np.inf)))
             spread = float(np.sum((value - whole / size) ** 2))
             taken, left = float(gain[k]), max(spread - float(gain[k]), 1e-300)
+            if not spread > 1e-12 * float(value @ value):  # it is the same everywhere
+                continue
             if taken < WORTH * spread or taken < (2.0 * np.log(self.tried) + 10.0) * tau * left / size:
                 continue
             if taken / spread > 1.02 * best:

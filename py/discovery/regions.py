@@ -32,6 +32,7 @@ FAINT = 0.05  # of the best share: not worth a map of its own
 ALIKE = 0.97  # correlation from which two quantities tell the same
 GAP = 1.02  # squared residual over squared noise from which there is a gap
 SIGMAS = 3.0
+DIVERGED = 1e100
 PERIODS = 3.0  # seen at least, of a wave
 CLEAN = 0.1  # noise of a smoothed quantity over its spread that is good enough
 WINDOWS = (1, 2, 4, 8, 16, 32, 64, 128)  # samples on either side of a local line
@@ -228,7 +229,7 @@ def bins_of(quantity: Quantity, edges: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def finite(residuals: Sequence[np.ndarray]) -> list[np.ndarray]:
     """Residuals with nan for what is not a number: a run that diverged says nothing about where."""
-    return [np.where(np.isfinite(r), r, np.nan) for r in residuals]
+    return [np.where(np.abs(r) < DIVERGED, r, np.nan) for r in residuals]
 
 
 def has_gap(residuals: Sequence[np.ndarray], j: int, noise: float) -> bool:

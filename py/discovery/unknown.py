@@ -1,7 +1,7 @@
 """What is left without a name: which seen quantities a residual follows, how, and how much of it that explains.
 
     r ~ c_0 + sum_k c_k f_k(q),   f: q, |q|, q^2, q|q|, sign q, cos(k angle + phase)     (sparse, term by term)
-    r ~ sum_m a_m exp(-|q - z_m|^2 / 2 l^2)                                             (Gaussian process, m <= 400)
+    r ~ sum_m a_m exp(-|q - z_m|^2 / 2 l^2)                                             (Gaussian process, m <= 100)
 
 Terms and quantities are taken on the fit recordings and kept only while they explain more on the select recordings.
 The sparse formula is told where it explains most of what the Gaussian process does; no description is a physical name.
@@ -393,6 +393,6 @@ def written(unit: str, found: Description) -> str:
             parts.append(f"{np.hypot(a, b):.3g} {unit} {t.written(phase)}")
         else:
             per = f"({t.unit})" if re.search(r"[/.](?!.*\)\^)", t.unit) else t.unit
-            over = unit if t.unit == "1" else f"{unit}/{per}"
-            parts.append(f"{rest.pop(0):.3g} {over} {t.symbol}")
+            over = f" {unit}" if t.unit == "1" else "" if t.unit == unit else f" {unit}/{per}"
+            parts.append(f"{rest.pop(0):.3g}{over} {t.symbol}")
     return " + ".join(parts).replace("+ -", "- ")

@@ -98,18 +98,23 @@ class Places:
         return tuple(node for node in self.nodes if issubclass(node.kind, kind))
 
     def is_prescribed(self, node: Node) -> bool:
-        """A part with this port alone holds its potential whatever flows: a tank, a supply, a stop."""
-        return any(self.holds(path) for path in node.ports)
+        """A part with this port alone fixes what holds there: a tank, a supply, a stop, a closed end."""
+        return any(self.holds(path) or self._closes(path) for path in node.ports)
 
     def holds(self, port: str) -> bool:
-        """The part of this port fixes the potential there: the flow is in none of its equations."""
-        owner = port.rpartition(".")[0]
-        part = self.part(owner) if owner else None
-        if part is None or len(part.ports) != 1 or part.states:
-            return False
-        mine = [e for e in self._elaboration.equations if e.owner == owner or e.owner.startswith(f"{owner}.")]
+        """The part of this port, its only one, fixes the potential there: the flow is in none of its equations."""
+        part = self.part(port.rpartition(".")[0])
+        return bool(part) and not part.states and self._silent(part, self._elaboration.ports[port].flow)
+
+    def _closes(self, port: str) -> bool:
+        part = self.part(port.rpartition(".")[0])
+        return bool(part) and not part.inputs and self._silent(part, self._elaboration.ports[port].potential)
+
+    def _silent(self, part: Part, symbol: ca.SX) -> bool:
+        """A part with one port says nothing about one of the two quantities there."""
+        mine = [e for e in self._elaboration.equations if f"{e.owner}.".startswith(f"{part.path}.")]
         sides = ca.vertcat(*(side for e in mine for side in (e.left, e.right)))
-        return not ca.depends_on(sides, self._elaboration.ports[port].flow)
+        return len(part.ports) == 1 and not ca.depends_on(sides, symbol)
 
     def has_memory(self, node: Node) -> bool:
         """A part on this node has states of its own."""

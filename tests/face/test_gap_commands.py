@@ -215,6 +215,7 @@ def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here
         (["gap", "cehA", "train_1.csv", "--out", "gap", "--exclude", "driff"], "Did you mean 'drift'"),
         (["gap", "cehA", "train_9.csv", "--out", "gap"], "train_9.csv: no such file"),
         (["gap", "eq17", "train_1.csv", "--out", "gap"], "'eq17' is no physical model"),
+        ([*GAP[:3], "train_2.csv", "--validate", "train_1.csv", "--out", "gap"], "Only an unseen recording can judge"),
         (["gap", "cehA", "train_1.csv", "--out", "train_1.csv"], "a file, where a folder is needed"),
         (["gap", "spool_valve", "train_1.csv", "--out", "gap"], "no column 'current'"),
     ],

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
-from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.models.language.writing import json_values, write_whole
 from hydrotwin.records import Record, require
@@ -39,6 +39,7 @@ from .shared import (
 from .showing import physical
 
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
+TOLD = 4  # findings on the screen
 WRITTEN = ("report.html", "report.md", "model.toml", "model.mo")
 
 
@@ -102,7 +103,7 @@ def gap(
     thing = physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale), read_all(validate, scale)
-    check_recordings(thing, [*train, *judged])
+    check_recordings(thing, train, judged)
     memory = Memory(output / KEPT)
     if not resume:
         memory.remove()
@@ -135,12 +136,19 @@ def gap(
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
 
 
-def check_recordings(thing, records: list[Record]) -> None:
-    """Every recording has the inputs of the model; columns nobody knows are told."""
+def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
+    """Every recording has the inputs of the model, and none judges what it taught; unknown columns are told."""
     flat = thing.flat
-    for record in records:
+    for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
-    tell_ignored(records, {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+    taught = {r.digest: r for r in train if r.digest}
+    for record in judged:
+        if record.digest in taught:
+            raise DataError(
+                f"{record.source}: the same recording as {taught[record.digest].source}, which is learned from. "
+                "Only an unseen recording can judge. Name another one after --validate."
+            )
+    tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
 
 
 def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict) -> None:
@@ -197,8 +205,10 @@ def print_discovery(found, folder: Path) -> None:
         out.print()
         where = "validation recordings" if found.outputs.get("validate") else "recordings of the fit"
         table(f"RMSE on the {where}", ["output", "before", "after", "noise", "unit", "gap closed"], left)
-    for finding in found.findings:
+    for finding in found.findings[:TOLD]:
         mark(out, "note", sentence(str(finding)))
+    if len(found.findings) > TOLD:
+        mark(out, "note", f"{len(found.findings) - TOLD} more findings are in the report.")
     if any(s.is_class for s in found.steps):
         mark(out, "next", experiment_sentence(found), "bold cyan")
     out.print(f"{found.seconds:.1f} s. Written: {folder / 'report.html'}, gap.json, model.toml, model.mo")

@@ -8,6 +8,7 @@ import casadi as ca
 
 from hydrotwin.models.language import Input, Output, Parameter, State, der
 
+from .command import clipped, limits
 from .effect import Effect
 from .sites import model_outputs
 from .stepping import Lagged, stepped
@@ -113,6 +114,33 @@ class SensorBias(Effect):
 
     def equations(self):
         yield self.y == self.u + self.offset
+
+
+class SensorSaturation(Effect):
+    """The reading stays within the range of the sensor: ``y = clip(u, -L, L)``."""
+
+    id, title = "sensor_saturation", "saturation of the sensor"
+    equation = "y = clip(u, -L, L)"
+    source = FRADEN
+    typical = {"limit": (0.5, 3.0)}
+    probes = ({"limit": 0.7}, {"limit": 1.0}, {"limit": 2.0})
+    confused_with = ("overflow", "end_stop", "relief_saturation")
+    experiment = "motion beyond the limit with a second sensor that follows from it: a flow, a speed, a pressure"
+    order = 4
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    limit = Parameter(1e6, "signal", "largest reading L", bounds=(1e-3, 1e6), nominal=1.0, source=FRADEN, free=True)
+
+    sites = staticmethod(model_outputs)
+
+    @classmethod
+    def probes_for(cls, seen):
+        """Limits at quantiles of the size of what is measured."""
+        return limits(seen["u"], "limit")
+
+    def equations(self):
+        yield self.y == clipped(self.u, self.limit)
 
 
 class SensorDelay(Lagged):

@@ -240,6 +240,7 @@ def test_all_candidates_in_one_model_at_neutral_are_the_model_without_them(name)
         expected, measured = base.at(0.5, z, u)
         np.testing.assert_allclose(rates[where] / scale, expected / scale, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(outputs, measured, rtol=1e-12, atol=0)
+        assert more.fastest(u) * model.step <= STABLE
 
 
 @pytest.mark.parametrize("name", MACHINES)

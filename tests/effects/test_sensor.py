@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.effects import add_effect
+from hydrotwin.models.effects.sensor import SensorSaturation
 from tests.effects.benches import axis, passed
 
 TIME = np.arange(0.0, 2.0, 1e-3)
@@ -31,6 +32,12 @@ def test_a_curved_characteristic_is_right_at_zero_and_at_full_scale_and_steepest
     slope = np.gradient(reading, ramp)
     assert slope[1000] == pytest.approx(0.6, abs=0.01) and slope[-1] == pytest.approx(1.4, abs=0.01)
     np.testing.assert_allclose(reading, -reading[::-1], atol=1e-9)
+
+
+def test_a_reading_stays_within_the_range_of_the_sensor():
+    reading = passed("sensor_saturation", "reading", TIME, sine(2), limit=2.0)
+    np.testing.assert_allclose(reading, np.clip(sine(2), -2.0, 2.0), atol=1e-12)
+    assert all(0 < probe["limit"] < 3.0 for probe in SensorSaturation.probes_for({"u": sine(2)}))
 
 
 def test_a_slow_sensor_follows_a_step_exponentially():

@@ -131,6 +131,7 @@ class SensorSaturation(Effect):
     u = Input("signal", "what is measured")
     y = Output("signal", "reading")
     limit = Parameter(1e6, "signal", "largest reading L", bounds=(1e-3, 1e6), nominal=1.0, source=FRADEN, free=True)
+    far = Parameter(1e6, "signal", "limit that nothing reaches", bounds=(1, 1e9), nominal=1e6, source="numerical")
 
     sites = staticmethod(model_outputs)
 
@@ -140,7 +141,7 @@ class SensorSaturation(Effect):
         return limits(seen["u"], "limit")
 
     def equations(self):
-        yield self.y == clipped(self.u, self.limit)
+        yield self.y == ca.if_else(self.limit < self.far, clipped(self.u, self.limit), self.u)
 
 
 class SensorDelay(Lagged):

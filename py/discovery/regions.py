@@ -27,6 +27,7 @@ from hydrotwin.models.language.flat import FlatModel
 from .discovery import Region
 
 BINS = 12
+SAMPLES = 10_000  # of a recording that are mapped, at most
 KEPT = 4  # quantities told of each output
 FAINT = 0.05  # of the best share: not worth a map of its own
 ALIKE = 0.97  # correlation from which two quantities tell the same
@@ -354,7 +355,9 @@ def regions(
 
 def _maps(seen, edges, gaps, before, after, noise) -> dict[tuple[int, int], tuple[Map, Map]]:
     """Before and after by output and quantity."""
-    labels = [bins_of(q, e) for q, e in zip(seen, edges, strict=True)]
+    thin = [slice(None, None, 1 + len(r) // SAMPLES) for r in before]
+    before, after = ([r[k] for r, k in zip(each, thin, strict=True)] for each in (before, after))
+    labels = [[b[k] for b, k in zip(bins_of(q, e), thin, strict=True)] for q, e in zip(seen, edges, strict=True)]
     made, shared = {}, {}
     for j in gaps:
         known = [np.isfinite(r[:, j]) for r in before]

@@ -28,6 +28,7 @@ from .locate import amount
 from .regions import PERIODS, Carrier, Quantity, carriers, finite, has_gap, quantities
 
 SAMPLES = 16_000  # looked at
+KNOWN = 0.8  # share of the samples where a quantity must be known
 EXPLAINED = 0.1  # share of the squared residual below which nothing explains it
 WORTH = 0.01  # share that a term or quantity must add on the select recordings
 WAVE = 0.05  # the same of a wave: it has a frequency and a phase to choose
@@ -118,7 +119,7 @@ def describe_unknown(
     off = [j for j in range(len(flat.outputs)) if has_gap(left, j, noise[j])]
     if not off:
         return ()
-    seen = [q for q in quantities(flat, both, noise) if _mostly_known(q)]
+    seen = [q for q in quantities(flat, both, noise) if np.mean(np.isfinite(np.concatenate(q.values))) > KNOWN]
     turning = carriers(both, seen)
     found = []
     for j in off:
@@ -150,11 +151,6 @@ def _described(signal, seen, turning, fit: Sample, select: Sample, noise: float)
 
 
 # -- samples -----------------------------------------------------------------------------------------------------------
-def _mostly_known(q: Quantity) -> bool:
-    values = np.concatenate(q.values)
-    return float(np.mean(np.isfinite(values))) > 0.8
-
-
 def _samples(recordings, residuals, j, seen, turning: Sequence[Carrier], fits: int) -> tuple[Sample, Sample]:
     """Samples of output j on the fit and on the select recordings."""
     total = sum(len(r.time) for r in recordings)
@@ -188,7 +184,7 @@ def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.nda
     The windows of one phase add their power.
     """
     parts = _windows(carrier, window)
-    spans = [float(np.ptp(angle[p])) for p in parts]
+    spans = [max(float(np.ptp(angle[p])), 1e-12) for p in parts]
     step = 1.0 / (4.0 * carrier.high)
     size = next_fast_len(int(2 * max(spans) / step) + 16, real=True)
     power = np.zeros(size // 2 + 1)
@@ -196,9 +192,12 @@ def strongest(carrier: Carrier, angle: np.ndarray, r: np.ndarray, window: np.nda
         cell = ((angle[part] - angle[part].min()) / step).astype(int)
         power += 2.0 / len(part) * np.abs(rfft(np.bincount(cell, r[part]), size)) ** 2
     frequency = np.arange(len(power)) / (size * step)
-    power[(frequency < max(carrier.low, 2 * PERIODS / np.median(spans))) | (frequency > carrier.high)] = 0.0
-    best, width = frequency[int(np.argmax(power))], 1.0 / (size * step)
-    near = best + width * np.linspace(-1.0, 1.0, 11)
+    low = max(carrier.low, 2 * PERIODS / np.median(spans))
+    power[(frequency < low) | (frequency > carrier.high)] = 0.0
+    if not power.any():
+        return low, 0.0
+    best = frequency[int(np.argmax(power))]
+    near = np.maximum(best + np.linspace(-1.0, 1.0, 11) / (size * step), low)
     energy = [sum(_taken(2 * np.pi * f * angle[p], r[p]) for p in parts) for f in near]
     k = int(np.argmax(energy))
     return float(near[k]), float(energy[k]) - 2.0 * len(parts) * float(np.mean(r**2))
@@ -318,11 +317,11 @@ def smooth(fit: Sample, select: Sample) -> tuple[float, tuple[int, ...], np.ndar
     judge = _thinned(len(select.r), TRAINED)
     X, r = (fit.seen[learn] - centre) / spread, fit.r[learn]
     V, s = np.clip((select.seen[judge] - centre) / spread, X.min(axis=0), X.max(axis=0)), select.r[judge]
-    share, chosen, predicted = _share(s, np.full(len(s), r.mean())), (), np.full(len(s), r.mean())
+    predicted = np.full(len(s), r.mean())
+    share, chosen = _share(s, predicted), ()
     while len(chosen) < FOLLOWED:
         others = [k for k in range(X.shape[1]) if k not in chosen]
-        sets = [(*chosen, k) for k in others]
-        better, guess, columns = _best_process(X, r, V, s, sets)
+        better, guess, columns = _best_process(X, r, V, s, [(*chosen, k) for k in others])
         if better < share + WAVE and not chosen:  # a product shows in neither factor alone
             pair = _best_process(X[::2], r[::2], V[::2], s[::2], combinations(others, 2))[2]
             better, guess, columns = _best_process(X, r, V, s, [pair] if pair else [])

@@ -7,7 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.unknown import describe_unknown
+from hydrotwin.discovery.regions import Carrier
+from hydrotwin.discovery.unknown import describe_unknown, strongest
 
 from .test_regions import MACHINE, NOISE, POSITION, PRESSURE, SPEED, only, scene
 
@@ -94,3 +95,23 @@ def test_a_residual_within_the_noise_is_not_described():
     recordings, left = scene()
     small = [0.9 * r for r in left]
     assert describe_unknown(MACHINE, recordings[:2], small[:2], recordings[2:], small[2:], NOISE) == ()
+
+
+def test_what_hardly_turns_carries_no_wave_and_no_frequency_is_negative():
+    r = np.random.default_rng(0).standard_normal(2000)
+    window = np.arange(2000) // 250
+    for reach in (0.0, 1e-3, 2.0):
+        angle = reach * np.linspace(0.0, 1.0, 2000)
+        frequency, energy = strongest(Carrier("w", "rad", False, (angle,), 0.1, 40.0), angle, r, window)
+        assert frequency > 0.0
+        assert energy < 0.05 * float(r @ r)
+
+
+def test_a_wave_is_found_by_its_frequency_though_every_window_has_another_phase():
+    angle = 30.0 * np.linspace(0.0, 1.0, 2000) ** 1.3
+    window = np.arange(2000) // 250
+    phase = np.random.default_rng(0).uniform(0.0, 6.28, 8)[window]
+    r = np.cos(2 * np.pi * 5.5 * angle + phase) + 0.5 * np.random.default_rng(1).standard_normal(2000)
+    frequency, energy = strongest(Carrier("w", "rad", False, (angle,), 0.1, 40.0), angle, r, window)
+    assert frequency == pytest.approx(5.5, rel=0.02)
+    assert energy == pytest.approx(1000.0, rel=0.15)

@@ -24,7 +24,7 @@ from .refit import Question, RefitJob, Refitted, refit
 from .search import CONVINCING, Search, Structure
 
 MOST_EFFECTS = 3
-NARROW, WIDE = 3.0, 30.0  # factors around the start within which a positive base parameter may move
+NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
 
 def discover(
@@ -94,7 +94,7 @@ def _bounded(model: Model, names: Sequence[str]) -> Model:
     """The model with bounds around the start values of what is always positive.
 
     A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
-    stiffness. Volumes and pressures stay within a factor of three, the rest within thirty.
+    stiffness. Volumes and pressures stay within a factor of 1.6, the rest within thirty.
     """
     changes = {}
     for p in model.flat.parameters:

@@ -10,6 +10,7 @@ Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covarianc
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
@@ -106,9 +107,9 @@ class Refitted:
 
 
 def pooled_rmse(residuals: Sequence[np.ndarray]) -> np.ndarray:
-    """Root mean square of every column over several recordings, nan where nothing was measured."""
+    """Root mean square of every column over recordings: nan where nothing was measured, inf where one diverged."""
     stacked = np.concatenate(residuals)
-    seen = np.isfinite(stacked)
+    seen = ~np.isnan(stacked)
     counts = np.where(seen.any(axis=0), seen.sum(axis=0), np.nan)
     return np.sqrt(np.square(np.where(seen, stacked, 0.0)).sum(axis=0) / counts)
 
@@ -209,19 +210,26 @@ def _settled(task: Task, q: Question, found: Minimum, most: int):
 
 
 def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | None = None) -> list[np.ndarray]:
-    """Residuals (n, ny), SI, of free runs; on other recordings than those of the fit start states are estimated."""
+    """Residuals (n, ny), SI, of free runs, infinite where one diverges.
+
+    On other recordings than those of the fit the start states are estimated.
+    """
     if recordings is None:
-        shooting, _ = whole_runs(task)
-        z = found.z
-    else:
-        shooting, z = whole_runs(task, recordings)
-        z = minimise(shooting, found.q, z, hold=True, most=15).z if shooting.locals else z
-    unit = np.where(task.weights > 0, task.weights, np.nan)
+        return _runs(task, whole_runs(task)[0], found.q, found.z)
     runs = []
-    for i, recording in enumerate(shooting.recordings):
-        run = shooting.residuals(i, found.q, z[i])
-        runs.append(np.full(recording.y.shape, np.inf) if run is None else run / unit)
+    for recording in recordings:
+        shooting, z = whole_runs(task, [recording])
+        with contextlib.suppress(SolveError):
+            z = minimise(shooting, found.q, z, hold=True, most=15).z if shooting.locals else z
+        runs += _runs(task, shooting, found.q, z)
     return runs
+
+
+def _runs(task: Task, shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
+    unit = np.where(task.weights > 0, task.weights, np.nan)
+    runs = [shooting.residuals(i, q, z[i]) for i in range(len(shooting.recordings))]
+    shapes = [recording.y.shape for recording in shooting.recordings]
+    return [np.full(s, np.inf) if r is None else r / unit for r, s in zip(runs, shapes, strict=True)]
 
 
 def _sizes(task: Task, q: Question, found: Minimum) -> np.ndarray:
@@ -283,6 +291,6 @@ def conclude(job: RefitJob) -> Concluded:
     found = _from_starts(task, job)[0]
     task, found, value = _settled(task, q, found, job.iterations)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
-    fit = answer(task, [found], q.select, settings, began)
+    fit = answer(task, [found], (), settings, began)
     refitted = _answer(task, q, found, value)
     return Concluded(fit, refitted, refitted.residuals_select)

@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 import tomllib
+from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest import mock
 
@@ -97,7 +98,22 @@ def test_gap_hands_on_what_was_asked_for(here, discover):
     assert [r.name for r in asked["validate"]] == ["validate_1"]
     assert asked["free"] == ["motor.*", "arm.mass"]
     assert (asked["effects"], list(asked["exclude"])) == (["coulomb*", "* at command"], ["drift"])
-    assert (asked["max_effects"], asked["executor"]) == (2, "threads")
+    assert asked["max_effects"] == 2
+    assert isinstance(asked["executor"], ThreadPoolExecutor)
+
+
+@pytest.mark.parametrize("quiet", [True, False])
+def test_progress_is_told_unless_json_is_wanted(here, discover, quiet):
+    def telling(*_, progress, **__):
+        assert (progress is None) == quiet
+        if progress:
+            progress("refit", 1, 4, "dead_time at command")
+            progress("locate", 0, 0)
+        return friction_found()
+
+    discover.side_effect = telling
+    answer = hydrotwin(*GAP, *(["--json"] if quiet else []))
+    assert answer.code == 0, answer.err
 
 
 # -- gap: what it writes -------------------------------------------------------------------------------------------
@@ -215,6 +231,7 @@ def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here
         (["gap", "cehA", "train_1.csv", "--out", "gap", "--exclude", "driff"], "Did you mean 'drift'"),
         (["gap", "cehA", "train_9.csv", "--out", "gap"], "train_9.csv: no such file"),
         (["gap", "eq17", "train_1.csv", "--out", "gap"], "'eq17' is no physical model"),
+        ([*GAP, "--executor", "thread"], "Did you mean 'threads'"),
         ([*GAP[:3], "train_2.csv", "--validate", "train_1.csv", "--out", "gap"], "Only an unseen recording can judge"),
         (["gap", "cehA", "train_1.csv", "--out", "train_1.csv"], "a file, where a folder is needed"),
         (["gap", "spool_valve", "train_1.csv", "--out", "gap"], "no column 'current'"),

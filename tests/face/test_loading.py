@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+import hydrotwin as ht
 from hydrotwin.loading import load
 
 MODEL = """
@@ -24,6 +25,13 @@ class Tank(Component):
 def tank():
     return Model(Tank(), "tank")
 """
+
+
+def test_the_catalogue_and_the_gap_workflow_are_found_at_the_face():
+    assert set(ht.effects) >= {"coulomb_friction", "dead_time", "internal_leakage"}
+    friction = ht.add_effect(load("cehA"), "coulomb_friction")
+    assert "coulomb_friction" not in {c.id for c in ht.candidates(friction)}
+    assert {"discover", "Discovery", "write_gap_report", "effects"} <= set(dir(ht))
 
 
 def test_a_users_file_may_import_what_lies_beside_it_and_leaves_no_trace(tmp_path):

@@ -94,7 +94,7 @@ def gap(
     is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
     """
     from hydrotwin.discovery.discover import discover
-    from hydrotwin.discovery.progress import described
+    from hydrotwin.discovery.executor import executor_for
     from hydrotwin.discovery.resume import Memory
     from hydrotwin.models.effects import candidates
 
@@ -109,21 +109,15 @@ def gap(
         memory.remove()
     elif len(memory):
         err.print(f"going on: {len(memory)} fits of an interrupted run are kept (--fresh begins anew)", style="dim")
-    try:
-        with progress_bar() as bar:
-            row = bar.add_task(f"gap {thing.name}", total=None)
-
-            def told(stage: str, done: int, total: int, note: str = "") -> None:
-                words = described(f"gap {thing.name}", stage, done, total, note)
-                bar.update(row, description=words, completed=done, total=total or None)
-
+    with executor_for(executor) as pool, telling(thing.name, as_json) as told:
+        try:
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
-                max_effects=max_effects, executor=executor, progress=None if as_json else told, memory=memory,
+                max_effects=max_effects, executor=pool, progress=told, memory=memory,
             )  # fmt: skip
-    except HydrotwinError as error:
-        write_failure(thing.name, str(error), output, time.perf_counter() - began)
-        raise
+        except HydrotwinError as error:
+            write_failure(thing.name, str(error), output, time.perf_counter() - began)
+            raise
     write_discovery(found, origin(model), output, gap_provenance(found, train, judged))
     memory.remove()
     if as_json:
@@ -134,6 +128,24 @@ def gap(
     print_discovery(found, output)
     if ".py:" in model and found.steps:
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+@contextlib.contextmanager
+def telling(name: str, silent: bool):
+    """The function that moves a bar with ``(stage, done, total, note)``; None where nothing is to be shown."""
+    from hydrotwin.discovery.progress import described
+
+    if silent:
+        yield None
+        return
+    with progress_bar() as bar:
+        row = bar.add_task(f"gap {name}", total=None)
+
+        def told(stage: str, done: int, total: int, note: str = "") -> None:
+            words = described(f"gap {name}", stage, done, total, note)
+            bar.update(row, description=words, completed=done, total=total or None)
+
+        yield told
 
 
 def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:

@@ -17,7 +17,7 @@ class Facts:
 
     command, slew: largest magnitude and rate of change between samples; pressure: (least, median, largest);
     travel: (least, largest) of the rod [m]; spread: largest less least of the output that a sensor effect sits on.
-    sign: of effects that may go either way. second: index into pairs (cehA, spool_valve) of limits.
+    sign: of effects that may go either way. seconds: length of a recording. second: index into pairs of limits.
     """
 
     machine: str
@@ -29,6 +29,7 @@ class Facts:
     spread: float
     sign: float
     seed: int
+    seconds: float
 
     @property
     def second(self) -> int:
@@ -76,6 +77,11 @@ def _along(level, f):
     """Friction that changes slowly along the stroke, as a rod out of line gives it."""
     force, travel = level * (1000.0, 3500.0)[f.second], f.travel[1] - f.travel[0]
     return {"force": force, "share": 0.8, "length": 3 * travel}
+
+
+def _push(level, f):
+    force = f.sign * level * (3000.0, 10000.0)[f.second]
+    return {"force": force, "start": 0.375 * f.seconds, "end": 0.45 * f.seconds}
 
 
 def _relief(level, f):
@@ -181,8 +187,8 @@ AMPLITUDES: dict[str, Options] = {
     "cogging": grown(speed=100.0),
     "packet_loss": lambda level, f: {"share": 0.6 * level, "seed": f.seed},
     "viscosity_warming": grown(share=0.9),
-    "external_push": signed(force=(3000.0, 10000.0)),
-    "payload_change": grown(mass=(40.0, 350.0)),
+    "external_push": _push,
+    "payload_change": lambda level, f: {"mass": level * (40.0, 350.0)[f.second], "time": 0.5 * f.seconds},
     "load_spring": grown(stiffness=5e4),
     "sensor_play": _sensor(width=0.3),
     "sensor_drift": _sensor_signed(rate=0.005),

@@ -122,6 +122,7 @@ class Meter:
             spread=float(max(np.ptp(run[output]) for run in runs)),
             sign=sign,
             seed=self.bed.seed,
+            seconds=float(self.bed.commands[0][0][-1]),
         )
 
 

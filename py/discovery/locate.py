@@ -60,7 +60,7 @@ def locations(
     seen = np.any([np.isfinite(r).any(axis=0) for r in residuals], axis=0)
     measured = np.flatnonzero(seen & np.isfinite(noise))
     off = [has_gap(residuals, j, noise[j]) for j in measured]
-    forest = _Forest(quantities(flat, recordings, noise)) if any(off) else None
+    forest = _Forest(quantities(flat, recordings, noise, residuals)) if any(off) else None
     driving = _Driving(flat, recordings)
     found = []
     for j, gap in zip(measured, off, strict=True):
@@ -150,8 +150,9 @@ class _Forest:
                 continue
             if taken < WORTH * spread or taken < (2.0 * np.log(self.tried) + 10.0) * tau * left / size:
                 continue
-            if taken / spread > 1.02 * best:
-                best, answer = taken / spread, (i, k + 1)
+            share = taken / spread * self.seen[i].weight
+            if share > 1.02 * best:
+                best, answer = share, (i, k + 1)
         return answer
 
     def _signed_words(self, signal, leaves: Sequence[Leaf], noise: float) -> str:

@@ -13,7 +13,7 @@ variance of a mean of correlated samples).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -45,6 +45,7 @@ class Quantity:
 
     kind : "input", "rate", "position", "velocity", "direction", "pressure", "time" or "other".
     of : the measured or given signal it comes from.
+    weight : 1, less where the gap itself moves the place: r = simulated - measured makes r follow what was measured.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Quantity:
     kind: str
     of: str
     values: tuple[np.ndarray, ...]
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +72,11 @@ class Carrier:
     high: float
 
 
-def quantities(flat: FlatModel, recordings: Sequence[Recording], noise: np.ndarray) -> tuple[Quantity, ...]:
+def quantities(flat: FlatModel, recordings: Sequence[Recording], noise: np.ndarray, residuals=None):
     """Everything that a residual can be mapped over; what never changes is left out.
 
     Measured quantities are smoothed by local lines that leave the sample itself out: the noise of a sample then is no
-    part of the place it is put at, and pure noise shows no pattern.
+    part of the place it is put at, and pure noise shows no pattern. residuals : to weigh by what the gap moves.
     """
     found: list[Quantity] = []
     for j, signal in enumerate(flat.inputs):
@@ -85,12 +87,23 @@ def quantities(flat: FlatModel, recordings: Sequence[Recording], noise: np.ndarr
             found.append(Quantity(f"rate of {signal.name}", per_second(signal.unit), "rate", signal.name, rates))
     for j, signal in enumerate(flat.outputs):
         if np.isfinite(noise[j]):
-            found += _of_output(signal, [(r.time, r.y[:, j]) for r in recordings], noise[j])
+            weight = 1.0 if residuals is None else _steadiness(recordings, residuals, j)
+            made = _of_output(signal, [(r.time, r.y[:, j]) for r in recordings], noise[j])
+            found += [replace(q, weight=weight) for q in made]
     for a, b in list(combinations([q for q in found if q.kind == "pressure"], 2))[:3]:
         difference = tuple(x - y for x, y in zip(a.values, b.values, strict=True))
-        found.append(Quantity(f"{a.name} - {b.name}", a.unit, "pressure", a.name, difference))
+        both = min(a.weight, b.weight)
+        found.append(Quantity(f"{a.name} - {b.name}", a.unit, "pressure", a.name, difference, both))
     found.append(Quantity("time", "s", "time", "time", tuple(r.time - r.time[0] for r in recordings)))
     return tuple(q for q in found if _changes(q.values))
+
+
+def _steadiness(recordings, residuals, j: int) -> float:
+    """1 over 1 + 5 times the residual of an output over its spread."""
+    r, y = np.concatenate([r[:, j] for r in residuals]), np.concatenate([r.y[:, j] for r in recordings])
+    seen = np.isfinite(r) & np.isfinite(y)
+    spread = float(np.std(y[seen])) if seen.any() else 0.0
+    return 1.0 / (1.0 + 5.0 * float(np.sqrt(np.mean(r[seen] ** 2))) / spread) if spread > 0 else 1.0
 
 
 def _of_output(signal, series, noise: float) -> list[Quantity]:
@@ -108,7 +121,9 @@ def _of_output(signal, series, noise: float) -> list[Quantity]:
         values = tuple(s[0] for s in smooth)
         found.append(Quantity(f"velocity of {signal.name}", per_second(unit), "velocity", signal.name, values))
     if found[-1].kind == "velocity":
-        sign = directions([s[0] for s in smooth], max(s[1] for s in smooth if np.isfinite(s[1])))
+        still = 3.0 * max(n for _, n in smooth if np.isfinite(n))  # or 1 % of the fast ones: it rests
+        still = max(still, 0.01 * float(np.nanquantile(np.abs(np.concatenate(found[-1].values)), 0.95)))
+        sign = tuple(np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > still), np.nan) for v in found[-1].values)
         name = f"sign of {signal.name}" if kind == "velocity" else f"direction of {signal.name}"
         found.append(Quantity(name, "1", "direction", signal.name, sign))
     return found
@@ -138,12 +153,6 @@ def carriers(recordings: Sequence[Recording], seen: Sequence[Quantity]) -> tuple
         if low < high:
             made.append(Carrier(name, unit, absolute, turns, low, high))
     return tuple(made)
-
-
-def directions(velocities: Sequence[np.ndarray], noise: float) -> tuple[np.ndarray, ...]:
-    """-1, 0 or 1 of each velocity; what is within its noise, or below 1 % of the fast ones, rests."""
-    rest = max(3.0 * noise, 0.01 * float(np.nanquantile(np.abs(np.concatenate(velocities)), 0.95)))
-    return tuple(np.where(np.isfinite(v), np.sign(v) * (np.abs(v) > rest), np.nan) for v in velocities)
 
 
 def _smoothed(time: np.ndarray, y: np.ndarray, noise: float, slope: bool) -> tuple[np.ndarray, float]:
@@ -204,7 +213,8 @@ def _beyond(smooth: Sequence[tuple[np.ndarray, float]], least: float = 0.0) -> b
 
 def per_second(unit: str) -> str:
     """The unit of a rate."""
-    return {"1": "1/s"}.get(unit, f"{unit}/s" if "/" not in unit else f"{unit}.s-1")
+    above, _, below = unit.partition("/")
+    return f"{above}/({below.strip('()')}.s)" if below and "sqrt" not in below else f"{unit}/s"
 
 
 def bin_edges(quantity: Quantity, count: int = BINS) -> np.ndarray:
@@ -298,13 +308,15 @@ class Binning:
         rho = autocorrelation(around)
         pairs = sizes * rho[0] + 2.0 * self.pairs[:, 1 : len(rho)] @ rho[1:]
         independent = np.where(sizes > 0, sizes**2 / np.maximum(pairs, 1.0), 0.0)
-        variance = float(np.nanmean(np.concatenate(around) ** 2)) if here.any() else 0.0
+        freedom = max(float(independent.sum() - np.sum(sizes > 0)), 0.5)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.sqrt(variance / np.maximum(independent - 1.0, 0.5))
+            own = np.bincount(label[here], np.concatenate(around)[here] ** 2, minlength=self.count)
+            variance = np.fmax(own / sizes, own.sum() / sizes.sum()) * (1.0 + np.sum(sizes > 0) / freedom)
+            error = np.sqrt(variance / np.maximum(independent, 0.5))
             error = np.where(sizes > 0, np.fmax(error, noise / np.sqrt(sizes)), np.nan)
             statistic = np.abs(mean) / error
         sure = np.isfinite(statistic) & (independent > 1.5)
-        p = np.where(sure, 2.0 * t.sf(np.where(sure, statistic, 0.0), np.maximum(independent - 1.0, 0.5)), 1.0)
+        p = np.where(sure, 2.0 * t.sf(np.where(sure, statistic, 0.0), freedom), 1.0)
         gained = np.nansum(sizes * np.maximum(mean**2 - error**2, 0.0))
         energy = float(np.sum(r[here] ** 2))
         return Map(mean, error, p, float(gained / energy) if energy > 0 else 0.0)
@@ -321,13 +333,7 @@ def holm(p_values: np.ndarray, level: float) -> np.ndarray:
 
 
 # -- the maps ----------------------------------------------------------------------------------------------------------
-def regions(
-    flat: FlatModel,
-    recordings: Sequence[Recording],
-    before: Sequence[np.ndarray],
-    after: Sequence[np.ndarray] | None,
-    noise: np.ndarray,
-) -> tuple[Region, ...]:
+def regions(flat: FlatModel, recordings: Sequence[Recording], before, after, noise: np.ndarray) -> tuple[Region, ...]:
     """Maps of every output with a gap over the few quantities that separate it best.
 
     before, after : residuals (n, ny) per recording, simulated minus measured, SI, nan where not measured; None: as
@@ -336,17 +342,16 @@ def regions(
     before = finite(before)
     after = before if after is None else finite(after)
     gaps = [j for j in range(len(flat.outputs)) if has_gap(before, j, noise[j])]
-    seen = quantities(flat, recordings, noise) if gaps else ()
+    seen = quantities(flat, recordings, noise, before) if gaps else ()
     edges = [bin_edges(q) for q in seen]
     maps = _maps(seen, edges, gaps, before, after, noise)
     if not maps:
         return ()
-    places, level = list(maps), 2.0 * norm.sf(SIGMAS)
-    first, last = (dict(zip(places, _together([m[k] for m in maps.values()], level), strict=True)) for k in (0, 1))
+    first, last = (dict(zip(maps, _together([m[k] for m in maps.values()]), strict=True)) for k in (0, 1))
     found = []
     for j in gaps:
         signal = flat.outputs[j]
-        for i in _telling(seen, [maps[j, i][0].share for i in range(len(seen))]):
+        for i in _telling(seen, [maps[j, i][0].share * q.weight for i, q in enumerate(seen)]):
             one, two = maps[j, i]
             place = signal.name, signal.unit, seen[i].name, seen[i].unit, edges[i]
             found.append(Region(*place, one.mean, one.error, first[j, i], two.mean, two.error, last[j, i]))
@@ -370,9 +375,9 @@ def _maps(seen, edges, gaps, before, after, noise) -> dict[tuple[int, int], tupl
     return made
 
 
-def _together(maps: Sequence[Map], level: float) -> list[np.ndarray]:
+def _together(maps: Sequence[Map]) -> list[np.ndarray]:
     sizes = np.cumsum([len(m.p_value) for m in maps])[:-1]
-    return np.split(holm(np.concatenate([m.p_value for m in maps]), level), sizes)
+    return np.split(holm(np.concatenate([m.p_value for m in maps]), 2.0 * norm.sf(SIGMAS)), sizes)
 
 
 def _telling(seen: Sequence[Quantity], shares: Sequence[float]) -> list[int]:
@@ -388,8 +393,7 @@ def _telling(seen: Sequence[Quantity], shares: Sequence[float]) -> list[int]:
 
 
 def _correlation(a: Quantity, b: Quantity) -> float:
-    x, y = np.concatenate(a.values), np.concatenate(b.values)
-    both = np.isfinite(x) & np.isfinite(y)
-    if both.sum() < 3 or not (np.ptp(x[both]) > 0 and np.ptp(y[both]) > 0):
-        return 0.0
-    return float(np.corrcoef(x[both], y[both])[0, 1])
+    pair = np.stack([np.concatenate(a.values), np.concatenate(b.values)])
+    pair = pair[:, np.isfinite(pair).all(axis=0)]
+    alive = pair.shape[1] > 2 and np.all(np.ptp(pair, axis=1) > 0)
+    return float(np.corrcoef(pair)[0, 1]) if alive else 0.0

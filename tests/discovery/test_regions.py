@@ -14,11 +14,13 @@ from hydrotwin.discovery.regions import (
     bin_edges,
     holm,
     local_lines,
+    per_second,
     quantities,
     regions,
 )
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.units import compatible
 
 OUTPUTS = (("rod_position", "m"), ("pressure_cap", "Pa"), ("motor_speed", "rad/s"), ("tank_level", "m"))
 NOISE = np.array([2e-5, 8e3, 0.5, 1e-4])
@@ -146,6 +148,17 @@ def test_bins_have_an_edge_at_zero_and_direction_has_three():
     resting = Quantity("v", "m/s", "velocity", "v", (np.r_[np.zeros(900), np.linspace(-1, 1, 100)],))
     assert (np.diff(bin_edges(resting)) > 0).all()
     assert len(bin_edges(Quantity("d", "1", "direction", "v", (np.array([-1.0, 1.0]),)))) == 4
+
+
+def test_the_unit_of_a_rate_is_a_unit():
+    for unit, rate in (("m", "m/s"), ("rad/s", "rad/s2"), ("1", "1/s"), ("m3/s", "m3/s2"), ("m3/(s.Pa)", "m3/(s2.Pa)")):
+        assert compatible(per_second(unit), rate)
+
+
+def test_a_place_that_the_gap_itself_moves_counts_less():
+    recordings, left = scene(lambda t, u, y: only(PRESSURE, 0.5 * np.std(y[:, PRESSURE]) * np.sign(y[:, SPEED])))
+    weights = {q.name: q.weight for q in quantities(MACHINE, recordings, NOISE, left)}
+    assert weights["pressure_cap"] < 0.5 < 0.9 < weights["motor_speed"]
 
 
 def test_holm_takes_the_small_p_values_until_one_is_too_large():

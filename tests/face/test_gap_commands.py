@@ -222,6 +222,36 @@ def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here
 
 
 @pytest.mark.parametrize(
+    ("edit", "says"),
+    [
+        (lambda rows: rows[:30], "Record tens of seconds"),
+        (
+            lambda rows: [",".join([row.split(",")[0], "0", *row.split(",")[2:]]) for row in rows],
+            "no input of cehA ever moves",
+        ),
+    ],
+    ids=["too short", "motionless"],
+)
+def test_recordings_that_can_show_nothing_are_refused_by_the_search_itself(here, edit, says):
+    head, *rows = (here / "train_1.csv").read_text().splitlines()
+    (here / "train_1.csv").write_text("\n".join([head, *edit(rows)]) + "\n")
+    answer = hydrotwin(*GAP, "--executor", "threads", "--effects", "coulomb_friction")
+    assert answer.code == 2, answer.said
+    assert says in answer.said
+    found = json.loads((here / "gap/gap.json").read_text())
+    assert found["verdict"] in ("none", "unknown") and says in found["findings"][0]
+
+
+def test_a_machine_of_ones_own_is_told_how_to_use_the_answer(here, discover):
+    (here / "own.py").write_text("from hydrotwin.models import cehA\n\n\ndef machine():\n    return cehA.model()\n")
+    answer = hydrotwin("gap", "own.py:machine", *GAP[2:])
+    assert answer.code == 0, answer.err
+    assert "own.py:machine@gap/model.toml" in answer.out
+    again = ht.load("own.py:machine@gap/model.toml")
+    assert [a.effect for a in again.additions] == ["coulomb_friction"]
+
+
+@pytest.mark.parametrize(
     ("words", "says"),
     [
         (

@@ -90,6 +90,17 @@ def test_an_opened_machine_is_extended_by_what_only_ties():
     assert largest_difference(model, LIFT, 0.5) < 2e-5
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", MACHINES)
+def test_any_three_effects_together_are_accepted(name, seed):
+    base = MACHINES[name]()
+    fitting = [c for c in candidates(base) if c.id not in UNMATCHED]
+    chosen = np.random.default_rng(seed).choice(len(fitting), 3, replace=False)
+    model = base.plus([fitting[k].addition for k in chosen])
+    structure = rumoca.Session().loads(modelica_text(model), model=modelica_main(model)).structure()
+    assert structure.is_balanced and structure.is_matched, [fitting[k].label for k in chosen]
+
+
 def test_two_effects_on_one_input_act_in_their_order():
     model = add_effect(cehA.model(), "command_saturation", values={"limit": 1.0})
     model = add_effect(model, "actuator_lag", values={"time_constant": 0.1})

@@ -195,7 +195,7 @@ def _candidate(effect: type[Effect], site: Site, several: bool, values: Mapping[
     own = {k: part.declared(k) for k in declared}
     free = tuple(f"{name}.{k}" for k, p in own.items() if p.free)
     scale = {k: _ratio(own[k], declared[k]) for k in own}
-    probes = tuple({f"{name}.{k}": v * scale[k] for k, v in probe.items()} for probe in effect.probes)
+    probes = tuple({f"{name}.{k}": v * scale[k] for k, v in probe.items() if k in own} for probe in effect.probes)
     typical = {f"{name}.{k}": tuple(v * scale[k] for v in t) for k, t in effect.typical.items() if k in own}
     neutral = {f"{name}.{k}": p.value for k, p in own.items() if p.free}
     return Candidate(effect, site, name, free, neutral, probes, typical)

@@ -24,7 +24,7 @@ def dry(value: float = 0.0, description: str = "Coulomb friction F_c", source: s
 
 def smoothing() -> Parameter:
     """The velocity over which the sign is smoothed."""
-    return Parameter(1e-3, "m/s", "v_0 of the smoothed sign", bounds=(1e-6, 0.1), source="numerical")
+    return Parameter(5e-4, "m/s", "v_0 of the smoothed sign", bounds=(1e-6, 0.1), source="numerical")
 
 
 class ViscousFriction(Effect):

@@ -203,7 +203,7 @@ class _Joint(Lagged):
 
     def initial_equations(self):
         yield self.first == self.a.f
-        yield self.passed == self.a.f
+        yield self.passed == self.first
 
 
 class StructuralCompliance(_Joint):

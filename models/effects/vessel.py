@@ -27,22 +27,23 @@ def _limits(seen, name: str) -> list[float]:
 
 
 class Overflow(Lagged):
-    """A vessel runs over: what would stand above its rim is spilled and lost.
+    """A vessel runs over: what would stand above its rim is spilled, and lost or partly caught by a lower vessel.
 
-        dh/dt = (dh/dt without it) - max(h - h_max, 0)/T_0
+        spill = max(h - h_max, 0)/T_0,   dh/dt = (dh/dt without it) - spill
 
-    The level exceeds the rim by T_0 times the rate that is spilled; T_0 is the model's step.
+    The level exceeds the rim by T_0 times the rate that is spilled; T_0 is the model's step. At a site of two levels
+    the lower one catches a share, see `OverflowIntoLower`.
 
     Source: Schoukens and Noel 2017, cascaded tanks.
     """
 
     id, title = "overflow", "overflow"
-    equation = "h <= h_max"
+    equation = "h <= h_max; a share r of the spill reaches the lower vessel, if there is one"
     source = SCHOUKENS
-    typical = {"limit": (0.5, 20.0)}
-    probes = ({"limit": 1.0}, {"limit": 3.0}, {"limit": 10.0})
+    typical = {"limit": (0.5, 20.0), "share": (0.0, 1.0)}
+    probes = ({"limit": 1.0, "share": 0.5}, {"limit": 3.0, "share": 0.5}, {"limit": 10.0, "share": 0.5})
     confused_with = ("command_saturation", "sensor_scale")
-    experiment = "fill to the rim and go on, with the level measured"
+    experiment = "fill the upper vessel to the rim and go on, with both levels measured"
 
     u = Input("signal/s", "rate of the level without a rim")
     y = Output("signal/s", "rate of the level")
@@ -62,14 +63,22 @@ class Overflow(Lagged):
                 nominal=level.nominal,
                 step=places.model.step,
             )
+        yield from OverflowIntoLower.sites(places)
+
+    @classmethod
+    def at(cls, site):
+        """The part for one level, or for a level above another."""
+        if cls is Overflow and isinstance(site.through, dict):
+            return OverflowIntoLower.at(site)
+        return super().at(site)
 
     def equations(self):
         yield self.y == self.u - ca.fmax(self.h - self.limit, 0) / self.resolution
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
-        """Rims at quantiles of the level seen."""
-        return [{"limit": limit} for limit in _limits(seen, "h")]
+        """Rims at quantiles of the level seen, a share of the spill caught where something can catch it."""
+        return [{"limit": limit, "share": share} for limit in _limits(seen, "h") for share in (0.3, 0.8)]
 
 
 class OverflowIntoLower(Lagged):
@@ -81,15 +90,6 @@ class OverflowIntoLower(Lagged):
 
     Source: Schoukens and Noel 2017, cascaded tanks.
     """
-
-    id, title = "overflow_into_lower", "overflow into a lower vessel"
-    equation = "h_1 <= h_max, a share r of the spill into h_2"
-    source = SCHOUKENS
-    typical = {"limit": (0.5, 20.0), "share": (0.0, 1.0)}
-    probes = ({"limit": 1.0, "share": 0.5}, {"limit": 3.0, "share": 0.5}, {"limit": 10.0, "share": 0.5})
-    refines = ("overflow",)
-    confused_with = ("overflow", "command_saturation", "sensor_scale")
-    experiment = "fill the upper vessel to the rim and go on, with both levels measured"
 
     u_upper = Input("signal/s", "rate of the upper level without a rim")
     y_upper = Output("signal/s", "rate of the upper level")
@@ -119,8 +119,3 @@ class OverflowIntoLower(Lagged):
         spill = ca.fmax(self.h - self.limit, 0) / self.resolution
         yield self.y_upper == self.u_upper - spill
         yield self.y_lower == self.u_lower + self.share * spill
-
-    @classmethod
-    def probes_for(cls, seen) -> list[dict]:
-        """Rims at quantiles of the level seen, half of the spill caught."""
-        return [{"limit": limit, "share": share} for limit in _limits(seen, "h") for share in (0.3, 0.8)]

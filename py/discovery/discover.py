@@ -17,13 +17,16 @@ from .answering import Found, Step, answer
 from .choose import choose
 from .decide import T_NEEDED, closed, compared
 from .discovery import Discovery
-from .executor import Starts, executor_for, mapped
+from .executor import Starts, executor_for
 from .progress import reporting
 from .recordings import split
 from .refit import Question, RefitJob, Refitted, refit
+from .resume import recalled
 from .search import CONVINCING, Search, Structure
 
 MOST_EFFECTS = 3
+KEPT = (Refitted,)  # answers that an interrupted search need not find again
+PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
 
@@ -77,6 +80,8 @@ def discover(
         raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
     flat = model.flat
     data = split(flat, records, validate, outputs, noise)
+    if len(records) == 1 and initial_states == "auto":
+        initial_states = "free"  # the pieces of a lone recording begin in motion
     question = Question(data.fit, data.select, data.noise, initial_states, step)
     names = _free_names(flat, free)
     bounded = _bounded(model, names)
@@ -130,7 +135,7 @@ def _runner(pool, report, memory):
             report(stage, done, len(jobs), getattr(jobs[index], "label", ""))
 
         ready = [_portable(job) for job in jobs]
-        return list(mapped(pool, function, ready, on_done))
+        return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT))
 
     return run
 
@@ -162,7 +167,8 @@ def _searched(search: Search, base: Structure, most: int) -> Found:
     step = Step(choice, tuple(ranked), (*tried, *pairs), base)
     other = _forward(search, base, choice.best.structure, most, (step,))
     over = compared(other.last.fitted, found.last.fitted, search.question)
-    return other if over.bic_gain > 0 and over.paired_t > T_NEEDED else found
+    clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH
+    return other if clearly or (not found.steps and other.steps) else found
 
 
 def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:

@@ -8,7 +8,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from hydrotwin.identification.noise import output_noise
@@ -17,7 +19,8 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import FlatModel
 
 SHORTEST = 200  # samples of a recording that can tell effects apart
-FIT_SHARE = 0.6  # of a lone recording
+PIECES = 12  # of a lone recording of something that integrates
+FIT_SHARE = 0.6  # of a lone recording of something that settles
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +45,8 @@ def split(
 ) -> Split:
     """Sort recordings into roles.
 
-    With three training recordings or more every third selects; with two the second does; a lone one is cut in time.
+    With three training recordings or more every third selects; with two the second does; a lone one is cut into pieces,
+    whose start states are then all estimated.
 
     Raises
     ------
@@ -56,7 +60,7 @@ def split(
         f"gap: output '{name}' is constant in every recording and says nothing. It is left out; record it in motion."
         for name in constant
     ]
-    train = recordings(flat, records, wanted, "record")
+    train = _in_pieces(flat, recordings(flat, records, wanted, "record"))
     report = recordings(flat, validate, wanted, "validation record") if len(validate) else ()
     _require_motion(flat, train)
     if not report:
@@ -68,15 +72,37 @@ def split(
     return Split(fit, select, train, report, output_noise(flat, train, noise), tuple(wanted), tuple(findings))
 
 
+def _in_pieces(flat: FlatModel, train: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    """A lone recording as several, each from its own start.
+
+    What integrates drifts away in a free run, and a drift is worth a handful of samples: then the pieces are short.
+    What settles by itself shows slow effects only in long runs: then they are two.
+    """
+    if len(train) > 1:
+        return train
+    whole = train[0]
+    shares = np.linspace(0, 1, PIECES + 1) if _integrates(flat, whole) else np.array([0, FIT_SHARE, 1])
+    edges = (shares * len(whole.time)).astype(int)
+    return tuple(_part(whole, slice(a, b), f"part {i + 1}") for i, (a, b) in enumerate(pairwise(edges)))
+
+
+def _integrates(flat: FlatModel, recording: Recording) -> bool:
+    """Whether some mode of the model, linear around its start, does not settle within the recording."""
+    t, x, u, p = (ca.SX.sym(n, flat.ode.size1_in(i)) for i, n in enumerate("txup"))
+    slope = ca.Function("slope", [t, x, u, p], [ca.jacobian(flat.ode(t, x, u, p)[0], x)])
+    values = flat.parameter_vector()
+    start = flat.start_given()(recording.u[0], values, [])
+    matrix = slope(0, start, recording.u[0], values).full()
+    if not np.isfinite(matrix).all():
+        return False
+    return bool(np.any(np.abs(np.linalg.eigvals(matrix)) * (recording.time[-1] - recording.time[0]) < 1))
+
+
 def _roles(train: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
     if len(train) >= 3:
         select = tuple(r for i, r in enumerate(train) if i % 3 == 1)
         return tuple(r for r in train if r not in select), select
-    if len(train) == 2:
-        return (train[0],), (train[1],)
-    whole = train[0]
-    at = int(FIT_SHARE * len(whole.time))
-    return (_part(whole, slice(0, at), "first part"),), (_part(whole, slice(at, None), "last part"),)
+    return (train[0],), (train[1],)
 
 
 def _part(recording: Recording, part: slice, label: str) -> Recording:
@@ -106,7 +132,7 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
 
 def _require_motion(flat: FlatModel, train: Sequence[Recording]) -> None:
     longest = max(train, key=lambda r: len(r.time))
-    if len(longest.time) < SHORTEST:
+    if len(longest.time) < SHORTEST and sum(len(r.time) for r in train) < SHORTEST:
         raise DataError(
             f"gap: {longest.name} has {len(longest.time)} samples, the longest of all. Effects cannot be told apart "
             f"with less than {SHORTEST}. Record tens of seconds of motion in both directions."

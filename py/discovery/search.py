@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -30,6 +30,7 @@ PAIRS = 6
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 APART = 1e6  # s between recordings that are seen as one
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
+THRESHOLD_STARTS = 4  # starts followed for limits and thresholds, whose first cost says little
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 IMPLAUSIBLE = 10.0  # times the largest usual value
 
@@ -142,7 +143,7 @@ class Search:
         own = []
         if seen is not None:
             own = [
-                {(k if "." in k else f"{candidate.name}.{k}"): float(v) for k, v in probe.items()}
+                _known({f"{candidate.name}.{k}": float(v) for k, v in probe.items()}, candidate.free)
                 for probe in candidate.effect.probes_for(seen)
             ]
         return own or [dict(p) for p in candidate.probes]
@@ -250,9 +251,11 @@ class Search:
         neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
         points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
         label = " + ".join(c.label for c in members)
+        thresholds = any(hasattr(c.effect, "probes_for") for c in members)
         return RefitJob(
-            flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size, label=label
-        )
+            flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size,
+            follow=THRESHOLD_STARTS if thresholds else 1, label=label,
+        )  # fmt: skip
 
     def without(self, now: Structure, tried: Tried) -> Structure:
         """``now`` fitted again from where a larger structure ended: it may have come to rest too early before.
@@ -279,9 +282,12 @@ class Search:
         return dataclasses.replace(tried, evidence=evidence)
 
     def starts_of(self, screened: Screened) -> list[Mapping[str, float]]:
-        """Where refits of a candidate begin: the screen's proposal, its probes, neutral."""
+        """Where refits of a candidate begin: the screen's proposal, then its probes.
+
+        Never at neutral itself: where the derivative is nil there, a refit would not leave it.
+        """
         c = screened.candidate
-        return [screened.start, *c.probes, dict(c.neutral)]
+        return [screened.start, *c.probes] if screened.gain > 0 else [*c.probes]
 
     def singles(self, now: Structure, shortlist: Sequence[Screened]) -> list[Tried]:
         """Every shortlisted candidate alone."""
@@ -324,7 +330,7 @@ class Search:
         return bic_needed(len(self.candidates))
 
 
-def _known(values: Mapping[str, float], names: set[str]) -> dict[str, float]:
+def _known(values: Mapping[str, float], names: Collection[str]) -> dict[str, float]:
     return {n: v for n, v in values.items() if n in names}
 
 

@@ -58,7 +58,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     flat = search.base.flat
     shown = data.report or data.select
     view = View(flat, data, before, after, shown)
-    members = [_named(search, step, after, search.question) for step in steps]
+    share = _explained(found, search.question)
+    members = [_named(step, after, share) for step in steps]
     experiment = _experiment(search, data, steps) if verdict == "class" else None
     residual = after.refitted.residuals_fit
     unknown = ()
@@ -157,7 +158,14 @@ def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
-def _named(search: Search, step: Step, after: Concluded, q: Question) -> NamedStep:
+def _explained(found: Found, q: Question) -> float:
+    """Share of the reducible L that the search explains, 0..1: what keeps a name from certainty while a gap is left."""
+    floor = 0.5 * float(q.counts[np.isfinite(q.noise)].sum())
+    before, after = found.base.fitted.likelihood - floor, found.last.fitted.likelihood - floor
+    return float(np.clip(1 - after / before, 0.0, 1.0)) if before > 0 else 1.0
+
+
+def _named(step: Step, after: Concluded, explained: float) -> NamedStep:
     best = step.choice.best
     first = best.members[0]
     return NamedStep(
@@ -167,7 +175,7 @@ def _named(search: Search, step: Step, after: Concluded, q: Question) -> NamedSt
         equation=first.effect.equation,
         source=first.effect.source,
         members=tuple((t.members[0].id, t.members[0].site.name) for t in step.choice.members),
-        probability=step.choice.probability[label(best)],
+        probability=step.choice.probability[label(best)] * explained,
         parameters=tuple(p for c in best.members for p in _parameters(c, after)),
         gap_closed=best.evidence.closed,
         ranked=_ranked(step.ranked, step.tried, step.choice),

@@ -26,11 +26,11 @@ PER_EFFECT = 2  # sites of one effect in a shortlist
 LEAST_EVIDENCE = 3.0  # predicted, of L with effective samples: a third of what passing takes
 LEAST_OF_BEST = 0.02
 PAIRED = 6  # candidates of which pairs are tried
-PAIRS = 6
+PAIRS = 4
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 APART = 1e6  # s between recordings that are seen as one
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
-THRESHOLD_STARTS = 4  # starts followed for limits and thresholds, whose first cost says little
+THRESHOLD_STARTS = 3  # starts followed for limits and thresholds, whose first cost says little
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 IMPLAUSIBLE = 10.0  # times the largest usual value
 

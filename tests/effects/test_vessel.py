@@ -20,7 +20,7 @@ def filled(effect=None, site=None, **values):
 
 def test_levels_are_states_that_cannot_be_negative():
     assert {c.site.name for c in candidates(benches.tanks(), ["overflow"])} == {"upper", "lower"}
-    pairs = {c.site.name for c in candidates(benches.tanks(), ["overflow_into_lower"])}
+    pairs = {c.site.name for c in candidates(benches.tanks(), ["overflow"])}
     assert pairs == {"upper-lower", "lower-upper"}
     assert not candidates(benches.pump_bench(), ["overflow*"])
 
@@ -37,12 +37,12 @@ def test_what_an_upper_vessel_spills_does_not_reach_the_lower_one():
 
 @pytest.mark.parametrize("share", (0.0, 0.4, 1.0))
 def test_a_lower_vessel_catches_its_share_of_the_spill(share):
-    level = filled("overflow_into_lower", "upper-lower", limit=0.7, share=share)
+    level = filled("overflow", "upper-lower", limit=0.7, share=share)
     assert level[-1] == pytest.approx(0.7 + share * 0.1, abs=1e-3)  # in rest: inflow 0.8, of which 0.1 is spilled
 
 
 def test_no_water_is_lost_when_all_of_the_spill_is_caught():
-    model = add_effect(benches.tanks(), "overflow_into_lower", "upper-lower", {"limit": 0.3, "share": 1.0})
+    model = add_effect(benches.tanks(), "overflow", "upper-lower", {"limit": 0.3, "share": 1.0})
     states, drained = {"upper": 0.35, "lower": 0.2}, 0.1 * 0.2
     y = at(model, states, inflow=0.08)
     assert y["der(upper)"] + y["der(lower)"] == pytest.approx(0.08 - drained)
@@ -50,14 +50,14 @@ def test_no_water_is_lost_when_all_of_the_spill_is_caught():
 
 
 def test_below_the_rim_nothing_is_spilled():
-    model = add_effect(benches.tanks(), "overflow_into_lower", "upper-lower", {"limit": 0.6, "share": 0.5})
+    model = add_effect(benches.tanks(), "overflow", "upper-lower", {"limit": 0.6, "share": 0.5})
     states = {"upper": 0.5, "lower": 0.5}
     assert at(model, states, inflow=0.03) == at(benches.tanks(), states, inflow=0.03)
 
 
 def test_rims_are_looked_for_among_the_levels_seen():
     seen = {"h": np.linspace(0.2, 0.9, 1001)}
-    for effect in ("overflow", "overflow_into_lower"):
+    for effect in ("overflow", "overflow"):
         assert all(0.7 < probe["limit"] < 0.9 for probe in CATALOGUE[effect].probes_for(seen))
 
 

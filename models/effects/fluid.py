@@ -161,7 +161,7 @@ class LineCompliance(Effect):
     equation = "q = C dp/dt"
     source = MERRITT
     typical = {"compliance": (1e-14, 5e-12)}  # hoses: bulk modulus 0.05-0.5 GPa
-    probes = ({"compliance": 1e-13}, {"compliance": 2e-12})
+    probes = ({"compliance": 1e-13}, {"compliance": 2e-12}, {"compliance": 5e-12})
     confused_with = ("entrained_air", "structural_compliance", "actuator_lag")
     experiment = "pressure steps with the cylinder blocked, at a low and at a high pressure"
 

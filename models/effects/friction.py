@@ -213,6 +213,34 @@ class AsymmetricFriction(Effect):
         yield self.flange.f == self.out * ca.fmax(direction, 0) + self.back * ca.fmin(direction, 0)
 
 
+class AsymmetricViscousFriction(Effect):
+    """Damping of another size in each direction, as of a gear that lifts on one side or a seal that drags oil.
+
+        F = b_e |v|
+
+    beside the damping that is there: b_e more of it towards larger s, b_e less towards smaller s. Smoothed as
+    v tanh(v / v_0). Source: Armstrong-Helouvry et al. 1994.
+    """
+
+    id, title = "asymmetric_viscous_friction", "damping that depends on direction"
+    equation = "F = b_e |v|"
+    source = ARMSTRONG
+    typical = {"difference": (1.0, 2000.0)}
+    probes = ({"difference": 50.0}, {"difference": -50.0}, {"difference": 1000.0}, {"difference": -1000.0})
+    confused_with = ("asymmetric_friction", "direction_asymmetry", "constant_load")
+    experiment = "constant speeds in both directions, slow and fast"
+
+    flange = Flange("where it rubs")
+    difference = Parameter(0.0, "N.s/m", "b_e", bounds=(-1e6, 1e6), nominal=100.0, source=ARMSTRONG, free=True)
+    smoothing_velocity = smoothing()
+
+    sites = staticmethod(flanges)
+
+    def equations(self):
+        v = der(self.flange.s)
+        yield self.flange.f == self.difference * v * ca.tanh(v / self.smoothing_velocity)
+
+
 class PressureDependentFriction(Effect):
     """Seals that are pressed on by the oil rub more.
 

@@ -58,8 +58,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     flat = search.base.flat
     shown = data.report or data.select
     view = View(flat, data, before, after, shown)
-    share = _explained(found, search.question)
-    members = [_named(step, after, share) for step in steps]
+    share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
+    members = [named for step in steps for named in _named(step, after, share)]
     experiment = _experiment(search, data, steps) if verdict == "class" else None
     residual = after.refitted.residuals_fit
     unknown = ()
@@ -158,30 +158,38 @@ def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
-def _explained(found: Found, q: Question) -> float:
-    """Share of the reducible L that the search explains, 0..1: what keeps a name from certainty while a gap is left."""
-    floor = 0.5 * float(q.counts[np.isfinite(q.noise)].sum())
-    before, after = found.base.fitted.likelihood - floor, found.last.fitted.likelihood - floor
-    return float(np.clip(1 - after / before, 0.0, 1.0)) if before > 0 else 1.0
-
-
-def _named(step: Step, after: Concluded, explained: float) -> NamedStep:
+def _named(step: Step, after: Concluded, explained: float) -> list[NamedStep]:
+    """The named effect of a step; two for a pair, the one that explains more alone first."""
     best = step.choice.best
-    first = best.members[0]
-    return NamedStep(
-        effect=first.id,
-        site=first.site.name,
-        title=first.effect.title,
-        equation=first.effect.equation,
-        source=first.effect.source,
-        members=tuple((t.members[0].id, t.members[0].site.name) for t in step.choice.members),
-        probability=step.choice.probability[label(best)] * explained,
-        parameters=tuple(p for c in best.members for p in _parameters(c, after)),
-        gap_closed=best.evidence.closed,
-        ranked=_ranked(step.ranked, step.tried, step.choice),
-        together=tuple((c.id, c.site.name) for c in best.members[1:]),
-        sentence=first.effect.experiment,
-    )
+    alone = {t.members[0].label: t for t in step.tried if len(t.members) == 1 and t.structure}
+
+    def by_itself(c) -> float:
+        return alone[c.label].evidence.closed if c.label in alone else -np.inf
+
+    order = sorted(best.members, key=by_itself, reverse=True)
+    named = []
+    for c in order:
+        closed_alone = by_itself(c) if c is not order[-1] and np.isfinite(by_itself(c)) else best.evidence.closed
+        members = [(c.id, c.site.name)]
+        if len(order) == 1:
+            members = [(t.members[0].id, t.members[0].site.name) for t in step.choice.members]
+        named.append(
+            NamedStep(
+                effect=c.id,
+                site=c.site.name,
+                title=c.effect.title,
+                equation=c.effect.equation,
+                source=c.effect.source,
+                members=tuple(members),
+                probability=step.choice.probability[label(best)] * explained,
+                parameters=_parameters(c, after),
+                gap_closed=closed_alone,
+                ranked=_ranked(step.ranked, step.tried, step.choice),
+                together=tuple((o.id, o.site.name) for o in order if o is not c),
+                sentence=c.effect.experiment,
+            )
+        )
+    return named
 
 
 def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
@@ -354,5 +362,10 @@ def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Run
 
     rungs = [Rung("identified base", left(found.base))]
     for step in steps:
-        rungs.append(Rung(label(step.choice.best), left(step.choice.best.structure)))
+        best = step.choice.best
+        alone = [t for t in step.tried if t.structure and len(t.members) == 1 and t.members[0] in best.members]
+        if len(best.members) > 1 and alone:
+            first = max(alone, key=lambda t: t.evidence.closed)
+            rungs.append(Rung(label(first), left(first.structure)))
+        rungs.append(Rung(label(best), left(best.structure)))
     return tuple(rungs)

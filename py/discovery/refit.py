@@ -31,6 +31,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
 ROUNDS = 5
+LAST_WORD = 40  # iterations of a fit that is reported
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
@@ -70,7 +71,7 @@ class RefitJob:
     size: np.ndarray | None = None
     coarse: bool = False
     follow: int = 1
-    iterations: int = 40
+    iterations: int = 15
     label: str = ""
 
 
@@ -289,7 +290,7 @@ def conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
     task = _task(job)
     found = _from_starts(task, job)[0]
-    task, found, value = _settled(task, q, found, job.iterations)
+    task, found, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)
     refitted = _answer(task, q, found, value)

@@ -299,7 +299,8 @@ class Search:
         self, now: Structure, screen: Screen, ranked: Sequence[Screened], singles: Sequence[Tried]
     ) -> list[Tried]:
         """The pairs whose linear prediction gains most beyond the better of the two."""
-        usable = [s for s in ranked if s.evidence > 0][: 2 * PAIRED]
+        simple = {s.candidate.id for s in ranked}
+        usable = [s for s in ranked if s.evidence > 0 and not set(s.candidate.effect.refines) & simple][: 2 * PAIRED]
         fitted = {t.members[0].label: t for t in singles if t.structure}
         scored = []
         for one, other in itertools.combinations(usable, 2):

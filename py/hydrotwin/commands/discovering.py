@@ -78,6 +78,9 @@ def gap(
         list[str] | None, typer.Option("--effects", metavar="GLOB", help="effects to try: 'sensor_*', '* at command'")
     ] = None,
     exclude: Annotated[list[str] | None, typer.Option("--exclude", metavar="GLOB", help="effects not to try")] = None,
+    initial_states: Annotated[
+        str, typer.Option(help="auto; free: start states are estimated, for a load or a level nobody measured; fixed")
+    ] = "auto",
     max_effects: Annotated[int, typer.Option(min=1, help="most effects to add, one after the other")] = 3,
     executor: Annotated[
         str, typer.Option(metavar="WHERE", help="where the fits run: processes, threads or dask://host:port")
@@ -113,7 +116,7 @@ def gap(
         try:
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
-                max_effects=max_effects, executor=pool, progress=told, memory=memory,
+                max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
             )  # fmt: skip
         except HydrotwinError as error:
             write_failure(thing.name, str(error), output, time.perf_counter() - began)

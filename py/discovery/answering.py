@@ -25,7 +25,7 @@ from .screen import TESTABLE, Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
 
-NAMED = 0.5  # of the gap on held-out recordings: less than that explained is not an explanation
+NAMED = 0.7  # of the gap on held-out recordings: less than that explained is not an explanation
 SHOWN = 12  # candidates of a step in the answer that were not refitted
 
 
@@ -168,7 +168,7 @@ def _named(step: Step, after: Concluded, explained: float) -> list[NamedStep]:
 
     order = sorted(best.members, key=by_itself, reverse=True)
     named = []
-    for c in order:
+    for c in [c for c in order if not c.free or any(n in after.fit.values for n in c.free)]:
         closed_alone = by_itself(c) if c is not order[-1] and np.isfinite(by_itself(c)) else best.evidence.closed
         members = [(c.id, c.site.name)]
         if len(order) == 1:

@@ -27,6 +27,7 @@ T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
 MEASURABLE = 1.02  # MSE over noise^2
+LARGE = 1.2  # MSE over noise^2: no error of a noise estimate
 CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason
 
 
@@ -138,12 +139,15 @@ def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> floa
 
 
 def has_gap(residuals: Sequence[np.ndarray], noise: np.ndarray, clearly: float = MEASURABLE) -> np.ndarray:
-    """Outputs (ny,) of which more than noise is left: mean square above ``clearly`` noise^2 and not white."""
-    stacked = np.concatenate(residuals)
+    """Outputs (ny,) that leave more than noise: mean square above ``clearly`` noise^2, and not white unless large.
+
+    A noise that is estimated is uncertain by a few percent, and a bias is white.
+    """
     with np.errstate(invalid="ignore"):
-        large = pooled_rmse(residuals) ** 2 > clearly * noise**2
-    coloured = [any(ljung_box(r[:, j])[1] < SIGNIFICANCE for r in residuals) for j in range(stacked.shape[1])]
-    return np.nan_to_num(large).astype(bool) & np.array(coloured)
+        square = (pooled_rmse(residuals) / noise) ** 2
+    columns = range(len(noise))
+    coloured = np.array([any(ljung_box(r[:, j])[1] < SIGNIFICANCE for r in residuals) for j in columns])
+    return (np.nan_to_num(square) > LARGE) | ((np.nan_to_num(square) > clearly) & coloured)
 
 
 def output_gap_closed(before: float, after: float, noise: float) -> float:

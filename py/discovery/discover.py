@@ -91,7 +91,7 @@ def discover(
         report("identify the base", 0, 1, "")
         base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
         search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report)
-        found = _searched(search, Structure((), base), max_effects)
+        found = _pruned(search, _searched(search, Structure((), base), max_effects))
         return answer(search, data, found, model, began)
 
 
@@ -171,6 +171,26 @@ def _searched(search: Search, base: Structure, most: int) -> Found:
     return other if clearly or (not found.steps and other.steps) else found
 
 
+def _pruned(search: Search, found: Found) -> Found:
+    """What was found without the steps whose effects have become idle."""
+    last = search.pruned(found.last)
+    if last is found.last:
+        return found
+    steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
+    if len(steps) == 1:  # it explains what all of them did
+        steps = [_alone(search, steps[0], found.base, last)]
+    return dataclasses.replace(found, last=last, steps=tuple(steps))
+
+
+def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step:
+    """A step from the base itself."""
+    best = search.judged(dataclasses.replace(step.choice.best, structure=last), base)
+    members = tuple(best if t is step.choice.best else t for t in step.choice.members)
+    tried = tuple(best if t is step.choice.best else t for t in step.tried)
+    choice = dataclasses.replace(step.choice, best=best, members=members)
+    return dataclasses.replace(step, choice=choice, tried=tried, before=base)
+
+
 def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
     screens = []
     while len(now.members) < most and not search.explained(now.fitted):
@@ -180,13 +200,14 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             break
-        better = search.without(now, choice.best)
-        if better is not now:  # what was missing was a better fit of what is there
+        better, best = search.settled(now, choice.best)
+        tried = [best if t is choice.best else t for t in tried]
+        if better is not now:  # what was missing was, in part, a better fit of what is there
             now, steps = better, _refounded(steps, better)
             tried = [search.judged(t, now) for t in tried]
-            choice = choose(tried, len(search.candidates), search.question)
-            if choice is None:
-                continue
+        choice = choose(tried, len(search.candidates), search.question)
+        if choice is None:
+            continue
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = choice.best.structure
     return Found(base if now.members else now, now, steps, tuple(screens))

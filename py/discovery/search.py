@@ -17,7 +17,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.simulation import prepare
 
-from .decide import Evidence, bic_needed, compared, has_gap
+from .decide import WORTH, Evidence, bic_needed, compared, has_gap
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
 
@@ -257,22 +257,58 @@ class Search:
             follow=THRESHOLD_STARTS if thresholds else 1, label=label,
         )  # fmt: skip
 
-    def without(self, now: Structure, tried: Tried) -> Structure:
-        """``now`` fitted again from where a larger structure ended: it may have come to rest too early before.
+    def settled(self, now: Structure, tried: Tried) -> tuple[Structure, Tried]:
+        """Both sides of a choice fitted again: ``now`` from where the larger structure ended, that from the beginning.
 
-        The larger one would then be praised for a better fit of what was there already.
+        Either may have come to rest too early: the larger one would then be praised for a better fit of what was there
+        already, or leave something for the next effect to explain.
         """
-        names = self.names(now.members)
-        values = {n: v for n, v in tried.structure.fitted.values.items() if n in names}
-        flat = self.model(now.members).flat
         fitted = tried.structure.fitted
-        job = RefitJob(flat, names, self.question, (values,), fitted.states, now.fitted.size, label=" + ".join(now.key))
-        again = self.run(refit, [job], "look back")[0]
-        if isinstance(again, str) or again.likelihood > now.fitted.likelihood - LOOK_BACK:
-            return now
-        better = Structure(now.members, again)
-        self._known[tuple(sorted(now.key))] = better
-        return better
+        names = self.names(now.members)
+        values = {n: v for n, v in fitted.values.items() if n in names}
+        back = RefitJob(
+            self.model(now.members).flat, names, self.question, (values,), fitted.states, now.fitted.size,
+            label=" + ".join(now.key),
+        )  # fmt: skip
+        members = tried.structure.members
+        flat = self.model(members).flat
+        first = {p.name: p.value for p in self.base.flat.parameters if p.name in self.free}
+        starts = ({**fitted.values, **first},)
+        again = RefitJob(
+            flat, self.names(members), self.question, starts, coarse=True, iterations=40, label=label_of(members)
+        )
+        smaller, larger = self.run(refit, [back, again], "look back")
+        if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
+            now = self._kept(Structure(now.members, smaller))
+        if not isinstance(larger, str) and larger.likelihood < fitted.likelihood:
+            tried = dataclasses.replace(tried, structure=self._kept(Structure(members, larger)))
+        return now, self.judged(tried, now)
+
+    def pruned(self, now: Structure) -> Structure:
+        """``now`` without the members that have become idle since others were added."""
+        while len(now.members) > 1:
+            smaller = [tuple(m for m in now.members if m is not left) for left in now.members]
+            jobs = []
+            for members in smaller:
+                names = self.names(members)
+                values = {n: v for n, v in now.fitted.values.items() if n in names}
+                flat = self.model(members).flat
+                states, size = now.fitted.states, now.fitted.size
+                jobs.append(RefitJob(flat, names, self.question, (values,), states, size, label=label_of(members)))
+            idle = []
+            for members, fitted in zip(smaller, self.run(refit, jobs, "look back"), strict=True):
+                if not isinstance(fitted, str):
+                    over = compared(now.fitted, fitted, self.question)
+                    if not (over.bic_gain > self.needed and over.closed > WORTH):
+                        idle.append((over.bic_gain, Structure(members, fitted)))
+            if not idle:
+                break
+            now = min(idle, key=lambda pair: pair[0])[1]
+        return now
+
+    def _kept(self, structure: Structure) -> Structure:
+        self._known[tuple(sorted(structure.key))] = structure
+        return structure
 
     def judged(self, tried: Tried, now: Structure) -> Tried:
         """The evidence of a candidate against another structure."""
@@ -329,6 +365,11 @@ class Search:
     def needed(self) -> float:
         """BIC that a name must gain."""
         return bic_needed(len(self.candidates))
+
+
+def label_of(members: Sequence[Candidate]) -> str:
+    """``id at site`` of every member, joined."""
+    return " + ".join(c.label for c in members)
 
 
 def _known(values: Mapping[str, float], names: Collection[str]) -> dict[str, float]:

@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 
 from ..loading import load
 from .comparing import print_comparison
+from .discovering import gap_provenance, print_discovery, telling, write_discovery
 from .exporting import given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .shared import check_folder, examples, mark, out, progress_bar, read_all
@@ -39,18 +40,19 @@ def demo(
     ] = None,
     budget: Annotated[float, typer.Option(help="seconds for each network")] = 40.0,
 ) -> None:
-    """Identify, learn, export, check, compare and report, on the recordings that ship with the project."""
+    """Identify, learn, export, find what is missing, compare and report, on the shipped recordings."""
     check_folder(output)
     began = time.perf_counter()
     for machine in machines or list(LEARNED):
         if machine not in LEARNED:
             raise DataError(f"demo: no recordings of '{machine}'. There are {' and '.join(LEARNED)}.")
         run_machine(machine, output / machine, budget)
-    mark(out, "done", f"in {time.perf_counter() - began:.0f} s. Open {output}/*/report.html in a browser.", "bold")
+    pages = f"{output}/*/report.html and {output}/*/gap/report.html"
+    mark(out, "done", f"in {time.perf_counter() - began:.0f} s. Open {pages} in a browser.", "bold")
 
 
 def run_machine(machine: str, folder: Path, budget: float) -> None:
-    """Recordings in; identified model, network, FMUs and report out."""
+    """Recordings in; identified model, network, FMUs, the missing effect and report out."""
     recordings = EXAMPLES / machine / "recordings"
     train = read_all(sorted(recordings.glob("train_*.csv")))
     validate = read_all(sorted(recordings.glob("validate_*.csv")))
@@ -64,7 +66,8 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
         fit_friction(machine, folder, test)
     network = learn_machine(machine, folder, train, budget)
     fmus = export_machine(machine, folder, identified, network)
-    compare_all(machine, folder, (identified, network, fmus), fit, train, validate)
+    completed = find_missing(machine, folder / "gap", train, validate)
+    compare_all(machine, folder, (identified, completed, network, fmus), fit, train, validate)
 
 
 def identify_machine(machine: str, folder: Path, train: list[Record], validate: list[Record]):
@@ -124,16 +127,29 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
     return answers
 
 
+def find_missing(machine: str, folder: Path, train: list[Record], validate: list[Record]):
+    """The gap workflow: its report and files; the model with what was named, None when nothing was."""
+    from hydrotwin.discovery.discover import discover
+
+    out.rule(f"{machine}: what is missing")
+    with telling(machine, silent=False) as told:
+        found = discover(load(machine), train, validate=validate, progress=told)
+    write_discovery(found, machine, folder, gap_provenance(found, train, validate))
+    print_discovery(found, folder)
+    return load(str(folder / "model.toml")) if found.steps else None
+
+
 def compare_all(machine: str, folder: Path, models, fit, train: list[Record], validate: list[Record]) -> None:
     """Everything side by side on the validation recordings, and the report."""
     from hydrotwin.comparison import BlockContender, PhysicalContender, as_contender, compare
     from hydrotwin.report import write_report
 
     out.rule(f"{machine}: compare")
-    identified, network, fmus = models
+    identified, completed, network, fmus = models
     contenders = [
         PhysicalContender(load(machine), f"{machine} as given"),
         PhysicalContender(identified, "identified"),
+        *([PhysicalContender(completed, "with the named effect")] if completed else []),
         BlockContender(network, kind="network", name="network"),
         *(as_contender(load(spec)) for spec in FORMULA.get(machine, [])),
         *fmus,

@@ -98,7 +98,6 @@ def gap(
     """
     from hydrotwin.discovery.discover import discover
     from hydrotwin.discovery.executor import executor_for
-    from hydrotwin.discovery.resume import Memory
     from hydrotwin.models.effects import candidates
 
     began = time.perf_counter()
@@ -107,7 +106,7 @@ def gap(
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale), read_all(validate, scale)
     check_recordings(thing, train, judged)
-    memory = Memory(output / KEPT)
+    memory = finished_fits(output / KEPT)
     if not resume:
         memory.remove()
     elif len(memory):
@@ -131,6 +130,18 @@ def gap(
     print_discovery(found, output)
     if ".py:" in model and found.steps:
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+def finished_fits(folder: Path):
+    """The memory of a run in ``folder``: it keeps what is data. A final fit carries its equations and is made anew."""
+    from hydrotwin.discovery.resume import Memory
+
+    class Finished(Memory):
+        def put(self, key, answer) -> None:
+            with contextlib.suppress(TypeError):
+                super().put(key, answer)
+
+    return Finished(folder)
 
 
 @contextlib.contextmanager

@@ -1,0 +1,117 @@
+"""Of what passes, the best is named, its equals form a class, and probabilities add up to one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.choose import TEMPERATURE, choose, label, worth_refining
+from hydrotwin.discovery.decide import Evidence, compared
+from hydrotwin.discovery.refit import Question, Refitted, likelihood
+from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
+from hydrotwin.identification.problem import Recording
+from hydrotwin.models.effects import candidates
+from tests.discovery.slides import better, slide
+
+N, S = 2000, np.array([1.0])
+KNOWN = {c.id: c for c in candidates(slide())}
+ASKED = Question((Recording("run", None, np.arange(N) * 0.01, np.zeros((N, 1)), np.zeros((N, 1))),), (), S)
+NOISE = np.random.default_rng(0).standard_normal((N, 1))
+OTHER = np.random.default_rng(1).standard_normal((N, 1))
+
+
+def left(times: float, colour: float = 0.0) -> np.ndarray:
+    """Noise and something uncorrelated with it beside, so that the size is ``times`` the noise."""
+    return NOISE + np.sqrt(max(times**2 - 1, 0)) * OTHER + colour
+
+
+def structure(names, fit: float, select: float, parameters: int = 3, **values) -> Structure:
+    members = tuple(KNOWN[n] for n in names)
+    rmse = np.sqrt(np.mean(left(fit) ** 2, axis=0))
+    fitted = Refitted(
+        {c.free[0]: values.get(c.id, 1e-3) for c in members}, (), np.fmax(rmse, S), (left(fit),), (left(select),),
+        likelihood(rmse, ASKED), parameters, (), True, 1,
+    )  # fmt: skip
+    return Structure(members, fitted)
+
+
+BASE = structure((), 3.0, 3.0, 2)
+
+
+def tried(*names, fit: float = 1.0, select: float | None = None, parameters: int = 3, **values) -> Tried:
+    """A candidate that leaves ``fit`` and ``select`` times the noise."""
+    own = structure(names, fit, select or fit, parameters, **values)
+    return Tried(own.members, None, own, compared(own.fitted, BASE.fitted, ASKED))
+
+
+def test_nothing_is_named_where_nothing_passes():
+    assert choose([tried("drift", fit=2.995), tried("null_bias", fit=3.0)], 30, ASKED) is None
+    assert choose([], 30, ASKED) is None
+    assert choose([Tried((KNOWN["drift"],), None, reason="it diverges")], 30, ASKED) is None
+
+
+def test_the_one_that_leaves_least_is_named_alone_when_the_others_leave_more():
+    choice = choose([tried("drift", fit=2.0), tried("coulomb_friction"), tried("null_bias", fit=1.5)], 30, ASKED)
+    assert label(choice.best) == "coulomb_friction at mass.flange"
+    assert choice.members == (choice.best,)
+    assert choice.probability[label(choice.best)] > 0.99
+
+
+def test_what_explains_as_well_is_in_the_class_with_the_same_probability():
+    choice = choose([tried("drift", fit=2.0), tried("null_bias"), tried("constant_load")], 30, ASKED)
+    assert {t.members[0].id for t in choice.members} == {"null_bias", "constant_load"}
+    assert choice.members[0] is choice.best
+    assert choice.probability["null_bias at force"] == pytest.approx(0.5, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_probabilities_add_up_to_one_and_follow_the_evidence(seed):
+    sizes = 1 + 0.05 * np.random.default_rng(seed).uniform(size=5)
+    names = ("drift", "null_bias", "constant_load", "coulomb_friction", "dead_time")
+    choice = choose([tried(n, fit=f) for n, f in zip(names, sizes, strict=True)], 30, ASKED)
+    assert sum(choice.probability.values()) == pytest.approx(1.0)
+    order = sorted(names, key=lambda n: -choice.probability[KNOWN[n].label])
+    assert order == [n for _, n in sorted(zip(sizes, names, strict=True))]
+
+
+def test_bic_differences_are_softened_before_they_become_probabilities():
+    a, b = tried("drift"), tried("null_bias", fit=1.002)
+    behind = compared(a.structure.fitted, b.structure.fitted, ASKED).bic_gain
+    choice = choose([a, b], 30, ASKED)
+    assert 0 < behind < 20
+    odds = choice.probability[label(b)] / choice.probability[label(a)]
+    assert odds == pytest.approx(np.exp(-behind / (2 * TEMPERATURE)), rel=1e-6)
+
+
+def test_what_fits_only_the_recordings_it_was_fitted_to_is_not_named():
+    assert choose([tried("drift", fit=1.0, select=3.0)], 30, ASKED) is None
+
+
+def test_an_implausible_value_is_never_named_however_well_it_fits():
+    beyond = 2 * IMPLAUSIBLE * KNOWN["coulomb_friction"].typical["coulomb_friction.force"][1]
+    wild = tried("coulomb_friction", coulomb_friction=beyond)
+    assert wild.evidence.passes(30) and choose([wild], 30, ASKED) is None
+    choice = choose([wild, tried("drift", fit=1.2)], 30, ASKED)
+    assert label(choice.best) == "drift at force" and list(choice.probability) == ["drift at force"]
+    assert len(choice.members) == 1
+
+
+def test_the_simple_effect_is_named_when_its_refinement_explains_little_more():
+    simple, refined = tried("coulomb_friction", fit=1.05), tried("stribeck_friction", fit=1.04, parameters=5)
+    choice = choose([simple, refined], 30, ASKED)
+    assert choice.best is simple and choice.members == (simple,)
+
+
+def test_the_refinement_is_named_when_it_explains_clearly_more():
+    simple, refined = tried("coulomb_friction", fit=1.8), tried("stribeck_friction", fit=1.0, parameters=5)
+    choice = choose([simple, refined], 30, ASKED)
+    assert choice.best is refined and choice.members == (refined,)
+
+
+@pytest.mark.parametrize("short", [Evidence(9.0, 5.0, 0.9), Evidence(50.0, 1.5, 0.9), Evidence(50.0, 5.0, 0.2)])
+def test_a_refinement_needs_evidence_held_out_blocks_and_a_share(short):
+    assert worth_refining(better()) and not worth_refining(short)
+
+
+def test_a_pair_is_labelled_by_both():
+    assert label(tried("drift", "null_bias")) == "drift at force + null_bias at force"

@@ -1,0 +1,127 @@
+"""A structure fitted to recordings finds the machine, weighs outputs by what it leaves, and pays for every parameter."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.decide import bic_gain, correlation_times
+from hydrotwin.discovery.refit import RefitJob, conclude, likelihood, pooled_rmse, refit
+from hydrotwin.models.language import Model, Output
+from tests.discovery.slides import DAMPING, MASS, NOISE, RATE_NOISE, Drive, Unstable, question, records, slide, started
+from tests.discovery.slides import drive_records as driven
+
+FREE = ("mass.mass", "mass.damping")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """Recordings without any hidden effect, as a question."""
+    return question(records(3))
+
+
+@pytest.fixture(scope="module")
+def fitted(plain):
+    return refit(RefitJob(slide().flat, FREE, plain, coarse=True))
+
+
+def test_mass_and_damping_are_recovered_from_starts_a_quarter_off(fitted):
+    assert fitted.values["mass.mass"] == pytest.approx(MASS, rel=3e-3)
+    assert fitted.values["mass.damping"] == pytest.approx(DAMPING, rel=3e-3)
+    assert fitted.converged and not fitted.at_bound and fitted.parameters == 2
+
+
+def test_what_is_left_is_the_noise_on_recordings_fitted_and_held_out(fitted):
+    assert fitted.rmse == pytest.approx([NOISE], rel=0.06)
+    assert fitted.rmse_select == pytest.approx([NOISE], rel=0.06)
+    assert len(fitted.residuals_fit) == 2 and len(fitted.residuals_select) == 1
+
+
+def test_a_residual_is_never_weighed_by_less_than_the_noise(plain):
+    large = dataclasses.replace(plain, noise=np.array([0.05]))
+    assert refit(RefitJob(slide().flat, FREE, large, coarse=True)).size == pytest.approx([0.05])
+
+
+class TwoSensors(Drive):
+    """The drive with a second sensor that is off by a wave, which nothing in the model can explain."""
+
+    other = Output("rad/s", "measured again", nominal=10.0)
+
+    def equations(self):
+        yield from super().equations()
+        yield self.other == self.turning
+
+
+def test_a_sensor_that_the_model_cannot_follow_loses_its_weight_and_the_good_one_rules():
+    model, runs = Model(TwoSensors()), driven(3, other=lambda y, t: 1.5 + 1.5 * np.sin(9.0 * t) + y)
+    asked = question(runs, model, {"rate": RATE_NOISE, "other": RATE_NOISE})
+    found = refit(RefitJob(model.flat, ("gain", "time_constant"), asked, coarse=True))
+    assert found.size[0] == pytest.approx(RATE_NOISE, rel=0.1) and found.size[1] > 20 * RATE_NOISE
+    assert found.values["gain"] == pytest.approx(10.0, rel=1e-3)
+    assert found.values["time_constant"] == pytest.approx(0.3, rel=5e-3)
+
+
+def test_a_useless_parameter_costs_the_logarithm_of_the_worth_of_the_samples(plain, fitted):
+    from hydrotwin.models.effects import candidates
+
+    (deadband,) = candidates(slide(), ["command_deadband"])
+    flat = slide().plus([deadband.addition]).flat
+    job = RefitJob(flat, (*FREE, *deadband.free), plain, ({**fitted.values, deadband.free[0]: 1.0},))
+    more = refit(job)
+    n = plain.counts.sum() / correlation_times(more.residuals_fit)[0]
+    assert bic_gain(more, fitted, plain) == pytest.approx(-np.log(n), abs=4.0)
+    assert bic_gain(more, fitted, plain) < 0
+    assert abs(more.values[deadband.free[0]]) < 3.0
+
+
+def test_a_structure_at_the_noise_has_half_its_samples_as_likelihood(plain, fitted):
+    assert likelihood(plain.noise, plain) == pytest.approx(plain.counts.sum() / 2)
+    assert likelihood(2 * plain.noise, plain) == pytest.approx(plain.counts.sum() * (np.log(2.0) + 0.5))
+    assert fitted.likelihood == pytest.approx(plain.counts.sum() / 2, rel=0.1)
+    assert likelihood(0.5 * plain.noise, plain) < likelihood(plain.noise, plain)
+
+
+def test_of_several_starts_the_one_in_the_right_valley_is_followed():
+    late = question(records(3, late=6))
+    flat, free, delay = started("dead_time")
+    best = refit(RefitJob(flat, free, late, ({delay: 0.0}, {delay: 0.4}, {delay: 0.1})))
+    assert best.values[delay] == pytest.approx(0.12, abs=2e-3)
+
+
+def test_a_start_outside_the_bounds_is_moved_inside_and_a_value_at_its_bound_is_told():
+    tight = Model(Drive()).with_settings({"gain": {"value": 5.0, "bounds": (1.0, 6.0)}}, {})
+    asked = question(driven(3), tight)
+    found = refit(RefitJob(tight.flat, ("gain", "time_constant"), asked, ({"gain": 50.0},)))
+    assert found.values["gain"] == pytest.approx(6.0) and "gain" in found.at_bound
+
+
+def test_a_model_that_diverges_is_a_sentence():
+    model = Model(Unstable())
+    said = refit(RefitJob(model.flat, ("gain",), question(driven(3), model), coarse=True))
+    assert isinstance(said, str) and "diverge" in said
+
+
+def test_the_final_fit_has_intervals_that_hold_the_truth_and_unseen_residuals(plain, fitted):
+    everything = dataclasses.replace(plain, fit=(*plain.fit, *plain.select), select=())
+    done = conclude(RefitJob(slide().flat, FREE, everything, (fitted.values,), size=fitted.size))
+    for p, true in zip(done.fit.parameters, (MASS, DAMPING), strict=True):
+        assert 0 < p.sigma < 0.01 * true
+        assert abs(p.value - true) < 4 * p.sigma
+    assert done.residuals_report == ()
+
+
+def test_pooled_rmse_counts_what_was_measured_and_is_infinite_where_a_run_diverged():
+    one = np.array([[3.0, np.nan, np.nan], [4.0, np.nan, 1.0]])
+    assert pooled_rmse([one])[[0, 2]] == pytest.approx([np.sqrt(12.5), 1.0]) and np.isnan(pooled_rmse([one])[1])
+    assert np.isinf(pooled_rmse([one, np.full((2, 3), np.inf)])).all()
+
+
+def test_an_interrupted_measurement_is_bridged(plain):
+    held = dataclasses.replace(plain.fit[0], y=plain.fit[0].y.copy())
+    held.y[100:250] = np.nan
+    asked = dataclasses.replace(plain, fit=(held, plain.fit[1]))
+    found = refit(RefitJob(slide().flat, FREE, asked, coarse=True))
+    assert found.values["mass.mass"] == pytest.approx(MASS, rel=5e-3)
+    assert np.isnan(found.residuals_fit[0][100:250]).all() and asked.counts[0] == plain.counts[0] - 150

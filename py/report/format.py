@@ -20,7 +20,7 @@ _SHOWN = {
     "m3": "cm3",
     "m3/s": "L/min",
     "m3/rad": "cm3/rev",
-    "m3/(s.Pa)": "L/(min.bar)",
+    "m3/(s.Pa)": "mL/(min.bar)",
     "Pa/s": "bar/s",
 }
 _FAST = 15.0  # rad/s: above this an engineer reads rpm, below deg/s

@@ -36,7 +36,7 @@ from .gap_tables import (
     untestable_table,
     waterfall_table,
 )
-from .gap_text import capital, joined, percent, sentence
+from .gap_text import capital, certainty, joined, lowered, percent, sentence
 from .gap_words import (
     answer,
     class_sentence,
@@ -166,9 +166,9 @@ def _about(step: Step, number: int, of: int) -> tuple[str, ...]:
     order = f"{number}. " if of > 1 else ""
     told = [f"{order}{capital(placed(step))}{': ' if step.equation else ''}{step.equation}"]
     closed = f" It closes {percent(step.gap_closed)} of the gap that it met."
-    told.append(f"Probability {percent(step.probability)}.{closed if percent(step.gap_closed) != '–' else ''}")
+    told.append(f"Probability {certainty(step.probability)}.{closed if percent(step.gap_closed) != '–' else ''}")
     if step.sentence:
-        told.append(capital(sentence(step.sentence)))
+        told.append(f"What shows it best: {lowered(sentence(step.sentence))}")
     return tuple(told)
 
 
@@ -250,6 +250,8 @@ def _noise(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 def _provenance(discovery: Discovery, command: str, date: datetime) -> Section:
     records = getattr(discovery.fit_after, "records", ())
     digests = digest_table(records) if records else None
-    origin = item_table(discovery.provenance)
+    fitted = {r.name for r in records}
+    rest = {name: value for name, value in discovery.provenance.items() if name not in fitted}
+    origin = item_table(rest, title="Recordings never used" if digests else "Recordings")
     parts = [p for p in (digests, origin) if p]
     return Section("provenance", "Provenance", (*parts, timing_table(discovery), made_table(command, date)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
@@ -11,12 +11,22 @@ from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Recordin
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
 from .gap_figures import moved
-from .gap_text import capital, joined, parameter_unit, percent, sentence, typical_remark, typical_text, value_texts
+from .gap_text import (
+    capital,
+    certainty,
+    joined,
+    parameter_unit,
+    percent,
+    sentence,
+    typical_remark,
+    typical_text,
+    value_texts,
+)
 from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, unseen
 from .tables import Cell, Column, Table, numbers, table, texts, warned
 
 FULL = 12  # candidates shown before the rest is folded
-NO_GAP = "no measurable gap"
+NO_GAP = "no gap"
 SWATCH = {"named": PALETTE[0], "in class": PALETTE[5]}
 
 
@@ -40,12 +50,10 @@ def output_table(
         columns.append(rmse_column("rmse_after", "After", rows, units))
     else:
         columns.append(rmse_column("noise", "Noise", rows, units))
-    columns += [
-        texts("unit", "Unit", [pretty_unit(u) for u in units]),
-        left_column(rows),
-    ]
+    columns.append(texts("unit", "Unit", [pretty_unit(u) for u in units]))
     if changed:
         columns.append(closed_column([o.gap_closed for o in rows]))
+    columns.append(left_column(rows))
     return table(id, title, columns, note)
 
 
@@ -114,7 +122,7 @@ def _candidates(rows: Sequence[Ranked], id: str, title: str, folded: bool) -> Ta
             numbers("bic_gain", "BIC gain", [r.bic_gain for r in rows], common=False),
             numbers("paired_t", "Paired t", [r.paired_t for r in rows], common=False, digits=2),
             closed_column([r.gap_closed for r in rows], NONE),
-            _percents("probability", "Probability", [r.probability for r in rows]),
+            _percents("probability", "Probability", [r.probability for r in rows], certainty),
         ]
     columns += [
         texts("fate", "Fate", [r.fate for r in rows]),
@@ -136,12 +144,12 @@ def effect_table(step: Step, id: str) -> Table:
 
     columns = [
         texts("parameter", "Parameter", [p.name for p in rows]),
-        texts("meaning", "Meaning", [p.description for p in rows]),
         column("value", "Value", 0),
         column("low", "95 % from", 1),
         column("high", "to", 2),
         texts("unit", "Unit", [pretty_unit(u) for u in units]),
         texts("typical", "Typical", [typical_text(p) for p in rows]),
+        texts("meaning", "Meaning", [p.description for p in rows]),
         warned(texts("remark", "Remark", remarks), [bool(r) for r in remarks]),
     ]
     note = f"Source: {sentence(step.source)}" if step.source else ""
@@ -155,7 +163,7 @@ def member_table(step: Step, id: str) -> Table:
     columns = [
         texts("member", "Member", [capital(r.title) if r else m[0] for m, r in zip(step.members, rows, strict=True)]),
         texts("site", "Where", [site for _, site in step.members]),
-        _percents("probability", "Probability", [r.probability if r else math.nan for r in rows]),
+        _percents("probability", "Probability", [r.probability if r else math.nan for r in rows], certainty),
         closed_column([r.gap_closed if r else math.nan for r in rows], NONE),
         numbers("bic_gain", "BIC gain", [r.bic_gain if r else None for r in rows], common=False),
         texts("values", "Its parameters would be", [_values(r) if r else NONE for r in rows]),
@@ -207,7 +215,9 @@ def shift_table(discovery: Discovery) -> Table:
         numbers("sigmas", "Moved, in sigmas", [moved(s) for s in rows], common=False, digits=2),
         warned(texts("remark", "Remark", bound), [s.at_bound for s in rows]),
     ]
-    return table("shifts", "", _told(columns), "± is one standard deviation.")
+    bare = any(math.isnan(s.sigma_before) for s in rows)
+    note = f"± is one standard deviation{'; – where a value rests on a bound of the search' * bare}."
+    return table("shifts", "", _told(columns), note)
 
 
 def recording_tables(discovery: Discovery, shown: Mapping[str, str]) -> list[Table]:
@@ -298,8 +308,8 @@ def _told(columns: Sequence[Column]) -> list[Column]:
     return [c for c in columns if any(cell.text for cell in c.cells)]
 
 
-def _percents(key: str, title: str, values: Sequence[float]) -> Column:
-    return Column(key, title, tuple(_cell(v, percent(v)) for v in values), numeric=True)
+def _percents(key: str, title: str, values: Sequence[float], text: Callable[[float], str] = percent) -> Column:
+    return Column(key, title, tuple(_cell(v, text(v)) for v in values), numeric=True)
 
 
 def _cell(value: float, text: str) -> Cell:

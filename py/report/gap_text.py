@@ -11,6 +11,7 @@ from hydrotwin.discovery.discovery import EffectParameter
 
 from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
 
+ALMOST_ALL = 0.9999  # told as "over 99.9 %"
 NAMES = ("Coulomb", "Stribeck", "Dahl", "Maxwell", "Bingham", "Karnopp")  # keep their capital in a sentence
 
 
@@ -79,6 +80,15 @@ def percent(share: float) -> str:
         return "under 1\u00a0%"
     text = f"{100.0 * share:.{1 if 0.99 <= share < 1.0 else 0}f}".replace("-", "−")
     return f"{'0' if text in ('−0', '0') else text}\u00a0%"
+
+
+def certainty(probability: float) -> str:
+    r"""A probability as percent: nothing that is inferred is certain.
+
+    >>> certainty(1.0), certainty(0.62)
+    ('over 99.9\xa0%', '62\xa0%')
+    """
+    return percent(min(probability, ALMOST_ALL))
 
 
 def joined(words: Sequence[str]) -> str:

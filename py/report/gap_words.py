@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from hydrotwin.discovery.discovery import Discovery, Experiment, OutputGap, Ranked, Step
+from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Step
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
 from .gap_text import (
+    ALMOST_ALL,
     capital,
+    certainty,
     interval_words,
     joined,
     largest,
@@ -114,7 +116,7 @@ def step_sentence(step: Step) -> str:
     """The effect, where, its equation with values and intervals in engineering units, and how sure that is."""
     pair = [f"{effect} at {site}" for effect, site in step.together]
     with_it = f" Only together with {joined(pair)} does it explain anything." if pair else ""
-    return f"{capital(placed(step))}: {_formula(step)}. Probability {percent(step.probability)}.{with_it}"
+    return f"{capital(placed(step))}: {_formula(step)}. Probability {certainty(step.probability)}.{with_it}"
 
 
 def member_sentences(step: Step) -> list[str]:
@@ -126,7 +128,7 @@ def member_sentences(step: Step) -> list[str]:
         if row is None:
             told.append(f"{start} {effect} at {site}.")
         else:
-            sure = f", probability {percent(row.probability)}" if math.isfinite(row.probability) else ""
+            sure = f", probability {certainty(row.probability)}" if math.isfinite(row.probability) else ""
             formula = _formula(row)
             told.append(f"{start} {lowered(placed(row))}{sure}{': ' if formula else ''}{formula}.")
     rest = [f"{effect} at {site}" for effect, site in step.members[TOLD:]]
@@ -152,11 +154,17 @@ def closed_sentence(discovery: Discovery, shown: Mapping[str, str]) -> str:
     what = "it closes" if len(discovery.steps) == 1 else "they close"
     words = [f"{percent(o.gap_closed)} of the gap of {o.output} (RMSE {_change(o, shown)})" for o in gaps[:TOLD]]
     if len(gaps) > TOLD:
-        low, high = min(gaps, key=lambda o: o.gap_closed), max(gaps, key=lambda o: o.gap_closed)
-        first = f"{percent(gaps[0].gap_closed)} of the gap of {gaps[0].output} (RMSE {_change(gaps[0], shown)})"
-        span = f"{percent(low.gap_closed)} ({low.output}) to {percent(high.gap_closed)} ({high.output})"
-        words = [first, f"from {span} over all {len(gaps)} outputs with a gap"]
+        words = [words[0], _span(gaps[1:])]
     return f"{where} {what} {joined(words)}."
+
+
+def _span(gaps: Sequence[OutputGap]) -> str:
+    """From the least to the most that is closed of several outputs."""
+    low, high = min(gaps, key=lambda o: o.gap_closed), max(gaps, key=lambda o: o.gap_closed)
+    if low.gap_closed >= 0.9995 or percent(low.gap_closed) == percent(high.gap_closed):
+        return f"{percent(min(low.gap_closed, ALMOST_ALL))} of that of each of the {len(gaps)} others"
+    span = f"{percent(low.gap_closed)} ({low.output}) to {percent(high.gap_closed)} ({high.output})"
+    return f"from {span} of those of the {len(gaps)} others"
 
 
 def left_sentence(discovery: Discovery) -> str:
@@ -194,13 +202,7 @@ def experiment_sentence(discovery: Discovery) -> str:
     if e is None:
         split = any(len(s.members) > 1 for s in discovery.steps)
         return "No input within the limits was found that would tell them apart." if split else ""
-    return f"The experiment that would tell: {lowered(sentence(e.sentence))} {separation_words(e)}"
-
-
-def separation_words(experiment: Experiment) -> str:
-    """How far apart the members would be, and are now."""
-    then, now = number_text(experiment.separation, 2), number_text(experiment.now, 2)
-    return f"It sets them {then} times the noise apart; the recordings at hand do by {now}."
+    return f"The experiment that would tell: {lowered(sentence(e.sentence))}"
 
 
 def tried_sentence(discovery: Discovery) -> str:
@@ -271,7 +273,7 @@ def _class_words(step: Step) -> str:
     for effect, site in step.members:
         row = known.get((effect, site))
         name = lowered(placed(row)) if row else f"{effect} at {site}"
-        words.append(f"{name} ({percent(row.probability)})" if row and math.isfinite(row.probability) else name)
+        words.append(f"{name} ({certainty(row.probability)})" if row and math.isfinite(row.probability) else name)
     if len(words) > 2 * TOLD:
         words[2 * TOLD :] = [f"one of {len(words) - 2 * TOLD} others"]
     return " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)

@@ -67,7 +67,7 @@ def test_a_named_effect_is_told_with_what_it_closes_on_unseen_recordings_and_wha
     assert "(RMSE 0.756° to 0.00705°)" in text
     assert "pressure_cap (RMSE 2.88 bar to 0.08" in text
     assert "What is left: 1.1 times the noise on arm_angle; 2 other outputs are at the noise." in text
-    assert headline(named())["motor_speed"][-1] == "no measurable gap"
+    assert headline(named())["motor_speed"][-2] == "no gap"
 
 
 def test_without_recordings_held_back_nothing_claims_to_be_unseen():
@@ -82,9 +82,9 @@ def test_a_class_names_every_member_and_the_experiment_that_would_tell():
     text = first_screen(one_of_a_class())
     assert "Either internal leakage at cylinder.cap-cylinder.annulus, probability 62\u00a0%: q = G (p_A - p_B)" in text
     assert "Or slip of the pump at pump, probability 36\u00a0%: q = G dp / (1 + w/w0), with conductance" in text
-    assert "conductance = 0.00750\u00a0L/(min·bar) (95\u00a0%: 0.00691 to 0.00809)" in text
+    assert "conductance = 7.50\u00a0mL/(min·bar) (95\u00a0%: 6.91 to 8.09)" in text
     assert "These recordings cannot tell them apart. The experiment that would tell: hold the arm" in text
-    assert "7.3 times the noise apart; the recordings at hand do by 0.80." in text
+    assert text.count("times the noise (now 0.8)") == 1
 
 
 def test_a_large_class_leaves_the_first_screen_readable():
@@ -148,7 +148,7 @@ def test_the_sentence_of_the_discovery_is_the_answer():
 def test_a_recording_that_gets_worse_a_wild_value_and_a_bound_are_notices():
     worse, wild, bound = gap_page(two_effects(), command="", date=DATE).notices
     assert worse.startswith("slow_5 (never used) got worse on arm_angle (RMSE 0.126° to 0.378°) and pressure_cap")
-    assert "leak.conductance = 1.800\u00a0L/(min·bar) is above its typical range (6.00e−5 to 0.0600)" in wild
+    assert "leak.conductance = 1800\u00a0mL/(min·bar) is above its typical range (0.0600 to 60.0)" in wild
     assert bound.startswith("cylinder.cap_dead_volume rests on its bound")
     assert gap_page(named(), command="", date=DATE).notices == ()
 
@@ -320,7 +320,7 @@ def test_a_recording_that_got_worse_is_marked_in_its_table():
 
 def test_intervals_get_the_digits_that_they_give_sense_to():
     assert value_text(FORCE) + interval_words(FORCE) == "1234\u00a0N (95\u00a0%: 1205 to 1263)"
-    assert value_text(CONDUCTANCE) == "0.00720\u00a0L/(min·bar)"
+    assert value_text(CONDUCTANCE) == "7.20\u00a0mL/(min·bar)"
     assert value_text(DELAY) == "31.0\u00a0ms"
     sharp = replace(DELAY, sigma=1e-6, low=0.031 - 2e-6, high=0.031 + 2e-6)
     assert value_text(sharp) == "31.0000\u00a0ms"
@@ -368,10 +368,11 @@ def test_what_is_not_known_leaves_a_dash_and_no_error(tmp_path):
     )
     text = written(found, tmp_path)["markdown"].read_text(encoding="utf-8")
     assert "with force = –\u00a0N (interval not known). Probability –." in text
-    assert "| arm_angle | – | – | ° | – | no measurable gap |" in text
+    assert "| arm_angle | – | – | ° | no gap | – |" in text
 
 
 def test_many_outputs_are_told_by_their_range():
     rows = tuple(OutputGap(f"y{k}", "N", 1.0, 10.0, 2.0 + k, 1 - ((2.0 + k) ** 2 - 1) / 99) for k in range(5))
     text = first_screen(replace(named(), outputs={"validate": rows}))
-    assert "from 65\u00a0% (y4) to 97\u00a0% (y0) over all 5 outputs with a gap" in text
+    assert "97\u00a0% of the gap of y0 (RMSE 10.0 N to 2.00 N) and " in text
+    assert "and from 65\u00a0% (y4) to 92\u00a0% (y1) of those of the 4 others" in text

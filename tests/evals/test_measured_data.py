@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import PhysicalContender
+from hydrotwin.discovery import discover
 from hydrotwin.identification import identify
 from hydrotwin.loading import load
 from hydrotwin.records import Record, read_record
@@ -72,6 +73,25 @@ def axis_fit(factory: str):
         noise={"position": 1e-3},
         starts=1,
     )
+
+
+@cache
+def tanks_gap(names: int = 3):
+    """What the plain tanks lack, at most so many effects."""
+    folder = "cascaded_tanks"
+    return discover(
+        load(f"{EXAMPLES / folder / 'model.py'}:model"),
+        recordings(f"{folder}/train.csv"),
+        validate=recordings(f"{folder}/validate.csv"),
+        initial_states="free",
+        max_effects=names,
+    )
+
+
+@cache
+def axis_gap():
+    """What the axis without dry friction lacks."""
+    return discover(axis("axis"), recordings("emps/train.csv"), validate=recordings("emps/test_pulses.csv"))
 
 
 def driven(speed, direction, seconds: float = 2.0) -> Record:
@@ -204,3 +224,34 @@ def test_the_axis_comes_near_its_published_parameters_only_with_dry_friction():
     assert dry["carriage.friction.coulomb"] == pytest.approx(20.3935, rel=0.1)
     assert wet["carriage.mass"] > 1.2 * published["carriage.mass"]
     assert wet["carriage.friction.viscous"] > 2 * published["carriage.friction.viscous"]
+
+
+@needs("emps")
+def test_dry_friction_is_the_first_that_the_axis_is_told_to_lack():
+    first = axis_gap().steps[0]
+    assert (first.effect, first.site) == ("coulomb_friction", "carriage.flange")
+    (force,) = first.parameters
+    assert force.value == pytest.approx(20.3935, rel=0.1)
+
+
+@needs("emps")
+def test_the_axis_with_what_it_lacked_keeps_to_the_pulses():
+    (pulses,) = recordings("emps/test_pulses.csv")
+    error = simulate(axis_gap().fit_after.flat, pulses)["position"] - pulses["position"]
+    assert np.sqrt(np.mean(error**2)) <= 6.5 * MM
+    assert np.sqrt(np.mean(np.gradient(error, pulses.time) ** 2)) <= 6.0 * MM
+
+
+@needs("cascaded_tanks")
+def test_overflow_is_the_first_that_the_tanks_are_told_to_lack():
+    assert tanks_gap().steps[0].effect == "overflow"
+
+
+@needs("cascaded_tanks")
+@pytest.mark.parametrize(("names", "left"), [(2, 0.40), (3, 0.28)])
+def test_each_name_brings_the_tanks_nearer_to_levels_never_used(names, left):
+    found = tanks_gap(names)
+    (level,) = found.outputs["validate"]
+    assert len(found.steps) == names
+    assert level.rmse_before == pytest.approx(0.67, rel=0.05)
+    assert level.rmse_after <= left

@@ -31,6 +31,8 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
 ROUNDS = 5
+BUDGET = 30.0  # s of CPU for one refit, roughly
+SENSITIVITY = 4.0  # times a run: a run with sensitivities to ten parameters
 LAST_WORD = 40  # iterations of a fit that is reported
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
@@ -133,13 +135,14 @@ def _refit(job: RefitJob) -> Refitted:
     task = Task(
         flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, 1, silent, q.noise
     )
+    iterations = job.iterations
     if job.coarse:
         task = broadly_weighed(task, np.isfinite(q.noise))
         lengths = horizons(flat, q.fit, free.vector(free.scaled(free.start)))
         found = [descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)]
     else:
-        found = _from_starts(task, job)
-    best = min((_settled(task, q, one, job.iterations) for one in found), key=lambda pair: pair[2])
+        found, iterations = _from_starts(task, job)
+    best = min((_settled(task, q, one, iterations) for one in found), key=lambda pair: pair[2])
     return _answer(best[0], q, best[1], best[2])
 
 
@@ -163,12 +166,15 @@ def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(np.clip(v, *known[name])) for name, v in values.items()}
 
 
-def _from_starts(task: Task, job: RefitJob) -> list[Minimum]:
-    """Minima from the most promising starts."""
+def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
+    """Minima from the most promising starts, and how many iterations each turn may take.
+
+    A structure that makes the equations stiff costs a hundred times the base; its iterations are cut to a budget.
+    """
     shooting, z = whole_runs(task)
     z = _given(shooting, z, job.states)
     base = dict(_inside(task.flat, job.starts[0]))
-    points = []
+    points, began = [], time.thread_time()
     for start in job.starts:
         values = {**base, **_inside(task.flat, start)}
         q = task.free.scaled(
@@ -176,15 +182,19 @@ def _from_starts(task: Task, job: RefitJob) -> list[Minimum]:
         )
         points.append((shooting.cost(q, z), q))
     points.sort(key=lambda pair: pair[0])
+    each = SENSITIVITY * (time.thread_time() - began) / len(points)
+    most = int(min(job.iterations, BUDGET / max(each, 1e-9) / (job.follow + ROUNDS)))
+    if most < 1:
+        raise SolveError(f"{task.flat.name}: one step of a fit takes {each:.0f} s with it, the equations become stiff.")
     found, stopped = [], None
     for _, q in points[: job.follow]:
         try:
-            found.append(minimise(shooting, q, z, **FIRST, most=job.iterations))
+            found.append(minimise(shooting, q, z, **FIRST, most=most))
         except SolveError as error:
             stopped = error
     if not found:
         raise stopped
-    return found
+    return found, most
 
 
 def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np.ndarray:
@@ -289,7 +299,7 @@ def conclude(job: RefitJob) -> Concluded:
     """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part."""
     began, q = time.perf_counter(), job.question
     task = _task(job)
-    found = _from_starts(task, job)[0]
+    found = _from_starts(task, job)[0][0]
     task, found, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)

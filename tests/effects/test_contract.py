@@ -29,6 +29,7 @@ MACHINES = {
 UNIFORM = np.random.default_rng(7).uniform(-1, 1, (6, 3))
 STATES = np.random.default_rng(8).uniform(-0.05, 0.05, 20)
 STABLE = 2.7  # |rate| x step up to which Runge-Kutta of order four decays
+FINEST = 8  # by which the simulation divides the step before it turns to an implicit method
 
 
 @cache
@@ -82,11 +83,11 @@ def test_one_to_four_parameters_are_looked_for_and_each_has_unit_source_and_a_us
     if not own:
         return  # it frees a parameter of the model
     assert 1 <= len(free) <= 4
-    assert set(free) == set(effect.typical)
+    assert set(free) <= set(effect.typical)  # a part for another kind of site may have more
     for name, p in own.items():
         assert p.source and p.description, name
     for probe in effect.probes:
-        assert set(probe) <= set(free)
+        assert set(probe) <= set(effect.typical)
 
 
 @every_effect
@@ -180,12 +181,12 @@ def test_rates_outputs_and_their_derivatives_are_finite_at_neutral_and_at_every_
 
 
 @every_site
-def test_the_models_own_step_is_short_enough_wherever_it_is_without_the_effect(name, label):
+def test_the_models_own_step_or_an_eighth_of_it_is_short_enough_wherever_it_is_without_the_effect(name, label):
     base, more, step = bare(name), prepared(name, label), machine(name).step
     for u in inputs(machine(name)):
         if base.fastest(u) * step <= STABLE:
             for values in ({}, *candidate(name, label).probes):
-                assert more.fastest(u, values) * step <= STABLE, values
+                assert more.fastest(u, values) * step / FINEST <= STABLE, values
 
 
 class Prepared:

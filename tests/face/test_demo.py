@@ -18,6 +18,11 @@ FILES = [
     "friction.html",
     "friction.json",
     "friction.md",
+    "gap/gap.json",
+    "gap/model.mo",
+    "gap/model.toml",
+    "gap/report.html",
+    "gap/report.md",
     "model.toml",
     "network.npz",
     "network.toml",
@@ -27,6 +32,7 @@ FILES = [
 CONTENDERS = [
     "cehA as given",
     "identified",
+    "with the named effect",
     "network",
     "published_formula",
     "identified, as FMU",
@@ -64,12 +70,12 @@ def test_the_demo_writes_every_file_and_no_other(demo):
 
 def test_the_demo_tells_every_stage(demo):
     said = demo[1].said
-    for words in ("cehA: identify", "friction test", "learn", "export and check", "compare", "done in"):
+    for words in ("cehA: identify", "friction test", "learn", "export and check", "what is missing", "compare", "done in"):
         assert words in said
     assert said.count("all checks passed") == 2 and "FAILED" not in said
 
 
-def test_all_six_contenders_ran_without_a_failure(data):
+def test_all_seven_contenders_ran_without_a_failure(data):
     assert [m["name"] for m in data["models"]] == CONTENDERS
     assert data["failures"] == []
     assert {s["model"] for s in data["scores"]} == set(CONTENDERS)
@@ -78,6 +84,27 @@ def test_all_six_contenders_ran_without_a_failure(data):
 
 def test_identification_brings_the_model_nearer_to_the_machine(data):
     assert rmse(data, "identified", "pressure_cap") < rmse(data, "cehA as given", "pressure_cap")
+
+
+def test_the_demo_names_what_the_recordings_hide_and_adds_it(demo):
+    folder, answer = demo
+    found = json.loads((folder / "gap/gap.json").read_text(encoding="utf-8"))
+    (step,) = found["steps"]
+    assert (found["verdict"], step["effect"]) == ("named", "internal_leakage")
+    assert "cylinder.cap" in step["site"] and "cylinder.annulus" in step["site"]
+    (conductance,) = step["parameters"].values()
+    assert conductance["value"] == pytest.approx(1e-14, rel=0.05)
+    assert "extends" in (folder / "gap/model.mo").read_text(encoding="utf-8")
+    for words in ("cehA: named. Missing in the model: internal leakage", "95 % interval", "gap closed"):
+        assert words in answer.said
+
+
+def test_the_named_effect_brings_the_model_to_the_noise_of_its_sensors(demo, data):
+    noise = json.loads((demo[0] / "gap/gap.json").read_text(encoding="utf-8"))["noise"]
+    for output in ("rod_position", "pressure_cap", "pressure_rod"):
+        left = rmse(data, "with the named effect", output)
+        assert left < 2 * noise[output], output
+        assert left < rmse(data, "identified", output), output
 
 
 def test_the_demo_scores_the_speed_of_the_arm_for_all_contenders(data):
@@ -103,7 +130,7 @@ def test_the_fmu_of_the_network_is_the_network(demo):
 def test_what_the_demo_wrote_loads_and_runs(demo):
     folder, _ = demo
     record = ht.read_record(SHIPPED / "cehA/recordings/validate_1.csv").window(0.0, 4.0)
-    for name in ("model.toml", "network.toml"):
+    for name in ("model.toml", "network.toml", "gap/model.toml"):
         angle = ht.simulate(ht.load(folder / name), record)["arm_angle"]
         assert np.isfinite(angle).all()
     assert "<html" in (folder / "report.html").read_text(encoding="utf-8")

@@ -66,6 +66,16 @@ class Drive(Component):
         yield self.rate == self.turning
 
 
+class TwoSensors(Drive):
+    """The drive measured twice."""
+
+    other = Output("rad/s", "measured again", nominal=10.0)
+
+    def equations(self):
+        yield from super().equations()
+        yield self.other == self.turning
+
+
 class Unstable(Drive):
     """A drive that runs away at once, whatever its gain: T w' - w = k u."""
 

@@ -6,20 +6,10 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.recordings import split
-from hydrotwin.models.language import Model, Output
+from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
-from tests.discovery.slides import NOISE, PERIOD, Drive, Slide, drive_records, record, records, slide
-
-
-class TwoSensors(Drive):
-    """The drive measured twice."""
-
-    other = Output("rad/s", "measured again", nominal=10.0)
-
-    def equations(self):
-        yield from super().equations()
-        yield self.other == self.turning
+from tests.discovery.slides import NOISE, PERIOD, Drive, Slide, TwoSensors, drive_records, record, records, slide
 
 
 def names(runs) -> list[str]:

@@ -1,4 +1,4 @@
-"""A structure fitted to recordings finds the machine, weighs outputs by what it leaves, and pays for every parameter."""
+"""A fit finds the machine, weighs outputs by what it leaves, and pays for every parameter."""
 
 from __future__ import annotations
 
@@ -9,8 +9,20 @@ import pytest
 
 from hydrotwin.discovery.decide import bic_gain, correlation_times
 from hydrotwin.discovery.refit import RefitJob, conclude, likelihood, pooled_rmse, refit
-from hydrotwin.models.language import Model, Output
-from tests.discovery.slides import DAMPING, MASS, NOISE, RATE_NOISE, Drive, Unstable, question, records, slide, started
+from hydrotwin.models.language import Model
+from tests.discovery.slides import (
+    DAMPING,
+    MASS,
+    NOISE,
+    RATE_NOISE,
+    Drive,
+    TwoSensors,
+    Unstable,
+    question,
+    records,
+    slide,
+    started,
+)
 from tests.discovery.slides import drive_records as driven
 
 FREE = ("mass.mass", "mass.damping")
@@ -42,16 +54,6 @@ def test_what_is_left_is_the_noise_on_recordings_fitted_and_held_out(fitted):
 def test_a_residual_is_never_weighed_by_less_than_the_noise(plain):
     large = dataclasses.replace(plain, noise=np.array([0.05]))
     assert refit(RefitJob(slide().flat, FREE, large, coarse=True)).size == pytest.approx([0.05])
-
-
-class TwoSensors(Drive):
-    """The drive with a second sensor that is off by a wave, which nothing in the model can explain."""
-
-    other = Output("rad/s", "measured again", nominal=10.0)
-
-    def equations(self):
-        yield from super().equations()
-        yield self.other == self.turning
 
 
 def test_a_sensor_that_the_model_cannot_follow_loses_its_weight_and_the_good_one_rules():

@@ -1,0 +1,213 @@
+"""Recordings and models that can show nothing: a sentence says what is missing and what to record, and so gap.json."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.discover import discover
+from hydrotwin.models.language import Model
+from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
+from hydrotwin.records import Record, write_record
+from tests.discovery.slides import (
+    NOISE,
+    PERIOD,
+    RATE_NOISE,
+    Drive,
+    Inline,
+    TwoSensors,
+    Unstable,
+    drive_records,
+    found,
+    record,
+    records,
+    slide,
+)
+from tests.face.command_line import hydrotwin
+
+OWN = """
+from hydrotwin.models.language import Model
+from tests.discovery.slides import Slide, Unstable
+
+
+def machine():
+    return Model(Slide())
+
+
+def unstable():
+    return Model(Unstable())
+"""
+
+
+def still(force: float = 0.0, name: str = "still") -> Record:
+    """A recording in which nothing is commanded and nothing moves."""
+    time = np.arange(0.0, 12.0, PERIOD)
+    speed = NOISE * np.random.default_rng(0).standard_normal(len(time))
+    return Record(time, {"force": np.full(len(time), force), "speed": speed}, {"force": "N", "speed": "m/s"}, name)
+
+
+def frozen(run: Record) -> Record:
+    """The same with a sensor that always says the same."""
+    return Record(run.time, {**run.signals, "speed": np.full(len(run.time), 0.25)}, run.units, run.name)
+
+
+TOO_SHORT = ("run_0 has 50 samples", "Record tens of seconds of motion in both directions")
+MOTIONLESS = ("no input of slide ever moves (force)", "Record commands in both directions, slow and fast, with pauses")
+CONSTANT = ("every recorded output of slide is constant (speed)", "Record motion in both directions, at several speeds")
+REFUSED = {
+    "too short": (lambda: records(3, seconds=1.0), TOO_SHORT),
+    "motionless": (lambda: [still()], MOTIONLESS),
+    "constant": (lambda: [frozen(r) for r in records(2)], CONSTANT),
+}
+
+
+# -- refused ---------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("case", REFUSED)
+def test_recordings_that_can_show_nothing_are_refused_by_discover(case):
+    runs, sentences = REFUSED[case]
+    with pytest.raises(DataError) as refused:
+        found(runs(), ["null_bias"])
+    assert all(sentence in str(refused.value) for sentence in sentences)
+
+
+def test_no_recording_at_all_is_refused():
+    with pytest.raises(
+        DataError, match=r"no recording of slide\. Give at least one, better three, and one to validate"
+    ):
+        found([], ["null_bias"])
+
+
+def test_a_base_that_runs_away_is_refused_and_asks_for_better_start_values():
+    with pytest.raises(SolveError) as refused:
+        discover(Model(Unstable()), drive_records(2), effects=["null_bias"], free=["gain"], executor=Inline())
+    assert "the base model cannot be identified" in str(refused.value)
+    assert "Correct its start values first" in str(refused.value)
+
+
+def test_what_has_no_equations_is_refused():
+    with pytest.raises(DeclarationError, match="is no component model, so no effect can be added inside it"):
+        discover(object(), records(2), executor=Inline())
+
+
+# -- answered with a finding -------------------------------------------------------------------------------------------
+def test_without_a_validation_recording_the_answer_stands_and_asks_for_one():
+    d = found(records(3), ["null_bias"])
+    assert d.verdict == "none" and d.outputs["validate"] == ()
+    (said,) = [f for f in d.findings if "no validation recording" in f]
+    assert "Record another run with other commands and give it as --validate" in said
+    assert {r.role for r in d.recordings} == {"fit", "select"}
+
+
+def test_where_no_candidate_could_be_seen_the_gap_is_unknown_and_faster_motion_is_asked_for():
+    """A hidden pulse makes a gap; the slide is hardly pushed, so that a gain by direction cannot show."""
+    d = found(records(3, highest=0.05, pulse=2.0), ["direction_asymmetry"])
+    assert d.verdict == "unknown"
+    (said,) = [f for f in d.findings if "none of the effects could be seen" in f]
+    assert "Record faster and larger motion in both directions, with pauses" in said
+    (row,) = d.not_testable
+    assert row.effect == "direction_asymmetry" and row.fate == "not testable"
+    assert re.search(r"with \|t\| = [\d.]+ \(needed 3\)", row.reason)
+
+
+@pytest.mark.xfail(strict=True, reason="nothing is screened when the base explains: 'none' says nothing of excitation")
+def test_where_nothing_moves_visibly_none_is_not_said_without_a_warning():
+    d = found(records(3, highest=0.05), ["direction_asymmetry"])
+    assert d.verdict in ("none", "unknown")
+    assert d.not_testable and any("Record faster and larger motion" in f for f in d.findings)
+
+
+def test_where_no_effect_fits_the_gap_is_unknown():
+    runs = drive_records(3, command=lambda u: np.clip(u, -2.0, 2.0))
+    d = discover(Model(Drive()), runs, effects=["internal_leakage"], executor=Inline(), step=5e-3)
+    assert d.verdict == "unknown" and d.steps == ()
+    assert any("none of the effects could be seen" in f for f in d.findings)
+
+
+def test_a_constant_sensor_beside_a_good_one_is_named_and_left_out():
+    runs = drive_records(3, command=lambda u: np.clip(u, -2.0, 2.0), other=lambda w, t: np.full(len(w), 4.0))
+    still = [Record(r.time, {**r.signals, "other": np.full(len(r.time), 4.0)}, r.units, r.name) for r in runs]
+    effects = ["command_saturation", "null_bias"]
+    d = discover(Model(TwoSensors()), still, effects=effects, executor=Inline(), step=5e-3, noise={"rate": RATE_NOISE})
+    assert d.verdict == "named" and [s.effect for s in d.steps] == ["command_saturation"]
+    assert d.steps[0].parameters[0].value == pytest.approx(2.0, rel=0.01)
+    assert list(d.noise) == ["rate"] and [gap.output for gap in d.outputs["train"]] == ["rate"]
+    assert any("'other' is constant in every recording" in f and "record it in motion" in f for f in d.findings)
+
+
+@pytest.mark.xfail(strict=True, reason="a block without measurements makes t nan, so that nothing passes")
+def test_a_sensor_that_fails_for_three_seconds_does_not_hide_the_effect():
+    runs = records(3, dry=30.0)
+    speed = runs[1].signals["speed"].copy()
+    speed[200:350] = np.nan
+    runs[1] = Record(runs[1].time, {**runs[1].signals, "speed": speed}, runs[1].units, runs[1].name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        d = found(runs, ["coulomb_friction", "null_bias"])
+    assert d.verdict == "named"
+
+
+def test_a_recording_with_a_hole_in_its_command_says_where_to_cut():
+    run = record(0)
+    force = run.signals["force"].copy()
+    force[50:60] = np.nan
+    broken = Record(run.time, {**run.signals, "force": force}, run.units, "run_0")
+    with pytest.raises(DataError, match="has 10 missing values"):
+        found([broken], ["null_bias"])
+
+
+# -- on the command line -----------------------------------------------------------------------------------------------
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with the slide as a file of one's own."""
+    (tmp_path / "own.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def gap(folder, machine: str, runs, *words):
+    """Run hydrotwin gap on recordings written as CSV; its answer and its gap.json."""
+    paths = []
+    for run in runs:
+        paths.append(folder / f"{run.name}.csv")
+        write_record(run, paths[-1])
+    answer = hydrotwin("gap", f"own.py:{machine}", *paths, "--out", "gap", "--executor", "threads", *words)
+    return answer, json.loads((folder / "gap/gap.json").read_text())
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_refusal_has_exit_code_two_and_its_sentence_on_screen_and_in_gap_json(case, here):
+    runs, sentences = REFUSED[case]
+    answer, told = gap(here, "machine", runs(), "--effects", "null_bias")
+    assert answer.code == 2, answer.said
+    assert told["verdict"] in ("none", "unknown") and told["steps"] == []
+    for sentence in sentences:
+        assert sentence in answer.said and sentence in told["findings"][0]
+    assert "Traceback" not in answer.said
+
+
+def test_a_base_that_runs_away_leaves_a_gap_json_too(here):
+    answer, told = gap(here, "unstable", drive_records(2), "--effects", "null_bias", "--free", "gain")
+    assert answer.code == 1, answer.said
+    assert told["verdict"] == "unknown" and "Correct its start values first" in told["findings"][0]
+    assert "Correct its start values first" in answer.said
+
+
+def test_a_missing_validation_recording_is_no_failure(here):
+    answer, told = gap(here, "machine", records(3), "--effects", "null_bias")
+    assert answer.code == 0, answer.said
+    assert told["verdict"] == "none" and told["validate"] in ({}, [])
+    assert any("--validate" in f for f in told["findings"])
+
+
+def test_unseen_effects_are_listed_in_gap_json_with_the_reason(here):
+    runs = records(3, highest=0.05, pulse=2.0)
+    answer, told = gap(here, "machine", runs, "--effects", "direction_asymmetry")
+    assert answer.code == 0, answer.said
+    assert told["verdict"] == "unknown"
+    assert any("Record faster and larger motion" in f for f in told["findings"])
+    assert "needed 3" in json.dumps(told["not_testable"])
+    assert slide().name == told["model"]

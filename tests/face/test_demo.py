@@ -70,8 +70,10 @@ def test_the_demo_writes_every_file_and_no_other(demo):
 
 def test_the_demo_tells_every_stage(demo):
     said = demo[1].said
-    for words in ("cehA: identify", "friction test", "learn", "export and check", "what is missing", "compare", "done in"):
-        assert words in said
+    stages = ("identify", "friction test", "learn", "export and check", "what is missing", "compare")
+    places = [said.find(f"cehA: {stage}") for stage in stages]
+    assert -1 not in places and places == sorted(places)
+    assert "done in" in said
     assert said.count("all checks passed") == 2 and "FAILED" not in said
 
 

@@ -170,6 +170,21 @@ def test_json_on_standard_output_is_gap_json(here, discover):
     assert {key: written[key] for key in KEYS} == {key: printed[key] for key in KEYS}
 
 
+# -- gap: the real thing -------------------------------------------------------------------------------------------
+def test_the_leak_in_the_shipped_recordings_is_found_and_nothing_unfinished_stays(here):
+    train = [f"train_{k}.csv" for k in (1, 2, 3)]
+    answer = hydrotwin(
+        *("gap", "cehA", *train, "--validate", "validate_1.csv", "validate_2.csv", "--executor", "threads"),
+        *("--effects", "*_leakage", "--effects", "coulomb_friction", "--out", "gap"),
+    )
+    assert answer.code == 0, answer.err
+    found = json.loads((here / "gap/gap.json").read_text(encoding="utf-8"))
+    assert [s["effect"] for s in found["steps"]] == ["internal_leakage"]
+    assert not (here / "gap/.unfinished").exists()
+    files = {"report.html", "report.md", "gap.json", "model.toml", "model.mo"}
+    assert {p.name for p in (here / "gap").iterdir()} == files
+
+
 # -- gap: going on after an interruption ---------------------------------------------------------------------------
 def test_what_was_finished_before_ctrl_c_is_kept_and_then_forgotten(here, discover):
     key = key_of("a fit")

@@ -22,7 +22,7 @@ from tests.report import gap_discoveries
 
 TEXT = (ROOT / "docs/gap.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^    (hydrotwin .*)$", TEXT + README, re.MULTILINE)
+COMMANDS = re.findall(r"^ {4,6}(hydrotwin .*)$", TEXT + README, re.MULTILINE)
 PYTHON = [block.partition("```")[0] for block in TEXT.split("```python\n")[1:]]
 
 
@@ -38,12 +38,19 @@ def test_the_documentation_shows_each_option_of_gap_that_changes_what_is_tried_o
         "--effects",
         "--exclude",
         "--max-effects",
+        "--initial-states",
         "--executor",
         "--fresh",
         "--validate",
         "--json",
     ):
         assert option in TEXT, option
+
+
+def test_make_knows_every_target_that_is_named():
+    known = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    named = re.findall(r"\bmake ([a-z-]+)(?=`|  | #)", README + (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
+    assert {"demo", "test", "bench-gap"} <= set(named) <= known
 
 
 def test_the_snippet_that_discovers_writes_a_report(recordings, tmp_path, monkeypatch, capsys):

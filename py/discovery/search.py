@@ -25,6 +25,7 @@ SHORTLIST = 10
 PER_EFFECT = 2  # sites of one effect in a shortlist
 LEAST_EVIDENCE = 3.0  # predicted, of L with effective samples: a third of what passing takes
 LEAST_OF_BEST = 0.02
+LARGE_GAIN = 0.3  # of the best plain gain: a slow drift is worth few samples until something explains it
 PAIRED = 6  # candidates of which pairs are tried
 PAIRS = 4
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
@@ -198,9 +199,12 @@ class Search:
         """The candidates worth a refit, and the simpler effects that they refine."""
         chosen: list[Screened] = []
         least = max(LEAST_EVIDENCE, LEAST_OF_BEST * max((s.evidence for s in ranked), default=0.0))
-        for s in ranked:
+        most = max((s.gain for s in ranked), default=0.0)
+        by_gain = sorted(ranked, key=lambda s: -s.gain)
+        promising = [s for s in by_gain if s.gain > LARGE_GAIN * most and s.evidence > 0][: SHORTLIST // 2]
+        for s in (*promising, *(s for s in ranked if s.evidence > least)):
             same = sum(k.candidate.id == s.candidate.id for k in chosen)
-            if s.evidence > least and same < PER_EFFECT and len(chosen) < SHORTLIST:
+            if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:
                 chosen.append(s)
         refined = {name for s in chosen for name in s.candidate.effect.refines}
         for s in ranked:

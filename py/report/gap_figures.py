@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
-from .format import difference_to_shown, shown_unit, to_shown
+from .format import difference_to_shown, number_text, shown_unit, to_shown
 from .gap_text import capital, largest, percent, unit_label
 from .gap_words import ROLES, placed
 
@@ -166,7 +166,7 @@ def waterfall_figure(discovery: Discovery) -> Figure:
     base = [0.0, *left[1:], 0.0]
     size = [left[0], *(a - b for a, b in pairwise(left)), left[-1]]
     colours = [BEFORE, *("#56B4E9" for _ in later), AFTER]
-    words = [f"{left[0]:.3g}", *(f"−{s:.3g}" if s >= 0 else f"+{-s:.3g}" for s in size[1:-1]), f"{left[-1]:.3g}"]
+    words = [_size(left[0]), *(f"{'−' if s >= 0 else '+'}{_size(abs(s))}" for s in size[1:-1]), _size(left[-1])]
     bars = {
         "type": "bar",
         "x": list(range(len(labels))),
@@ -188,6 +188,10 @@ def waterfall_figure(discovery: Discovery) -> Figure:
     level = {"type": "scatter", "mode": "lines", "name": "noise of the sensors", "x": [-0.6, len(labels) - 0.4]}
     level |= {"y": [1, 1], "line": {"color": MEASURED, "width": 1.2, "dash": "dash"}, "hoverinfo": "skip"}
     return Figure("waterfall", "", {"data": [bars, level], "layout": plan | {"showlegend": True}})
+
+
+def _size(value: float) -> str:
+    return f"{value:.3g}" if value < 1e4 else number_text(value)
 
 
 def shift_figure(shifts: tuple[Shift, ...]) -> Figure:
@@ -262,9 +266,9 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
 
 
 def _over_bar(text: str, place: int) -> dict:
-    """A label above a lying bar, from its left end: long names leave the bars their room."""
+    """A label above a lying bar, from the left edge of the plot: long names leave the bars their room."""
     shown = {"text": text, "showarrow": False, "font": {"size": 12}}
-    return shown | {"x": 0, "y": place + 0.23, "xanchor": "left", "yanchor": "bottom", "xref": "x", "yref": "y"}
+    return shown | {"x": 0, "y": place + 0.23, "xanchor": "left", "yanchor": "bottom", "xref": "paper", "yref": "y"}
 
 
 def _units(discovery: Discovery) -> dict[str, str]:

@@ -258,11 +258,10 @@ def unknown_table(rows: Sequence[Unknown]) -> Table:
         texts("output", "Output", [u.output for u in rows]),
         texts("inputs", "Described by", [joined(u.inputs) for u in rows]),
         _percents("explained", "Explains of it", [u.explained for u in rows]),
-        texts("formula", "Formula", [u.formula or NONE for u in rows]),
+        texts("formula", "Formula", [u.formula for u in rows]),
     ]
-    return table(
-        "unknown", "", columns, "Shares of the squared residual on the recordings for choosing; formulas in SI."
-    )
+    note = "Shares of the squared residual on the recordings for choosing; formulas in SI."
+    return table("unknown", "", _told(columns), note)
 
 
 def untestable_table(rows: Sequence[Ranked]) -> Table:

@@ -61,6 +61,8 @@ def typical_remark(p: EffectParameter) -> str:
         return ""
     low = p.low if math.isfinite(p.low) else p.value
     high = p.high if math.isfinite(p.high) else p.value
+    if p.value < 0.0 <= p.typical[0]:  # a size with a sign: its range is that of the size
+        low, high = -high, -low
     if high < p.typical[0]:
         return "below its typical range"
     return "above its typical range" if low > p.typical[1] else ""

@@ -16,7 +16,7 @@ from hydrotwin.discovery.discovery import OutputGap, Rung
 from hydrotwin.report import gap_data, gap_page, gap_text, write_gap_report
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
-from hydrotwin.report.gap_text import interval_words, percent, value_text
+from hydrotwin.report.gap_text import interval_words, percent, typical_remark, value_text
 from hydrotwin.report.gap_words import display_units, notices, results
 from tests.report.gap_discoveries import (
     ALL,
@@ -151,6 +151,13 @@ def test_a_recording_that_gets_worse_a_wild_value_and_a_bound_are_notices():
     assert "leak.conductance = 1800\u00a0mL/(min·bar) is above its typical range (0.0600 to 60.0)" in wild
     assert bound.startswith("cylinder.cap_dead_volume rests on its bound")
     assert gap_page(named(), command="", date=DATE).notices == ()
+
+
+def test_the_typical_range_of_a_size_with_a_sign_is_that_of_the_size():
+    against = replace(FORCE, value=-36.0, low=-38.0, high=-33.0, typical=(1.0, 2000.0))
+    assert typical_remark(against) == ""
+    assert typical_remark(replace(against, typical=(1.0, 20.0))) == "above its typical range"
+    assert typical_remark(replace(against, typical=(100.0, 200.0))) == "below its typical range"
 
 
 def test_many_warnings_leave_the_first_screen_readable():

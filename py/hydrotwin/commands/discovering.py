@@ -40,6 +40,7 @@ from .showing import physical
 
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
+GAP_COLUMNS = (("RMSE", "noise", "unit"), ("before", "after", "noise", "unit", "gap closed"))  # without, with a name
 WRITTEN = ("report.html", "report.md", "model.toml", "model.mo")
 
 
@@ -230,7 +231,7 @@ def print_discovery(found, folder: Path) -> None:
     if left:
         out.print()
         where = "validation recordings" if found.outputs.get("validate") else "recordings of the fit"
-        table(f"RMSE on the {where}", ["output", "before", "after", "noise", "unit", "gap closed"], left)
+        table(f"RMSE on the {where}", ["output", *GAP_COLUMNS[bool(found.steps)]], left)
     for finding in found.findings[:TOLD]:
         mark(out, "note", sentence(str(finding)))
     if len(found.findings) > TOLD:
@@ -260,7 +261,7 @@ def effect_rows(found) -> list[list[str]]:
 
 
 def output_rows(found) -> list[list]:
-    """RMSE of every output on unseen recordings, in the units of the report."""
+    """RMSE of every output on unseen recordings in the units of the report; before and after when it changed."""
     from hydrotwin.report.format import difference_to_shown, pretty_unit
     from hydrotwin.report.gap_text import percent
     from hydrotwin.report.gap_words import display_units
@@ -269,6 +270,9 @@ def output_rows(found) -> list[list]:
     rows = []
     for o in found.outputs.get("validate", ()) or found.outputs.get("train", ()):
         unit = shown.get(o.output, o.unit)
-        sizes = [float(difference_to_shown(v, o.unit, unit)) for v in (o.rmse_before, o.rmse_after, o.noise)]
-        rows.append([o.output, *sizes, pretty_unit(unit), percent(o.gap_closed)])
+        before, after, noise = (
+            float(difference_to_shown(v, o.unit, unit)) for v in (o.rmse_before, o.rmse_after, o.noise)
+        )
+        changed = [before, after, noise, pretty_unit(unit), percent(o.gap_closed)]
+        rows.append([o.output, *(changed if found.steps else [after, noise, pretty_unit(unit)])])
     return rows

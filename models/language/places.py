@@ -98,17 +98,13 @@ class Places:
         return tuple(node for node in self.nodes if issubclass(node.kind, kind))
 
     def is_prescribed(self, node: Node) -> bool:
-        """A part with this port alone fixes what holds there: a tank, a supply, a stop, a closed end."""
-        return any(self.holds(path) or self._closes(path) for path in node.ports)
+        """A part with this port alone fixes the potential there: a tank, a supply, a stop."""
+        return any(self.holds(path) for path in node.ports)
 
     def holds(self, port: str) -> bool:
         """The part of this port, its only one, fixes the potential there: the flow is in none of its equations."""
         part = self.part(port.rpartition(".")[0])
         return bool(part) and not part.states and self._silent(part, self._elaboration.ports[port].flow)
-
-    def _closes(self, port: str) -> bool:
-        part = self.part(port.rpartition(".")[0])
-        return bool(part) and not part.inputs and self._silent(part, self._elaboration.ports[port].potential)
 
     def _silent(self, part: Part, symbol: ca.SX) -> bool:
         """A part with one port says nothing about one of the two quantities there."""

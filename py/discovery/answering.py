@@ -25,7 +25,7 @@ from .screen import TESTABLE, Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
 
-NAMED = 0.7  # of the gap on held-out recordings: less than that explained is not an explanation
+NAMED = 0.8  # of the gap on held-out recordings: less than that explained is not an explanation
 SHOWN = 12  # candidates of a step in the answer that were not refitted
 
 

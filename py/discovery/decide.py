@@ -27,6 +27,8 @@ T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
 MEASURABLE = 1.02  # MSE over noise^2
+HUGE = 1e6  # times the noise: a run that diverged
+DIVERGED = 700.0  # logarithm of the error of a run that diverged
 LARGE = 1.2  # MSE over noise^2: no error of a noise estimate
 CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason
 
@@ -94,16 +96,16 @@ def _correlation_time(r: np.ndarray) -> float:
 
 
 def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
-    """Logarithm of the mean square of every block, outputs in units of ``size`` (ny,) averaged. (blocks,)"""
+    """Logarithm of the mean square of every block that holds a measurement, outputs in units of ``size`` averaged."""
     total = sum(len(r) for r in residuals)
     length = max(SHORTEST, total // BLOCKS)
     errors = []
     for r in residuals:
         for piece in np.array_split(r, max(1, len(r) // length)):
-            seen = np.isfinite(piece).any(axis=0) & np.isfinite(size)
-            with np.errstate(invalid="ignore", over="ignore"):
+            seen = ~np.isnan(piece).all(axis=0) & np.isfinite(size)
+            if seen.any():
                 squares = np.nanmean((piece[:, seen] / size[seen]) ** 2, axis=0)
-            errors.append(np.log(max(float(np.mean(squares)), 1e-300)) if np.isfinite(squares).all() else 700.0)
+                errors.append(np.log(max(float(np.mean(squares)), 1e-300)) if np.isfinite(squares).all() else DIVERGED)
     return np.array(errors)
 
 
@@ -129,12 +131,13 @@ def closed(better: Refitted, other: Refitted, q: Question) -> float:
 def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:
     """``1 - sum (MSE_after - s^2) / sum (MSE_before - s^2)`` over outputs with a gap, each in units of its own."""
     with np.errstate(invalid="ignore"):
-        gap = before**2 - noise**2
-        has = np.isfinite(gap) & (before**2 > MEASURABLE * noise**2)
+        ratio = before / noise
+    has = (ratio**2 > MEASURABLE) & ~np.isnan(after)
     if not has.any():
         return 0.0
-    weight = np.log(before[has] / noise[has])
-    share = 1 - (after[has] ** 2 - noise[has] ** 2) / gap[has]
+    ratio, left = np.minimum(ratio[has], HUGE), np.minimum(after[has] / noise[has], HUGE)
+    weight = np.log(ratio)
+    share = 1 - (left**2 - 1) / (ratio**2 - 1)
     return float(weight @ np.clip(share, -10.0, 1.0) / weight.sum())
 
 

@@ -20,7 +20,7 @@ from .discovery import Discovery
 from .executor import Starts, executor_for
 from .progress import reporting
 from .recordings import split
-from .refit import Question, RefitJob, Refitted, refit
+from .refit import Question, RefitJob, Refitted, conclude, refit
 from .resume import recalled
 from .search import CONVINCING, Search, Structure
 
@@ -135,7 +135,8 @@ def _runner(pool, report, memory):
             report(stage, done, len(jobs), getattr(jobs[index], "label", ""))
 
         ready = [_portable(job) for job in jobs]
-        return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT))
+        kept = None if function is conclude else memory  # a final fit holds functions, and is soon done again
+        return list(recalled(kept, pool, function, ready, on_done, kinds=KEPT))
 
     return run
 

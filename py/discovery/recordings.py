@@ -15,7 +15,7 @@ import numpy as np
 
 from hydrotwin.identification.noise import output_noise
 from hydrotwin.identification.problem import Recording, recordings
-from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
 SHORTEST = 200  # samples of a recording that can tell effects apart
@@ -60,9 +60,10 @@ def split(
         f"gap: output '{name}' is constant in every recording and says nothing. It is left out; record it in motion."
         for name in constant
     ]
-    train = _in_pieces(flat, recordings(flat, records, wanted, "record"))
+    whole = recordings(flat, records, wanted, "record")
+    _require_motion(flat, whole)
+    train = _in_pieces(flat, whole)
     report = recordings(flat, validate, wanted, "validation record") if len(validate) else ()
-    _require_motion(flat, train)
     if not report:
         findings.append(
             "gap: no validation recording: nothing here was kept from the search. Record another run with other "
@@ -117,7 +118,11 @@ def _part(recording: Recording, part: slice, label: str) -> Recording:
 
 def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Outputs that are recorded and move, and those that are recorded and do not."""
-    wanted = [s.name for s in flat.outputs if outputs is None or s.name in outputs]
+    known = [s.name for s in flat.outputs]
+    for name in outputs or ():
+        if name not in known:
+            raise DeclarationError(f"{flat.name}: no output '{name}'. {nearest(name, known)}")
+    wanted = [n for n in known if outputs is None or n in outputs]
     recorded = [n for n in wanted if any(n in r.signals and np.isfinite(r[n]).any() for r in records)]
     if not recorded:
         return wanted, []  # `recordings` says what is missing
@@ -132,7 +137,7 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
 
 def _require_motion(flat: FlatModel, train: Sequence[Recording]) -> None:
     longest = max(train, key=lambda r: len(r.time))
-    if len(longest.time) < SHORTEST and sum(len(r.time) for r in train) < SHORTEST:
+    if sum(len(r.time) for r in train) < SHORTEST:
         raise DataError(
             f"gap: {longest.name} has {len(longest.time)} samples, the longest of all. Effects cannot be told apart "
             f"with less than {SHORTEST}. Record tens of seconds of motion in both directions."

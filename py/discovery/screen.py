@@ -33,6 +33,7 @@ from .refit import Question, Refitted, likelihood_by_output
 
 TESTABLE = 3.0  # predicted |t| of an effect at its largest usual amplitude
 BLIND = 1e-6  # of the largest projected column: no derivative
+ABSORBED = 1e-6  # of the plain column: what the base parameters leave of it is rounding
 LONGEST = 3.0  # in units of the largest probe: how far a linear prediction is followed
 
 
@@ -133,8 +134,10 @@ class Screen:
         reach = np.maximum(self._reach(candidate, index), 1e-12)
         low, high = np.maximum(low - q0, -LONGEST * reach), np.minimum(high - q0, LONGEST * reach)
         norms = np.linalg.norm(columns, axis=0)
-        if not np.any(norms * reach > BLIND):
-            return Screened(candidate, 0.0, 0.0, 0.0, 0.0, dict(candidate.neutral), np.zeros(len(self.left)))
+        plain = np.linalg.norm(self.jacobian[:, index], axis=0) * reach
+        if not np.any(norms * reach > np.maximum(BLIND, ABSORBED * plain)):
+            nil = 0.0 if not np.any(plain > BLIND) else np.finfo(float).tiny
+            return Screened(candidate, 0.0, 0.0, 0.0, nil, dict(candidate.neutral), np.zeros(len(self.left)))
         step = np.zeros(len(index))
         use = (norms * reach > BLIND) & (high > low)
         if use.any():

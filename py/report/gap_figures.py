@@ -258,7 +258,7 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
     plan = layout("gap closed [%]", [""], height=100 + 46 * len(rows))
     plan |= {"hovermode": "closest", "annotations": [_over_bar(capital(placed(r)), k) for k, r in enumerate(rows)]}
     plan["margin"] = plan["margin"] | {"l": 20, "t": 16}
-    plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.15]}
+    plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.25]}
     plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
     plan["yaxis"] |= {"range": [-0.6, len(rows) - 0.2]}
     caption = "On the recordings for choosing. Dark: named. Light blue: explains them as well. Grey: turned down."

@@ -12,6 +12,7 @@ from .refit import Question
 from .search import Tried
 
 TEMPERATURE = 4.0  # by which BIC differences are divided: chosen on the tuning seeds of the benchmark
+HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
 REFINEMENT = 0.3  # of what the simple effect leaves: what its refinement must close to be preferred
 
 
@@ -29,7 +30,7 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
     passing = [t for t in tried if t.evidence and t.evidence.passes(library) and not t.implausible]
     if not passing:
         return None
-    best = _simplest(max(passing, key=lambda t: _score(t, q)), passing, q)
+    best = _simplest(_best(passing, q), passing, q)
     members = [best, *(t for t in passing if t is not best and not _contains(t, best) and _as_good(t, best, q))]
     weight = {label(t): _weight(t, best, q) for t in passing}
     total = sum(weight.values())
@@ -41,6 +42,14 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
 def label(tried: Tried) -> str:
     """``id at site``, several joined by `` + ``."""
     return " + ".join(c.label for c in tried.members)
+
+
+def _best(passing: Sequence[Tried], q: Question) -> Tried:
+    """The most likely on the fit recordings, unless another is clearly better on those held out."""
+    best = max(passing, key=lambda t: _score(t, q))
+    rivals = [(compared(t.structure.fitted, best.structure.fitted, q), t) for t in passing if t is not best]
+    better = [(over.closed, t) for over, t in rivals if over.paired_t > T_NEEDED and over.closed > HELD_OUT]
+    return max(better, key=lambda pair: pair[0])[1] if better else best
 
 
 def _score(tried: Tried, q: Question) -> float:

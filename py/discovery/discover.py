@@ -194,6 +194,8 @@ def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step
 
 def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
     screens = []
+    if not now.members and search.explained(now.fitted):
+        search.screened(now)  # nothing is missing; what could not have been seen is told
     while len(now.members) < most and not search.explained(now.fitted):
         screen, ranked = search.screened(now)
         tried = search.singles(now, search.shortlist(ranked))

@@ -109,13 +109,11 @@ def test_several_short_recordings_are_enough_together():
     assert len(data.fit) == 2
 
 
-@pytest.mark.xfail(strict=True, reason="the pieces are counted, not the recording: 'run_0 (part 2) has 13 samples'")
 def test_a_lone_recording_that_is_too_short_is_told_its_own_length():
     with pytest.raises(DataError, match="run_0 has 150 samples"):
         split(slide().flat, [record(0, seconds=3.0)], [])
 
 
-@pytest.mark.xfail(strict=True, reason="an unknown output is dropped in silence")
 @pytest.mark.parametrize("outputs", [["sped"], ["speed", "sped"]])
 def test_an_output_that_the_model_does_not_have_is_refused(outputs):
     with pytest.raises((DataError, DeclarationError), match="sped"):

@@ -43,11 +43,6 @@ def test_the_trace_of_what_the_base_absorbs_is_projected_away(rubbing):
     assert np.linalg.norm(screen.project(column)) < 1e-9 * np.linalg.norm(column)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a derivative that vanishes by projection counts as none: it is run at a finite amplitude, whose nonlinear "
-    "remainder then counts for it",
-)
 def test_what_the_base_absorbs_gains_nothing_and_is_untestable(rubbing):
     assert abs(rubbing[2]["viscous_friction"].share) < 0.02
     assert not rubbing[2]["viscous_friction"].testable

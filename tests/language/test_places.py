@@ -145,7 +145,7 @@ def test_what_is_added_offers_no_places_and_renames_none():
     assert "line.resistance" in {p.name for p in places.model.flat.parameters}
 
 
-def test_a_closed_end_is_no_place_and_no_source_and_a_given_pressure_is_one():
+def test_a_closed_end_holds_nothing_and_a_given_pressure_does():
     class Vessel(Component):
         pressure = Input("Pa")
         given = Source()
@@ -161,7 +161,7 @@ def test_a_closed_end_is_no_place_and_no_source_and_a_given_pressure_is_one():
 
     places = Places(Model(Vessel()))
     held = {n.name: places.is_prescribed(n) for n in places.nodes}
-    assert held == {"feed.a": True, "line.a": False, "line.b": True}
+    assert held == {"feed.a": True, "line.a": False, "line.b": False}
     assert names(sources(places)) == ["given.port"]
 
 

@@ -31,8 +31,8 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
 ROUNDS = 5
-BUDGET = 30.0  # s of CPU for one refit, roughly
-SENSITIVITY = 4.0  # times a run: a run with sensitivities to ten parameters
+FEWEST = 3  # iterations of the slowest structures
+IMPLICIT = 10  # times an explicit run: an implicit one
 LAST_WORD = 40  # iterations of a fit that is reported
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
@@ -169,12 +169,12 @@ def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
 def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
     """Minima from the most promising starts, and how many iterations each turn may take.
 
-    A structure that makes the equations stiff costs a hundred times the base; its iterations are cut to a budget.
+    A structure that makes the equations stiff costs ten or a hundred times the base; it gets fewer of them.
     """
     shooting, z = whole_runs(task)
     z = _given(shooting, z, job.states)
     base = dict(_inside(task.flat, job.starts[0]))
-    points, began = [], time.thread_time()
+    points = []
     for start in job.starts:
         values = {**base, **_inside(task.flat, start)}
         q = task.free.scaled(
@@ -182,10 +182,8 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
         )
         points.append((shooting.cost(q, z), q))
     points.sort(key=lambda pair: pair[0])
-    each = SENSITIVITY * (time.thread_time() - began) / len(points)
-    most = int(min(job.iterations, BUDGET / max(each, 1e-9) / (job.follow + ROUNDS)))
-    if most < 1:
-        raise SolveError(f"{task.flat.name}: one step of a fit takes {each:.0f} s with it, the equations become stiff.")
+    slower = task.flat.step / task.propagator.step * (IMPLICIT if task.propagator.method == "rosenbrock" else 1)
+    most = max(FEWEST, min(job.iterations, int(2 * job.iterations / max(slower, 1.0))))
     found, stopped = [], None
     for _, q in points[: job.follow]:
         try:

@@ -8,7 +8,7 @@ import numpy as np
 from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, delay, der, time
 
 from .effect import Effect, Site
-from .sites import drives, model_inputs, valve_spools
+from .sites import commands, drives, model_inputs, valve_spools
 from .stepping import Lagged, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
@@ -80,7 +80,7 @@ class ActuatorLag(Lagged):
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 2.0), nominal=0.01, source="typical", free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = stepped(model_inputs)
+    sites = stepped(commands)
 
     def equations(self):
         T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
@@ -116,7 +116,7 @@ class RateLimit(Lagged):
     rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = stepped(model_inputs)
+    sites = stepped(commands)
 
     @classmethod
     def probes_for(cls, seen):
@@ -156,7 +156,7 @@ class CommandSaturation(Effect):
     y = Output("signal", "what is left of it")
     limit = Parameter(1e6, "signal", "limit L", bounds=(1e-3, 1e6), nominal=1.0, source="data sheet", free=True)
 
-    sites = staticmethod(model_inputs)
+    sites = staticmethod(commands)
 
     @classmethod
     def probes_for(cls, seen):
@@ -186,7 +186,7 @@ class CommandDeadband(Effect):
     y = Output("signal", "what is left of it")
     width = Parameter(0.0, "signal", "half width D", bounds=(0, 0.8), nominal=0.02, source="typical", free=True)
 
-    sites = staticmethod(model_inputs)
+    sites = staticmethod(commands)
 
     def equations(self):
         yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)

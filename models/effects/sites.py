@@ -51,6 +51,12 @@ def model_inputs(places: Places) -> Iterator[Site]:
     yield from (_through(wire) for wire in places.wires if wire.role == "input")
 
 
+def commands(places: Places) -> Iterator[Site]:
+    """Inputs that are held between samples: what a controller puts out. A measured quantity is no command."""
+    held = {i.name for i in places.model.flat.inputs if i.interpolation == "hold"}
+    yield from (site for site in model_inputs(places) if site.through in held)
+
+
 def model_outputs(places: Places) -> Iterator[Site]:
     """Every output of the model: its sensor."""
     yield from (_through(wire) for wire in places.wires if wire.role == "output")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hydrotwin.models.components import (
@@ -112,7 +114,7 @@ def tanks() -> Model:
 class PassOn(Component):
     """A signal that comes out as it goes in."""
 
-    command = Input("V", "in", nominal=2.0, interpolation="linear")
+    command = Input("V", "in", nominal=2.0)
     reading = Output("V", "out", nominal=2.0)
     memory = State(0.0, "V.s", "a model has a state")
 
@@ -127,7 +129,7 @@ def pass_on() -> Model:
 
 def run(model: Model, time, /, *inputs, **values):
     """Outputs (n, ny) over ``time`` (n,) for inputs (n,) each; values: parameters by path, dots as two underscores."""
-    flat = model.flat
+    flat = getattr(model, "flat", model)
     p = flat.parameter_vector({k.replace("__", "."): v for k, v in values.items()})
     u = np.column_stack(inputs)
     x = np.asarray(flat.start_given()(u[0], p, [])).ravel()
@@ -135,8 +137,10 @@ def run(model: Model, time, /, *inputs, **values):
 
 
 def passed(effect: str, site: str, time, signal, /, **values):
-    """What an effect at one end of `pass_on` makes of a signal (n,)."""
-    return run(add_effect(pass_on(), effect, site, values), time, signal)[:, 0]
+    """What an effect at one end of `pass_on` makes of a signal (n,), linear between the samples."""
+    flat = add_effect(pass_on(), effect, site, values).flat
+    smooth = tuple(replace(i, interpolation="linear") for i in flat.inputs)
+    return run(replace(flat, inputs=smooth), time, signal)[:, 0]
 
 
 def seen(model: Model, paths, u=(), **states):

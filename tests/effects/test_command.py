@@ -10,7 +10,7 @@ from hydrotwin.models.components import Cylinder, LinearLoad, Pump
 from hydrotwin.models.components.mechanical import SpeedSource
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.command import CommandSaturation, RateLimit
-from hydrotwin.models.language import Component, Input, Model, Output, connect
+from hydrotwin.models.language import Component, Input, Model, Output, State, connect, der
 from tests.effects.benches import axis, passed, pump_bench, seen
 
 TIME = np.arange(0.0, 1.0, 1e-3)
@@ -134,3 +134,18 @@ def test_rates_are_tried_that_the_command_exceeds_now_and_then():
     assert RateLimit.probes_for({"u": np.ones(5), "time": np.arange(5.0)}) == []
     (step,) = {max(p["rate"] for p in RateLimit.probes_for({"u": STEP, "time": TIME}))}
     assert step <= 3.0 / 0.02
+
+
+def test_what_a_sensor_reports_is_no_command_that_saturates_or_lags():
+    class Measured(Component):
+        speed = Input("rad/s", "measured speed", nominal=100.0, interpolation="linear")
+        path = Output("rad", "way")
+        way = State(0.0, "rad", "way")
+
+        def equations(self):
+            yield der(self.way) == self.speed
+            yield self.path == self.way
+
+    ids = {c.id for c in candidates(Model(Measured(), "measured"))}
+    assert not ids & {"command_saturation", "command_deadband", "rate_limit", "actuator_lag"}
+    assert {"direction_asymmetry", "null_bias", "dead_time"} <= ids

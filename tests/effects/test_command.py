@@ -139,12 +139,12 @@ def test_rates_are_tried_that_the_command_exceeds_now_and_then():
 def test_what_a_sensor_reports_is_no_command_that_saturates_or_lags():
     class Measured(Component):
         speed = Input("rad/s", "measured speed", nominal=100.0, interpolation="linear")
-        path = Output("rad", "way")
+        turned = Output("rad", "way")
         way = State(0.0, "rad", "way")
 
         def equations(self):
             yield der(self.way) == self.speed
-            yield self.path == self.way
+            yield self.turned == self.way
 
     ids = {c.id for c in candidates(Model(Measured(), "measured"))}
     assert not ids & {"command_saturation", "command_deadband", "rate_limit", "actuator_lag"}

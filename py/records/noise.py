@@ -9,6 +9,9 @@ import numpy as np
 from .record import Record
 
 _BLOCK = 64  # differences per block
+_MEDIAN = 0.4549  # of a squared normal variable
+_CONTAMINATED = 0.6  # median over mean below this: some differences are no noise
+_OUTLYING = 16.0  # variances: beyond four sigmas
 _CORRELATION = 2.626  # sum over all lags of the squared autocorrelation of 4th differences of white noise
 
 
@@ -36,7 +39,8 @@ def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
     A 4th divided difference over five neighbours, scaled to unit weights, removes any local cubic and leaves white
     noise with its own variance, so the mean of its square in a block of a quiet stretch is the noise variance. The
     lower quartile over the blocks, corrected for the quartile of a pure noise record, ignores up to three quarters of
-    blocks with fast motion; the mean of the blocks that it makes plausible is the answer.
+    blocks with fast motion; the mean of the blocks that it makes plausible is the answer. Where steps of the signal
+    stand in every block, the median tells, and what lies beyond four sigmas is left out.
     Rounding to a step q adds q^2/12, which the differences do not see where the signal rests.
 
     Valid for noise that is white at the sampling rate; noise that a filter has smoothed is underestimated.
@@ -99,4 +103,9 @@ def _quiet_variance(squares: np.ndarray) -> float:
     expected = gammaincinv(half_freedom, 0.25) / half_freedom if len(blocks) > 1 else 1.0  # of chi-square / freedom
     first = np.quantile(blocks, 0.25) / expected
     loudest = gammaincinv(half_freedom, 0.999) / half_freedom
-    return float(blocks[blocks <= max(first * loudest, blocks.min())].mean())
+    quiet = blocks <= max(first * loudest, blocks.min())
+    inside = squares[: len(blocks) * size].reshape(-1, size)[quiet].ravel()
+    typical = float(np.median(inside)) / _MEDIAN
+    if not typical > 0 or typical > _CONTAMINATED * inside.mean():  # a resting encoder has a median of 0
+        return float(inside.mean())
+    return float(inside[inside < _OUTLYING * typical].mean())  # every block holds steps of the signal itself

@@ -89,3 +89,13 @@ def test_every_channel_of_a_record_gets_its_floor():
     floor = noise_floor(Record(T, signals, {"x": "m", "p": "Pa"}))
     assert floor["x"].sigma == pytest.approx(1e-4, rel=0.06)
     assert floor["p"].sigma == pytest.approx(1e4, rel=0.06)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3])
+def test_a_command_that_steps_in_every_block_does_not_count_as_noise(sigma):
+    random, time = np.random.default_rng(0), np.arange(0, 20, 0.02)
+    speed, wanted = np.zeros(1000), np.repeat(random.normal(size=34), 30)[:1000] * 50
+    for k in range(1, 1000):
+        speed[k] = speed[k - 1] + 0.3 * (wanted[k - 1] - speed[k - 1])
+    noise = channel_noise(time, speed + sigma * random.normal(size=1000))
+    assert noise.sigma == pytest.approx(sigma, rel=0.25)

@@ -21,7 +21,7 @@ from .decide import WORTH, Evidence, bic_needed, compared, has_gap
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
 
-SHORTLIST = 10
+SHORTLIST = 14
 PER_EFFECT = 2  # sites of one effect in a shortlist
 LEAST_EVIDENCE = 3.0  # predicted, of L with effective samples: a third of what passing takes
 LEAST_OF_BEST = 0.02

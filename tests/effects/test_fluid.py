@@ -79,7 +79,8 @@ def test_air_is_in_all_oil_of_a_machine_and_the_third_order_form_has_none_to_sho
 
 
 def test_a_hose_takes_its_share_of_the_flow():
-    y = run(add_effect(bottle(), "line_compliance", values={"compliance": 3e-13}), np.linspace(0, 1, 11), flow=1e-6)
+    soft = add_effect(bottle(), "line_compliance", "bottle.a", {"compliance": 3e-13})
+    y = run(soft, np.linspace(0, 1, 11), flow=1e-6)
     assert y["pressure"][-1] - 1e6 == pytest.approx(1e-6 / (VOLUME / BETA + 3e-13), rel=1e-6)
 
 

@@ -7,11 +7,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 
+import numpy as np
+
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
+from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step, answer
 from .choose import choose
@@ -26,6 +29,7 @@ from .search import CONVINCING, Search, Structure
 
 MOST_EFFECTS = 3
 KEPT = (Refitted,)  # answers that an interrupted search need not find again
+SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
@@ -90,9 +94,25 @@ def discover(
         run = _runner(pool, report, memory)
         report("identify the base", 0, 1, "")
         base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
+        sharper = _noise_of_residuals(base, question)
+        if np.any(sharper < question.noise):  # what looked like noise was motion, which the model follows
+            question, data = (dataclasses.replace(q, noise=sharper) for q in (question, data))
+            again = RefitJob(flat, names, question, (base.values,), base.states, base.size, label=flat.name)
+            base = _only(run(refit, [again], "identify the base"))
         search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report)
         found = _pruned(search, _searched(search, Structure((), base), max_effects))
         return answer(search, data, found, model, began)
+
+
+def _noise_of_residuals(base: Refitted, q: Question) -> np.ndarray:
+    """The noise (ny,) once the motion that the base follows is taken out, where that is less. SI."""
+    found = []
+    for recording, residual in zip(q.fit, base.residuals_fit, strict=True):
+        columns = [(r, np.isfinite(r)) for r in residual.T]
+        found.append([channel_noise(recording.time[s], r[s]).sigma if s.any() else np.nan for r, s in columns])
+    with np.errstate(invalid="ignore"):
+        left = np.sqrt(np.mean(np.square(found), axis=0))
+        return np.where((left > 0) & (left < SHARPER * q.noise), left, q.noise)
 
 
 def _bounded(model: Model, names: Sequence[str]) -> Model:

@@ -86,7 +86,7 @@ def test_nothing_is_named_where_nothing_is_missing(first):
     assert d.verdict == "none" and d.steps == () and d.unknown == ()
     assert d.model.additions == ()
     assert [rung.label for rung in d.waterfall] == ["identified base"]
-    assert np.isnan(d.outputs["train"][0].gap_closed)
+    assert not d.outputs["train"][0].gap_closed > 0
 
 
 def test_a_pulse_at_seven_seconds_is_unknown_and_described_in_time():

@@ -16,6 +16,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+BATCH = 40  # cases after which fresh processes take over
 METHODS = ("discover", "bic", "sindy", "gp")
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
@@ -132,19 +133,24 @@ def _run(wanted, options, path):
     jobs = [(name, left) for name in wanted if (left := [m for m in options.methods if (name, m) not in done])]
     print(f"{len(wanted)} cases, {len(jobs)} to do, {options.processes} at a time", flush=True)
     began, verdicts = time.perf_counter(), Counter()
-    context = multiprocessing.get_context("spawn")
-    with (
-        open(path, "a", encoding="utf-8") as file,
-        ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=20) as pool,
-    ):
-        futures = [pool.submit(rows_of, name, left, not options.no_oracle) for name, left in jobs]
-        for number, future in enumerate(as_completed(futures), 1):
-            for row in future.result():
+    with open(path, "a", encoding="utf-8") as file:
+        for number, rows in enumerate(_finished(jobs, options), 1):
+            for row in rows:
                 file.write(json.dumps(row) + "\n")
                 file.flush()
                 verdicts[row.get("verdict") or next(k for k in ("unreachable", "failed") if k in row)] += 1
                 _tell(row, number, len(jobs), time.perf_counter() - began)
     print(", ".join(f"{n} {v}" for v, n in verdicts.most_common()))
+
+
+def _finished(jobs, options):
+    """Rows of every case as they come. Processes are replaced now and then: compiled models stay loaded in them."""
+    context = multiprocessing.get_context("spawn")
+    for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
+        with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
+            futures = [pool.submit(rows_of, name, left, not options.no_oracle) for name, left in batch]
+            for future in as_completed(futures):
+                yield future.result()
 
 
 def _tell(row, number, count, elapsed):

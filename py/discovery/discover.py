@@ -21,6 +21,7 @@ from .choose import choose
 from .decide import T_NEEDED, closed, compared
 from .discovery import Discovery
 from .executor import Starts, executor_for
+from .look_back import pruned, settled
 from .progress import reporting
 from .recordings import split
 from .refit import Question, RefitJob, Refitted, conclude, refit
@@ -194,7 +195,7 @@ def _searched(search: Search, base: Structure, most: int) -> Found:
 
 def _pruned(search: Search, found: Found) -> Found:
     """What was found without the steps whose effects have become idle."""
-    last = search.pruned(found.last)
+    last = pruned(search, found.last)
     if last is found.last:
         return found
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
@@ -223,7 +224,7 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             break
-        better, best = search.settled(now, choice.best)
+        better, best = settled(search, now, choice.best)
         tried = [best if t is choice.best else t for t in tried]
         if better is not now:  # what was missing was, in part, a better fit of what is there
             now, steps = better, _refounded(steps, better)

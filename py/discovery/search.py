@@ -7,17 +7,13 @@ import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from hydrotwin.models.effects import Candidate
-from hydrotwin.models.language.component import declarations
-from hydrotwin.models.language.declarations import Input, Port
-from hydrotwin.models.language.errors import HydrotwinError, SolveError
+from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
-from hydrotwin.simulation import prepare
 
-from .decide import WORTH, Evidence, bic_needed, compared, has_gap
+from .decide import Evidence, bic_needed, compared, has_gap
+from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
 
@@ -29,10 +25,8 @@ LARGE_GAIN = 0.3  # of the best plain gain: a slow drift is worth few samples un
 PAIRED = 6  # candidates of which pairs are tried
 PAIRS = 6
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
-APART = 1e6  # s between recordings that are seen as one
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
 THRESHOLD_STARTS = 3  # starts followed for limits and thresholds, whose first cost says little
-LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 IMPLAUSIBLE = 10.0  # times the largest usual value
 
 
@@ -125,75 +119,22 @@ class Search:
         rest = [c for c in self.candidates if c.label not in now.key]
         self.report("screen", 0, len(rest), "")
         screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
-        found = []
-        seen = self._seen(screen, [c for c in rest if hasattr(c.effect, "probes_for")])
-        blind = []
-        for c in rest:
-            by_derivative = screen.by_derivative(c)
-            if c.label in seen or not by_derivative.visible > 0:
-                blind.append((c, self._amplitudes(c, seen.get(c.label)), by_derivative))
-            else:
-                found.append(by_derivative)
-        found += self._probed(screen, now, blind)
+        probing = [c for c in rest if hasattr(c.effect, "probes_for")]
+        seen = seen_by_parts(self.model(self.candidates), screen, probing)
+        plain = {c.label: screen.by_derivative(c) for c in rest}
+        blind = [c for c in rest if c.label in seen or not plain[c.label].visible > 0]
+        jobs = [self._probe_job(now, c, amplitudes(c, seen.get(c.label))) for c in blind]
+        for c, job, runs in zip(blind, jobs, self.run(probe, jobs, "probe"), strict=True):
+            plain[c.label] = best_amplitude(screen, plain[c.label], job, runs)
+        found = list(plain.values())
         for s in found:
             if not s.testable:
                 self.not_testable[s.candidate.label] = s
         return screen, sorted(found, key=lambda s: -s.evidence)
 
-    def _amplitudes(self, candidate: Candidate, seen: Mapping[str, np.ndarray] | None) -> list[dict[str, float]]:
-        own = []
-        if seen is not None:
-            own = [
-                _known({f"{candidate.name}.{k}": float(v) for k, v in probe.items()}, candidate.free)
-                for probe in candidate.effect.probes_for(seen)
-            ]
-        return own or [dict(p) for p in candidate.probes]
-
-    def _seen(self, screen: Screen, wanted: Sequence[Candidate]) -> dict[str, dict[str, np.ndarray]]:
-        """What the parts of candidates see along the present fit: their inputs and ports."""
-        paths: dict[str, dict[str, str]] = {}
-        for c in wanted:
-            own: dict[str, str] = {}
-            for name, declared in declarations(type(c.effect.at(c.site)) if not c.site.frees else c.effect).items():
-                if isinstance(declared, Input):
-                    own[name] = f"{c.name}.{name}"
-                elif isinstance(declared, Port):
-                    for letter, _ in (declared.potential, declared.flow):
-                        own[f"{name}.{letter}"] = f"{c.name}.{name}.{letter}"
-            paths[c.label] = own
-        flat_paths = [p for own in paths.values() for p in own.values()]
-        if not flat_paths:
-            return {}
-        observe = self.model(self.candidates).observe(flat_paths)
-        p = screen.free.vector(screen.free.scaled(screen.free.start))
-        values, times, begin = [], [], 0.0
-        for recording, x in zip(self.question.fit, screen.trajectories(), strict=True):
-            t = recording.time
-            values.append(observe(t[None, :], x.T, recording.u.T, p).full().T)
-            times.append(t - t[0] + begin)
-            begin = times[-1][-1] + APART
-        table = dict(zip(flat_paths, np.concatenate(values).T, strict=True)) | {"time": np.concatenate(times)}
-        return {
-            label: {"time": table["time"], **{k: table[path] for k, path in own.items()}}
-            for label, own in paths.items()
-        }
-
-    def _probed(self, screen: Screen, now: Structure, blind) -> list[Screened]:
-        """Candidates run at finite amplitudes, each by its best one."""
-        jobs = []
-        for c, amplitudes, _ in blind:
-            members = [*now.members, c]
-            jobs.append(ProbeJob(self.model(members).flat, self.question, now.fitted, tuple(amplitudes), c.label))
-        before, found = screen.weighted(now.fitted.residuals_fit), []
-        for (c, amplitudes, kept), runs in zip(blind, self.run(probe, jobs, "probe"), strict=True):
-            visible = kept.visible
-            for values, residuals in zip(amplitudes, runs, strict=True):
-                if residuals is not None:
-                    tried = screen.by_amplitude(c, values, screen.weighted(residuals) - before)
-                    visible = max(visible, tried.visible)
-                    kept = tried if tried.gain > kept.gain else kept
-            found.append(dataclasses.replace(kept, visible=visible))
-        return found
+    def _probe_job(self, now: Structure, candidate: Candidate, values: Sequence[Mapping[str, float]]) -> ProbeJob:
+        flat = self.model([*now.members, candidate]).flat
+        return ProbeJob(flat, self.question, now.fitted, tuple(values), candidate.label)
 
     def shortlist(self, ranked: Sequence[Screened]) -> list[Screened]:
         """The candidates worth a refit, and the simpler effects that they refine."""
@@ -261,56 +202,8 @@ class Search:
             follow=THRESHOLD_STARTS if thresholds else 1, label=label,
         )  # fmt: skip
 
-    def settled(self, now: Structure, tried: Tried) -> tuple[Structure, Tried]:
-        """Both sides of a choice fitted again: ``now`` from where the larger structure ended, that from the beginning.
-
-        Either may have come to rest too early: the larger one would then be praised for a better fit of what was there
-        already, or leave something for the next effect to explain.
-        """
-        fitted = tried.structure.fitted
-        names = self.names(now.members)
-        values = {n: v for n, v in fitted.values.items() if n in names}
-        back = RefitJob(
-            self.model(now.members).flat, names, self.question, (values,), fitted.states, now.fitted.size,
-            label=" + ".join(now.key),
-        )  # fmt: skip
-        members = tried.structure.members
-        flat = self.model(members).flat
-        first = {p.name: p.value for p in self.base.flat.parameters if p.name in self.free}
-        starts = ({**fitted.values, **first},)
-        again = RefitJob(
-            flat, self.names(members), self.question, starts, coarse=True, iterations=40, label=label_of(members)
-        )
-        smaller, larger = self.run(refit, [back, again], "look back")
-        if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
-            now = self._kept(Structure(now.members, smaller))
-        if not isinstance(larger, str) and larger.likelihood < fitted.likelihood:
-            tried = dataclasses.replace(tried, structure=self._kept(Structure(members, larger)))
-        return now, self.judged(tried, now)
-
-    def pruned(self, now: Structure) -> Structure:
-        """``now`` without the members that have become idle since others were added."""
-        while len(now.members) > 1:
-            smaller = [tuple(m for m in now.members if m is not left) for left in now.members]
-            jobs = []
-            for members in smaller:
-                names = self.names(members)
-                values = {n: v for n, v in now.fitted.values.items() if n in names}
-                flat = self.model(members).flat
-                states, size = now.fitted.states, now.fitted.size
-                jobs.append(RefitJob(flat, names, self.question, (values,), states, size, label=label_of(members)))
-            idle = []
-            for members, fitted in zip(smaller, self.run(refit, jobs, "look back"), strict=True):
-                if not isinstance(fitted, str):
-                    over = compared(now.fitted, fitted, self.question)
-                    if not (over.bic_gain > self.needed and over.closed > WORTH):
-                        idle.append((over.bic_gain, Structure(members, fitted)))
-            if not idle:
-                break
-            now = min(idle, key=lambda pair: pair[0])[1]
-        return now
-
-    def _kept(self, structure: Structure) -> Structure:
+    def keep(self, structure: Structure) -> Structure:
+        """Remember a better fit of a structure."""
         self._known[tuple(sorted(structure.key))] = structure
         return structure
 
@@ -378,36 +271,3 @@ def label_of(members: Sequence[Candidate]) -> str:
 
 def _known(values: Mapping[str, float], names: Collection[str]) -> dict[str, float]:
     return {n: v for n, v in values.items() if n in names}
-
-
-@dataclass(frozen=True, eq=False)
-class ProbeJob:
-    """One structure run as it is, with one effect at several finite amplitudes."""
-
-    flat: FlatModel
-    question: Question
-    fitted: Refitted
-    amplitudes: tuple[Mapping[str, float], ...]
-    label: str = ""
-
-
-def probe(job: ProbeJob) -> list[tuple[np.ndarray, ...] | None]:
-    """Residuals (n, ny) of the fit recordings at every amplitude, SI; None where a run diverges."""
-    propagator = prepare(job.flat, step=job.question.step)
-    found = []
-    for amplitude in job.amplitudes:
-        try:
-            found.append(tuple(_residuals(job, propagator, amplitude)))
-        except SolveError:
-            found.append(None)
-    return found
-
-
-def _residuals(job: ProbeJob, propagator, amplitude: Mapping[str, float]):
-    flat = job.flat
-    p = flat.parameter_vector({**job.fitted.values, **amplitude})
-    for recording, states in zip(job.question.fit, job.fitted.states, strict=True):
-        names = tuple(s.name for s in flat.states if s.name in states)
-        x0 = flat.start_given(names)(recording.u[0], p, [states[n] for n in names]).full().ravel()
-        y, _ = propagator.run(recording.time, recording.u, p, x0)
-        yield y - recording.y

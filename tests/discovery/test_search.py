@@ -9,6 +9,7 @@ import pytest
 
 from hydrotwin.discovery.choose import choose, label
 from hydrotwin.discovery.decide import bic_needed
+from hydrotwin.discovery.look_back import pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.models.effects import candidates
@@ -99,7 +100,7 @@ def test_a_base_that_came_to_rest_too_early_is_caught_by_the_look_back():
     poor = Structure((), stuck)
     tried = search.refitted(poor, [([one(search, "coulomb_friction")], [{"coulomb_friction.force": 20.0}])])[0]
     assert tried.evidence.passes(2), "the trap is set"
-    now, judged = search.settled(poor, tried)
+    now, judged = settled(search, poor, tried)
     assert now.fitted.likelihood < stuck.likelihood - 100
     assert now.fitted.values["mass.mass"] == pytest.approx(50.0, rel=0.01)
     assert not judged.evidence.passes(2)
@@ -109,23 +110,23 @@ def test_the_look_back_leaves_a_base_that_was_at_rest_alone(rubbing):
     search, base, _, ranked = rubbing
     coulomb = next(s for s in ranked if s.candidate.id == "coulomb_friction")
     (tried,) = search.singles(base, [coulomb])
-    now, judged = search.settled(base, tried)
+    now, judged = settled(search, base, tried)
     assert now is base and judged.evidence.passes(5)
 
 
 def test_an_idle_member_is_dropped_and_the_one_that_works_stays(rubbing):
     search, base, *_ = rubbing
     both = grown(search, base, "null_bias", "coulomb_friction", coulomb_friction=30.0)
-    assert [c.id for c in search.pruned(both).members] == ["coulomb_friction"]
+    assert [c.id for c in pruned(search, both).members] == ["coulomb_friction"]
     alone = grown(search, base, "coulomb_friction", coulomb_friction=30.0)
-    assert search.pruned(alone) is alone
+    assert pruned(search, alone) is alone
 
 
 def test_two_members_that_both_work_stay():
     search, fitted = searching(question(records(3, dry=30.0, late=3)), ("coulomb_friction", "dead_time"))
     both = grown(search, Structure((), fitted), "dead_time", "coulomb_friction", coulomb_friction=30.0, dead_time=0.05)
     assert search.explained(both.fitted)
-    assert search.pruned(both) is both
+    assert pruned(search, both) is both
     assert both.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=1e-3)
 
 

@@ -1,0 +1,62 @@
+"""Look back: both sides of a choice fitted again before a name stands, and members dropped that have become idle."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from .decide import WORTH, compared
+from .refit import RefitJob, refit
+from .search import Search, Structure, Tried, label_of
+
+LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
+
+
+def settled(search: Search, now: Structure, tried: Tried) -> tuple[Structure, Tried]:
+    """Both sides of a choice fitted again: ``now`` from where the larger structure ended, that from the beginning.
+
+    Either may have come to rest too early: the larger one would then be praised for a better fit of what was there
+    already, or leave something for the next effect to explain.
+    """
+    fitted = tried.structure.fitted
+    names = search.names(now.members)
+    values = {n: v for n, v in fitted.values.items() if n in names}
+    back = RefitJob(
+        search.model(now.members).flat, names, search.question, (values,), fitted.states, now.fitted.size,
+        label=" + ".join(now.key),
+    )  # fmt: skip
+    members = tried.structure.members
+    flat = search.model(members).flat
+    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
+    starts = ({**fitted.values, **first},)
+    again = RefitJob(
+        flat, search.names(members), search.question, starts, coarse=True, iterations=40, label=label_of(members)
+    )
+    smaller, larger = search.run(refit, [back, again], "look back")
+    if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
+        now = search.keep(Structure(now.members, smaller))
+    if not isinstance(larger, str) and larger.likelihood < fitted.likelihood:
+        tried = dataclasses.replace(tried, structure=search.keep(Structure(members, larger)))
+    return now, search.judged(tried, now)
+
+
+def pruned(search: Search, now: Structure) -> Structure:
+    """``now`` without the members that have become idle since others were added."""
+    while len(now.members) > 1:
+        smaller = [tuple(m for m in now.members if m is not left) for left in now.members]
+        jobs = []
+        for members in smaller:
+            names = search.names(members)
+            values = {n: v for n, v in now.fitted.values.items() if n in names}
+            flat = search.model(members).flat
+            states, size = now.fitted.states, now.fitted.size
+            jobs.append(RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members)))
+        idle = []
+        for members, fitted in zip(smaller, search.run(refit, jobs, "look back"), strict=True):
+            if not isinstance(fitted, str):
+                over = compared(now.fitted, fitted, search.question)
+                if not (over.bic_gain > search.needed and over.closed > WORTH):
+                    idle.append((over.bic_gain, Structure(members, fitted)))
+        if not idle:
+            break
+        now = min(idle, key=lambda pair: pair[0])[1]
+    return now

@@ -1,6 +1,7 @@
-"""Record: named signals with units on one time axis; read, write, resample, check, noise floor."""
+"""Record: named signals with units on one time axis; read, write, resample, filter, check, noise floor."""
 
 from .files import read_record, write_record
+from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .record import Gap, Record
 from .require import require
@@ -12,8 +13,10 @@ __all__ = [
     "Record",
     "Scale",
     "noise_floor",
+    "one_euro",
     "parse_scale",
     "read_record",
     "require",
+    "savitzky_golay",
     "write_record",
 ]

@@ -1,0 +1,242 @@
+"""Learn a latent-spool grey box: dead time, spool, play, monotone map and lag from command and position alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import metadata
+from time import perf_counter
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
+
+from .block_file import Certificate, LearnedBlock, assemble
+from .grey_box_block import GREY_BOX, grey_box_states
+from .grey_box_data import block_period, named, one_in_one_out, run_of, seen_late
+from .grey_box_fit import (
+    Fitted,
+    Problem,
+    bent_knots,
+    evaluate,
+    intervals,
+    played,
+    refine,
+    responses,
+    reweighed,
+    rough_starts,
+)
+from .training_data import training_box
+
+TOLERANCE = 1e-9  # of the output's range: deployed against fitted
+LONGEST = 125  # periods: dead time, time constants
+TRIAL = 5  # evaluations of the outer solver (each with its derivatives) per start
+
+
+@dataclass(frozen=True)
+class GreyBoxProgress:
+    """After every evaluation: how many, the loss and the best so far (mean square of whitened misses)."""
+
+    evaluation: int
+    loss: float
+    best: float
+
+
+def learn_grey_box(
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str],
+    outputs: Sequence[Signal | str],
+    *,
+    period: float | None = None,
+    validate: Sequence[Record] = (),
+    knots: int = 25,
+    starts: int = 4,
+    integrating: bool = True,
+    seed: int = 0,
+    effort: float = 1.0,
+    name: str = "grey_box",
+    progress: Callable[[GreyBoxProgress], None] | None = None,
+) -> LearnedBlock:
+    """Fit the grey box of `grey_box_block` to recordings of one command and one output and answer it as a Block.
+
+    Nothing between command and output needs to be measured. Times may be uneven and outputs quantised: every sample
+    counts at its own time, and what is left is taken as sensor noise on a random walk, whose ratio is estimated too.
+
+    Args:
+        records: training recordings without gaps. inputs, outputs: one each, as Signals or names.
+        period: s between steps of the block; None: a fifth of `choose_period`.
+        validate: recordings that choose among the starts; none: the training loss does.
+        knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, the best is kept.
+        integrating: the map gives the rate of the output (a position); False: the output itself (a speed).
+        seed: spreads the starts. effort: scales the evaluations.
+        progress: called with a `GreyBoxProgress` after every evaluation.
+
+    The identified constants and their 95 % intervals are in ``provenance["identified"]``: [value, low, high]. The
+    intervals hold for noise, not for what the machine has and the grey box has not; slow samples tell the sum of dead
+    time, 2 D/w0 and lag much better than its parts.
+    The same seed and data give the same block. Ctrl-C ends the fit with the best so far.
+
+    Raises:
+        DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
+    """
+    began = perf_counter()
+    _check_options(knots, starts, effort)
+    records, validate, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate)
+    period = block_period("learn_grey_box", records, period)
+    runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
+    if _falls(runs, integrating):
+        runs, judges = ([replace(r, output=-r.output) for r in part] for part in (runs, judges))
+        sign = -1.0
+    else:
+        sign = 1.0
+    problem = Problem(runs, period, integrating, 1.0 if integrating else None, LONGEST * period)
+    fitted, problem, watch = _fit(problem, judges, knots, starts, seed, effort, progress)
+    block = _block(fitted, sign, integrating, period, name, records, input_, output)
+    identified = _identified(problem, fitted, seen_late(records, period, input_))
+    provenance = {
+        "kind": "grey_box",
+        "trained_on": named(records),
+        "selected_on": named(validate) or "the training loss",
+        "identified": identified,
+        "walk_to_sensor_noise": "none" if problem.ratio is None else problem.ratio,
+        "seed": seed,
+        "evaluations": watch.evaluations,
+        "seconds": round(perf_counter() - began, 2),
+        "stopped": watch.stopped or "finished",
+        "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "casadi")},
+    }
+    return replace(block, provenance=provenance, certificate=certify(block, problem, fitted, sign, records))
+
+
+def certify(block: LearnedBlock, problem: Problem, fitted: Fitted, sign: float, records) -> Certificate:
+    """The largest |block - fit| over free runs of all training recordings, relative to the range of the output."""
+    worst, points, d = 0.0, 0, fitted.dynamics
+    for run in problem.runs:
+        q = played(run, d, problem.period)
+        expected = responses(q, fitted.knots, d.lag, problem.period, problem.integrating) @ fitted.values
+        grid = problem.period * np.arange(len(run.input))
+        start = sign * run.output[0] if problem.integrating else sign * expected[0]
+        drive = Record(
+            grid,
+            {block.inputs[0].name: run.input, block.outputs[0].name: np.full(len(grid), start)},
+            {block.inputs[0].name: block.inputs[0].unit, block.outputs[0].name: block.outputs[0].unit},
+        )
+        found = simulate(block, drive)[block.outputs[0].name]
+        truth = sign * expected + (start if problem.integrating else 0.0)
+        worst = max(worst, float(np.abs(found - truth).max() / max(np.ptp(truth), 1e-300)))
+        points += len(grid)
+    return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")
+
+
+def _identified(problem: Problem, fitted: Fitted, late: float) -> dict[str, list[float]]:
+    """[value, low, high] of each constant; the dead time is the machine's, which the block sees later by ``late``."""
+    known = intervals(problem, fitted)
+    answer = {key: [value, *known[key]] for key, value in asdict(fitted.dynamics).items()}
+    answer["dead_time"] = [value + late for value in answer["dead_time"]]
+    return answer
+
+
+class _Watch:
+    """Counts evaluations, tells of them and keeps the best, so that an interrupted fit has an answer."""
+
+    def __init__(self, progress):
+        self.evaluations, self.best, self.stopped, self._progress = 0, None, "", progress
+
+    def anew(self):
+        """Losses from here on are not comparable with those before."""
+        self.best = None
+
+    def __call__(self, fitted: Fitted):
+        self.evaluations += 1
+        if self.best is None or fitted.loss < self.best.loss:
+            self.best = fitted
+        if self._progress is not None:
+            self._progress(GreyBoxProgress(self.evaluations, fitted.loss, self.best.loss))
+
+
+def _fit(problem: Problem, judges, knots: int, starts: int, seed: int, effort: float, progress):
+    """Scan, refine each start a little, then weigh and place the knots anew and refine the best; twice."""
+    watch, low_high = _Watch(progress), problem.span
+    even = np.linspace(*low_high, knots)
+    watch(evaluate(problem, rough_starts(problem, 1)[0], even))
+    try:
+        problem = reweighed(problem, watch.best)
+        watch.anew()
+        begun = _spread(rough_starts(problem, starts), starts, seed)
+        tried = [refine(problem, d, even, max(round(TRIAL * effort), 1), watch) for d in begun]
+        best = min(tried, key=lambda f: _judged(problem, judges, f))
+        for _ in range(2):
+            problem = reweighed(problem, best)
+            bent = bent_knots(best.knots, best.values)
+            watch.anew()
+            best = refine(problem, best.dynamics, bent, max(round(3 * TRIAL * effort), 1), watch)
+    except KeyboardInterrupt:
+        watch.stopped, best = "interrupted", watch.best
+    return best, problem, watch
+
+
+def _spread(found, starts: int, seed: int):
+    """The scan's dynamics; where there are too few, copies with other time constants."""
+    random, answer = np.random.default_rng(seed), list(found)
+    while len(answer) < starts:
+        d = found[len(answer) % len(found)]
+        slower = np.exp(random.uniform(0.0, 1.5, 2))
+        answer.append(replace(d, natural_frequency=d.natural_frequency / slower[0], lag=d.lag * slower[1]))
+    return answer[:starts]
+
+
+def _judged(problem: Problem, judges, fitted: Fitted) -> float:
+    if not judges:
+        return fitted.loss
+    d, other = fitted.dynamics, replace(problem, runs=judges)
+
+    def miss(run):
+        q = played(run, d, problem.period)
+        rows = run.sampled(responses(q, fitted.knots, d.lag, problem.period, problem.integrating))
+        return run.output - run.output[0] * problem.integrating - rows @ fitted.values
+
+    return float(np.mean(other.rows(miss) ** 2))
+
+
+def _falls(runs, integrating: bool) -> bool:
+    """Whether the output goes down where the input is up."""
+    moved, pushed = [], []
+    for run in runs:
+        u = run.sampled(run.input)
+        rate = np.diff(run.output) / np.diff(run.time) if integrating else run.output[1:]
+        moved.append(rate), pushed.append(u[:-1])
+    return bool(np.cov(np.concatenate(moved), np.concatenate(pushed))[0, 1] < 0)
+
+
+def _block(fitted: Fitted, sign, integrating, period, name, records, input_: Signal, output: Signal) -> LearnedBlock:
+    d = fitted.dynamics
+    structure = {"knots": len(fitted.knots), "delay": d.late(period)[0] + 1, "integrating": int(integrating)}
+    arrays = {key: np.array([value]) for key, value in {**asdict(d), "period": period}.items()}
+    return assemble(
+        GREY_BOX,
+        arrays | {"knots": fitted.knots, "rates": sign * fitted.values},
+        structure,
+        name=name,
+        inputs=(input_,),
+        outputs=(output,),
+        states=grey_box_states(structure, input_, output),
+        parameters=(),
+        period=period,
+        domain=training_box(records, (input_, output)),
+        description=(
+            f"latent spool: dead time {1e3 * d.dead_time:.3g} ms, {d.natural_frequency:.3g} rad/s, "
+            f"play {d.play:.3g} {input_.unit}, {len(fitted.knots)} knots, lag {1e3 * d.lag:.3g} ms"
+        ),
+        provenance={},
+    )
+
+
+def _check_options(knots, starts, effort) -> None:
+    for option, (value, least) in {"knots": (knots, 4), "starts": (starts, 1)}.items():
+        if int(value) != value or value < least:
+            raise DeclarationError(f"learn_grey_box: {option} must be a whole number from {least} up (got {value}).")
+    if not effort > 0:
+        raise DeclarationError(f"learn_grey_box: effort must be positive (got {effort}).")

@@ -190,8 +190,12 @@ class SpeedDependentEfficiency(Effect):
     id, title = "speed_dependent_efficiency", "efficiency that depends on speed"
     equation = "q = q_ideal (1 - e / (1 + |w| / w_0))"
     source = IVANTYSYN
-    typical = {"loss": (0.02, 0.3)}
-    probes = ({"loss": 0.05}, {"loss": 0.2})
+    typical = {"loss": (0.02, 0.3), "reference_speed": (10.0, 300.0)}
+    probes = (
+        {"loss": 0.05, "reference_speed": 50.0},
+        {"loss": 0.2, "reference_speed": 50.0},
+        {"loss": 0.1, "reference_speed": 200.0},
+    )
     confused_with = ("pump_slip", "internal_leakage", "displacement_error", "motor_droop")
     experiment = "the same load at several speeds in both directions, then another load"
 
@@ -201,7 +205,7 @@ class SpeedDependentEfficiency(Effect):
     q = Input("m3/s", "flow into the pump at a", nominal=1e-4)
     q_b = Input("m3/s", "flow into the pump at b", nominal=1e-4)
     loss = Parameter(0.0, "1", "share e lost at rest", bounds=(0, 0.9), nominal=0.05, source=IVANTYSYN, free=True)
-    reference_speed = Parameter(50.0, "rad/s", "speed w_0 that halves it", bounds=(1, 1e4), source="assumed")
+    reference_speed = Parameter(50.0, "rad/s", "speed w_0 that halves it", (2, 2000), 50.0, IVANTYSYN, True)
 
     sites = staticmethod(_loss_sites)
 

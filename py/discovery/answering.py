@@ -25,6 +25,7 @@ from .screen import TESTABLE, Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
 
+FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 NAMED = 0.75  # of the gap on held-out recordings: less than that explained is not an explanation
 SHOWN = 12  # candidates of a step in the answer that were not refitted
 
@@ -124,6 +125,13 @@ def _findings(search: Search, found: Found, verdict: str) -> list[str]:
             "gap: none of the effects could be seen in these recordings, whatever its size. Record faster and larger "
             "motion in both directions, with pauses."
         )
+    names = [o.name for o in search.base.flat.outputs]
+    for name, noise, sensor in zip(names, search.question.noise, search.sensors, strict=True):
+        if noise > FLOOR * sensor:
+            said.append(
+                f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
+                f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
+            )
     if verdict == "unknown" and found.steps:
         names = ", ".join(label(step.choice.best) for step in found.steps)
         share = closed(found.last.fitted, found.base.fitted, search.question)

@@ -7,31 +7,24 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 
-import numpy as np
-
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records.noise import channel_noise
 
-from .answering import Found, Step, answer
-from .choose import choose
-from .decide import T_NEEDED, closed, compared
+from .answering import answer
 from .discovery import Discovery
 from .executor import Starts, executor_for
-from .look_back import pruned, settled
+from .forward import reconsidered, searched
 from .progress import reporting
 from .recordings import split
 from .refit import Question, RefitJob, Refitted, conclude, refit
 from .resume import recalled
-from .search import CONVINCING, Search, Structure
+from .search import Search, Structure
 
 MOST_EFFECTS = 3
 KEPT = (Refitted,)  # answers that an interrupted search need not find again
-SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
-PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
 
@@ -95,25 +88,10 @@ def discover(
         run = _runner(pool, report, memory)
         report("identify the base", 0, 1, "")
         base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
-        sharper = _noise_of_residuals(base, question)
-        if np.any(sharper < question.noise):  # what looked like noise was motion, which the model follows
-            question, data = (dataclasses.replace(q, noise=sharper) for q in (question, data))
-            again = RefitJob(flat, names, question, (base.values,), base.states, base.size, label=flat.name)
-            base = _only(run(refit, [again], "identify the base"))
-        search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report)
-        found = _pruned(search, _searched(search, Structure((), base), max_effects))
-        return answer(search, data, found, model, began)
-
-
-def _noise_of_residuals(base: Refitted, q: Question) -> np.ndarray:
-    """The noise (ny,) once the motion that the base follows is taken out, where that is less. SI."""
-    found = []
-    for recording, residual in zip(q.fit, base.residuals_fit, strict=True):
-        columns = [(r, np.isfinite(r)) for r in residual.T]
-        found.append([channel_noise(recording.time[s], r[s]).sigma if s.any() else np.nan for r, s in columns])
-    with np.errstate(invalid="ignore"):
-        left = np.sqrt(np.mean(np.square(found), axis=0))
-        return np.where((left > 0) & (left < SHARPER * q.noise), left, q.noise)
+        told = tuple(n.name in (noise or {}) for n in flat.outputs)
+        search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report, told)
+        found = searched(search, reconsidered(search, Structure((), base)), max_effects)
+        return answer(search, dataclasses.replace(data, noise=search.sensors), found, model, began)
 
 
 def _bounded(model: Model, names: Sequence[str]) -> Model:
@@ -174,74 +152,3 @@ def _portable(job):
     return dataclasses.replace(
         job, flat=dataclasses.replace(flat, initialisation=Starts({names: flat.start_given(names) for names in wanted}))
     )
-
-
-def _searched(search: Search, base: Structure, most: int) -> Found:
-    """Forward steps while something passes; pairs from the base when that does not explain most of the gap."""
-    found = _forward(search, base, base, most, ())
-    if most < 2 or closed(found.last.fitted, base.fitted, search.question) > CONVINCING or not found.screens:
-        return found
-    screen, ranked, tried = found.screens[0]
-    pairs = search.pairs(base, screen, ranked, tried)
-    choice = choose(pairs, len(search.candidates) ** 2 // 2, search.question)
-    if choice is None:
-        return found
-    step = Step(choice, tuple(ranked), (*tried, *pairs), base)
-    other = _forward(search, base, choice.best.structure, most, (step,))
-    over = compared(other.last.fitted, found.last.fitted, search.question)
-    clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH
-    return other if clearly or (not found.steps and other.steps) else found
-
-
-def _pruned(search: Search, found: Found) -> Found:
-    """What was found without the steps whose effects have become idle."""
-    last = pruned(search, found.last)
-    if last is found.last:
-        return found
-    steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
-    if len(steps) == 1:  # it explains what all of them did
-        steps = [_alone(search, steps[0], found.base, last)]
-    return dataclasses.replace(found, last=last, steps=tuple(steps))
-
-
-def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step:
-    """A step from the base itself."""
-    best = search.judged(dataclasses.replace(step.choice.best, structure=last), base)
-    members = tuple(best if t is step.choice.best else t for t in step.choice.members)
-    tried = tuple(best if t is step.choice.best else t for t in step.tried)
-    choice = dataclasses.replace(step.choice, best=best, members=members)
-    return dataclasses.replace(step, choice=choice, tried=tried, before=base)
-
-
-def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
-    screens = []
-    if not now.members and search.explained(now.fitted):
-        search.screened(now)  # nothing is missing; what could not have been seen is told
-    while len(now.members) < most and not search.explained(now.fitted):
-        screen, ranked = search.screened(now)
-        tried = search.singles(now, search.shortlist(ranked))
-        screens.append((screen if not screens else None, ranked, tried))
-        choice = choose(tried, len(search.candidates), search.question)
-        if choice is None:
-            break
-        better, best = settled(search, now, choice.best)
-        tried = [best if t is choice.best else t for t in tried]
-        if better is not now:  # what was missing was, in part, a better fit of what is there
-            now, steps = better, _refounded(steps, better)
-            tried = [search.judged(t, now) for t in tried]
-        choice = choose(tried, len(search.candidates), search.question)
-        if choice is None:
-            continue
-        steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
-        now = choice.best.structure
-    return Found(base if now.members else now, now, steps, tuple(screens))
-
-
-def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:
-    """The steps with the last structure fitted better."""
-    if not steps:
-        return steps
-    last = steps[-1]
-    best = dataclasses.replace(last.choice.best, structure=better)
-    members = tuple(best if t is last.choice.best else t for t in last.choice.members)
-    return (*steps[:-1], dataclasses.replace(last, choice=dataclasses.replace(last.choice, best=best, members=members)))

@@ -7,6 +7,8 @@ import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
@@ -75,10 +77,24 @@ class Search:
     question: Question
     run: Callable[[Callable, Sequence, str], list]
     report: Callable[[str, int, int, str], None]
+    told: tuple[bool, ...] = ()  # outputs whose noise the user gave
+    sensors: np.ndarray = None  # noise (ny,) of the sensors, SI; the question's may hold more
     unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
     not_testable: dict[str, Screened] = field(default_factory=dict)
     _big: FlatModel | None = None
     _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        self.sensors = self.question.noise if self.sensors is None else self.sensors
+        self.told = self.told or (False,) * len(self.question.noise)
+
+    def ask(self, noise: np.ndarray) -> bool:
+        """Go on with another noise (ny,); fits under the old one are not comparable. Whether it is another one."""
+        if np.array_equal(noise, self.question.noise, equal_nan=True):
+            return False
+        self.question = dataclasses.replace(self.question, noise=noise)
+        self._known.clear()
+        return True
 
     # -- models -------------------------------------------------------------------------------------------------
     def model(self, members: Sequence[Candidate]) -> Model:
@@ -147,9 +163,9 @@ class Search:
             same = sum(k.candidate.id == s.candidate.id for k in chosen)
             if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:
                 chosen.append(s)
-        refined = {name for s in chosen for name in s.candidate.effect.refines}
+        refined = {(name, s.candidate.site.name) for s in chosen for name in s.candidate.effect.refines}
         for s in ranked:
-            if s.candidate.id in refined and s not in chosen and s.evidence > LEAST_EVIDENCE / 3:
+            if (s.candidate.id, s.candidate.site.name) in refined and s not in chosen:
                 chosen.append(s)
         return [s for s in chosen if not self._no_better_than_simple(s, chosen)]
 

@@ -1,0 +1,129 @@
+"""Forward: one effect after the other while something passes, pairs where that does not explain the gap."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hydrotwin.records.noise import channel_noise
+
+from .answering import Found, Step
+from .choose import choose
+from .decide import T_NEEDED, closed, compared
+from .look_back import pruned, settled
+from .refit import Question, RefitJob, Refitted, refit
+from .search import CONVINCING, Search, Structure, label_of
+from .twin import TwinJob, floor_of, smoothed_signs, with_floor
+
+SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
+PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
+
+
+def searched(search: Search, base: Structure, most: int) -> Found:
+    """Forward steps while something passes; pairs from the base when that does not explain most of the gap."""
+    return _pruned(search, _best_of_singles_and_pairs(search, base, most))
+
+
+def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Found:
+    found = _forward(search, base, base, most, ())
+    if most < 2 or closed(found.last.fitted, base.fitted, search.question) > CONVINCING or not found.screens:
+        return found
+    screen, ranked, tried = found.screens[0]
+    search.ask(search.sensors)
+    pairs = search.pairs(base, screen, ranked, tried)
+    choice = choose(pairs, len(search.candidates) ** 2 // 2, search.question)
+    if choice is None:
+        return found
+    step = Step(choice, tuple(ranked), (*tried, *pairs), base)
+    other = _forward(search, base, reconsidered(search, choice.best.structure), most, (step,))
+    over = compared(other.last.fitted, found.last.fitted, search.question)
+    clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH
+    return other if clearly or (not found.steps and other.steps) else found
+
+
+def _pruned(search: Search, found: Found) -> Found:
+    """What was found without the steps whose effects have become idle."""
+    last = pruned(search, found.last)
+    if last is found.last:
+        return found
+    steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
+    if len(steps) == 1:  # it explains what all of them did
+        steps = [_alone(search, steps[0], found.base, last)]
+    return dataclasses.replace(found, last=last, steps=tuple(steps))
+
+
+def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step:
+    """A step from the base itself."""
+    best = search.judged(dataclasses.replace(step.choice.best, structure=last), base)
+    members = tuple(best if t is step.choice.best else t for t in step.choice.members)
+    tried = tuple(best if t is step.choice.best else t for t in step.tried)
+    choice = dataclasses.replace(step.choice, best=best, members=members)
+    return dataclasses.replace(step, choice=choice, tried=tried, before=base)
+
+
+def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
+    screens = []
+    if not now.members and search.explained(now.fitted):
+        search.screened(now)  # nothing is missing; what could not have been seen is told
+    while len(now.members) < most and not search.explained(now.fitted):
+        screen, ranked = search.screened(now)
+        tried = search.singles(now, search.shortlist(ranked))
+        screens.append((screen if not screens else None, ranked, tried))
+        choice = choose(tried, len(search.candidates), search.question)
+        if choice is None:
+            break
+        better, best = settled(search, now, choice.best)
+        tried = [best if t is choice.best else t for t in tried]
+        if better is not now:  # what was missing was, in part, a better fit of what is there
+            now, steps = better, _refounded(steps, better)
+            tried = [search.judged(t, now) for t in tried]
+        choice = choose(tried, len(search.candidates), search.question)
+        if choice is None:
+            continue
+        steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
+        now = reconsidered(search, choice.best.structure)
+    return Found(base if now.members else now, now, steps, tuple(screens))
+
+
+def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:
+    """The steps with the last structure fitted better."""
+    if not steps:
+        return steps
+    last = steps[-1]
+    best = dataclasses.replace(last.choice.best, structure=better)
+    members = tuple(best if t is last.choice.best else t for t in last.choice.members)
+    return (*steps[:-1], dataclasses.replace(last, choice=dataclasses.replace(last.choice, best=best, members=members)))
+
+
+def reconsidered(search: Search, now: Structure) -> Structure:
+    """``now`` judged by the noise that it reveals: what seemed to be noise was motion, which it follows.
+
+    What its smoothed signs leave by themselves counts as noise from here on.
+    """
+    flat, names, fitted = search.model(now.members).flat, search.names(now.members), now.fitted
+    less = _noise_of_residuals(fitted, search.question, search.sensors)
+    search.sensors = np.where(search.told, search.sensors, less)
+    changed = search.ask(search.sensors)
+    smoothing = smoothed_signs(flat, now.members)
+    if smoothing and not search.explained(fitted):
+        job = TwinJob(flat, names, search.question, fitted, smoothing, label_of(now.members))
+        floor = search.run(floor_of, [job], "twin")[0]
+        changed |= not isinstance(floor, str) and search.ask(with_floor(search.sensors, floor))
+    if not changed:
+        return now
+    start, states, label = (fitted.values,), fitted.states, label_of(now.members)
+    job = RefitJob(flat, names, search.question, start, states, fitted.size, label=label)
+    again = search.run(refit, [job], "look back" if now.members else "identify the base")[0]
+    return now if isinstance(again, str) else search.keep(Structure(now.members, again))
+
+
+def _noise_of_residuals(fitted: Refitted, q: Question, noise: np.ndarray) -> np.ndarray:
+    """The noise (ny,) once the motion that a structure follows is taken out, where that is less. SI."""
+    found = []
+    for recording, residual in zip(q.fit, fitted.residuals_fit, strict=True):
+        columns = [(r, np.isfinite(r)) for r in residual.T]
+        found.append([channel_noise(recording.time[s], r[s]).sigma if s.any() else np.nan for r, s in columns])
+    with np.errstate(invalid="ignore"):
+        left = np.sqrt(np.mean(np.square(found), axis=0))
+        return np.where((left > 0) & (left < SHARPER * noise), left, noise)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from importlib import metadata
 from time import perf_counter
 
@@ -12,11 +12,21 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
-from hydrotwin.simulation import simulate
 
-from .block_file import Certificate, LearnedBlock, assemble
+from .block_file import LearnedBlock, assemble
 from .grey_box_block import GREY_BOX, grey_box_states
-from .grey_box_data import block_period, named, one_in_one_out, run_of, seen_late
+from .grey_box_data import (
+    FitProgress,
+    Run,
+    Watch,
+    block_period,
+    certify,
+    falls,
+    named,
+    one_in_one_out,
+    run_of,
+    seen_late,
+)
 from .grey_box_fit import (
     Fitted,
     Problem,
@@ -31,18 +41,8 @@ from .grey_box_fit import (
 )
 from .training_data import training_box
 
-TOLERANCE = 1e-9  # of the output's range: deployed against fitted
 LONGEST = 125  # periods: dead time, time constants
 TRIAL = 5  # evaluations of the outer solver (each with its derivatives) per start
-
-
-@dataclass(frozen=True)
-class GreyBoxProgress:
-    """After every evaluation: how many, the loss and the best so far (mean square of whitened misses)."""
-
-    evaluation: int
-    loss: float
-    best: float
 
 
 def learn_grey_box(
@@ -58,7 +58,7 @@ def learn_grey_box(
     seed: int = 0,
     effort: float = 1.0,
     name: str = "grey_box",
-    progress: Callable[[GreyBoxProgress], None] | None = None,
+    progress: Callable[[FitProgress], None] | None = None,
 ) -> LearnedBlock:
     """Fit the grey box of `grey_box_block` to recordings of one command and one output and answer it as a Block.
 
@@ -72,7 +72,7 @@ def learn_grey_box(
         knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, the best is kept.
         integrating: the map gives the rate of the output (a position); False: the output itself (a speed).
         seed: spreads the starts. effort: scales the evaluations.
-        progress: called with a `GreyBoxProgress` after every evaluation.
+        progress: called with a `FitProgress` after every evaluation.
 
     The identified constants and their 95 % intervals are in ``provenance["identified"]``: [value, low, high]. The
     intervals hold for noise, not for what the machine has and the grey box has not; slow samples tell the sum of dead
@@ -87,11 +87,8 @@ def learn_grey_box(
     records, validate, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate)
     period = block_period("learn_grey_box", records, period)
     runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
-    if _falls(runs, integrating):
-        runs, judges = ([replace(r, output=-r.output) for r in part] for part in (runs, judges))
-        sign = -1.0
-    else:
-        sign = 1.0
+    sign = -1.0 if falls(runs, integrating) else 1.0
+    runs, judges = ([replace(r, output=sign * r.output) for r in part] for part in (runs, judges))
     problem = Problem(runs, period, integrating, 1.0 if integrating else None, LONGEST * period)
     fitted, problem, watch = _fit(problem, judges, knots, starts, seed, effort, progress)
     block = _block(fitted, sign, integrating, period, name, records, input_, output)
@@ -108,27 +105,8 @@ def learn_grey_box(
         "stopped": watch.stopped or "finished",
         "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "casadi")},
     }
-    return replace(block, provenance=provenance, certificate=certify(block, problem, fitted, sign, records))
-
-
-def certify(block: LearnedBlock, problem: Problem, fitted: Fitted, sign: float, records) -> Certificate:
-    """The largest |block - fit| over free runs of all training recordings, relative to the range of the output."""
-    worst, points, d = 0.0, 0, fitted.dynamics
-    for run in problem.runs:
-        q = played(run, d, problem.period)
-        expected = responses(q, fitted.knots, d.lag, problem.period, problem.integrating) @ fitted.values
-        grid = problem.period * np.arange(len(run.input))
-        start = sign * run.output[0] if problem.integrating else sign * expected[0]
-        drive = Record(
-            grid,
-            {block.inputs[0].name: run.input, block.outputs[0].name: np.full(len(grid), start)},
-            {block.inputs[0].name: block.inputs[0].unit, block.outputs[0].name: block.outputs[0].unit},
-        )
-        found = simulate(block, drive)[block.outputs[0].name]
-        truth = sign * expected + (start if problem.integrating else 0.0)
-        worst = max(worst, float(np.abs(found - truth).max() / max(np.ptp(truth), 1e-300)))
-        points += len(grid)
-    return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")
+    expected = [sign * _output(problem, fitted, run) for run in runs]
+    return replace(block, provenance=provenance, certificate=certify(block, runs, expected))
 
 
 def _identified(problem: Problem, fitted: Fitted, late: float) -> dict[str, list[float]]:
@@ -139,30 +117,12 @@ def _identified(problem: Problem, fitted: Fitted, late: float) -> dict[str, list
     return answer
 
 
-class _Watch:
-    """Counts evaluations, tells of them and keeps the best, so that an interrupted fit has an answer."""
-
-    def __init__(self, progress):
-        self.evaluations, self.best, self.stopped, self._progress = 0, None, "", progress
-
-    def anew(self):
-        """Losses from here on are not comparable with those before."""
-        self.best = None
-
-    def __call__(self, fitted: Fitted):
-        self.evaluations += 1
-        if self.best is None or fitted.loss < self.best.loss:
-            self.best = fitted
-        if self._progress is not None:
-            self._progress(GreyBoxProgress(self.evaluations, fitted.loss, self.best.loss))
-
-
 def _fit(problem: Problem, judges, knots: int, starts: int, seed: int, effort: float, progress):
     """Scan, refine each start a little, then weigh and place the knots anew and refine the best; twice."""
-    watch, low_high = _Watch(progress), problem.span
+    watch, low_high = Watch(progress), problem.span
     even = np.linspace(*low_high, knots)
-    watch(evaluate(problem, rough_starts(problem, 1)[0], even))
     try:
+        watch(evaluate(problem, rough_starts(problem, 1)[0], even))
         problem = reweighed(problem, watch.best)
         watch.anew()
         begun = _spread(rough_starts(problem, starts), starts, seed)
@@ -174,6 +134,8 @@ def _fit(problem: Problem, judges, knots: int, starts: int, seed: int, effort: f
             watch.anew()
             best = refine(problem, best.dynamics, bent, max(round(3 * TRIAL * effort), 1), watch)
     except KeyboardInterrupt:
+        if watch.best is None:
+            raise
         watch.stopped, best = "interrupted", watch.best
     return best, problem, watch
 
@@ -191,24 +153,16 @@ def _spread(found, starts: int, seed: int):
 def _judged(problem: Problem, judges, fitted: Fitted) -> float:
     if not judges:
         return fitted.loss
-    d, other = fitted.dynamics, replace(problem, runs=judges)
-
-    def miss(run):
-        q = played(run, d, problem.period)
-        rows = run.sampled(responses(q, fitted.knots, d.lag, problem.period, problem.integrating))
-        return run.output - run.output[0] * problem.integrating - rows @ fitted.values
-
-    return float(np.mean(other.rows(miss) ** 2))
+    other = replace(problem, runs=judges)
+    misses = other.rows(lambda run: run.output - run.sampled(_output(problem, fitted, run)))
+    return float(np.mean(misses**2))
 
 
-def _falls(runs, integrating: bool) -> bool:
-    """Whether the output goes down where the input is up."""
-    moved, pushed = [], []
-    for run in runs:
-        u = run.sampled(run.input)
-        rate = np.diff(run.output) / np.diff(run.time) if integrating else run.output[1:]
-        moved.append(rate), pushed.append(u[:-1])
-    return bool(np.cov(np.concatenate(moved), np.concatenate(pushed))[0, 1] < 0)
+def _output(problem: Problem, fitted: Fitted, run: Run) -> np.ndarray:
+    """The output of the fit at the block's samples, (m,), from the first one measured."""
+    d, q = fitted.dynamics, played(run, fitted.dynamics, problem.period)
+    rows = responses(q, fitted.knots, d.lag, problem.period, problem.integrating)
+    return rows @ fitted.values + run.output[0] * problem.integrating
 
 
 def _block(fitted: Fitted, sign, integrating, period, name, records, input_: Signal, output: Signal) -> LearnedBlock:

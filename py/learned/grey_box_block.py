@@ -58,8 +58,14 @@ def grey_box_states(structure: Mapping[str, int], input_: Signal, output: Signal
     """The named states: output (measured) and its rate, spool, play, delay line."""
     first = StateVariable(output.name, output.unit, output.description, output.nominal, measured_by=output.name)
     per_second = f"{output.unit}/s" if structure["integrating"] and "/" not in output.unit else "1"
-    states = [first, StateVariable(f"{output.name}.lagged", per_second, "rate")] if structure["integrating"] else [first]
-    for name, about in (("spool", "latent spool"), ("spool_rate", "its speed, per second"), ("play", "behind the play")):
+    states = (
+        [first, StateVariable(f"{output.name}.lagged", per_second, "rate")] if structure["integrating"] else [first]
+    )
+    for name, about in (
+        ("spool", "latent spool"),
+        ("spool_rate", "its speed, per second"),
+        ("play", "behind the play"),
+    ):
         states.append(StateVariable(f"{input_.name}.{name}", input_.unit, about))
     lags = range(1, structure["delay"] + 1)
     return (*states, *(StateVariable(f"{input_.name}.lag_{k}", input_.unit, f"input {k} periods ago") for k in lags))

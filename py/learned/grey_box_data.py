@@ -12,10 +12,13 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.records.resampling import hold
+from hydrotwin.simulation import simulate
 
+from .block_file import Certificate, LearnedBlock
 from .training_data import as_signals, check_excitation, choose_period, usable
 
 FINER = 5  # block samples over the longest period that loses nothing
+TOLERANCE = 1e-9  # of the output's range: deployed against fitted
 LEAST = 100  # samples of the output over all recordings
 RATIOS = np.geomspace(1e-5, 1e5, 21)
 
@@ -182,3 +185,58 @@ def run_of(record: Record, period: float, input_: Signal, output: Signal) -> Run
 def named(records: Sequence[Record]) -> list[dict]:
     """Recordings by name, digest and length, for the provenance."""
     return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records]
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """After every evaluation: how many, the loss and the best so far (mean square of weighed misses)."""
+
+    evaluation: int
+    loss: float
+    best: float
+
+
+class Watch:
+    """Counts evaluations, tells of them and keeps the best, so that an interrupted fit has an answer."""
+
+    def __init__(self, progress: Callable[[FitProgress], None] | None):
+        self.evaluations, self.best, self.stopped = 0, None, ""
+        self._progress, self._anew = progress, True
+
+    def anew(self):
+        """Losses from here on are not comparable with those before: the next evaluation is the best so far."""
+        self._anew = True
+
+    def __call__(self, fitted):
+        self.evaluations += 1
+        if self._anew or fitted.loss < self.best.loss:
+            self.best, self._anew = fitted, False
+        if self._progress is not None:
+            self._progress(FitProgress(self.evaluations, fitted.loss, self.best.loss))
+
+
+def falls(runs: Sequence[Run], integrating: bool) -> bool:
+    """Whether the output (its rate, where it integrates) is low where the input is high."""
+    moved, pushed = [], []
+    for run in runs:
+        moved.append(np.diff(run.output) / np.diff(run.time) if integrating else run.output[1:])
+        pushed.append(run.sampled(run.input)[:-1])
+    return bool(np.cov(np.concatenate(moved), np.concatenate(pushed))[0, 1] < 0)
+
+
+def certify(block: LearnedBlock, runs: Sequence[Run], expected: Sequence[np.ndarray]) -> Certificate:
+    """The largest |block - fit| over free runs with the inputs of ``runs``, relative to the range of the output.
+
+    expected : per run, the output of the fit at the block's samples (m,), SI.
+    """
+    (input_,), (output,), worst = block.inputs, block.outputs, 0.0
+    for run, truth in zip(runs, expected, strict=True):
+        drive = Record(
+            block.period * np.arange(len(run.input)),
+            {input_.name: run.input, output.name: np.full(len(run.input), truth[0])},
+            {input_.name: input_.unit, output.name: output.unit},
+        )
+        found = simulate(block, drive)[output.name]
+        worst = max(worst, float(np.abs(found - truth).max() / max(np.ptp(truth), 1e-300)))
+    points = sum(len(run.input) for run in runs)
+    return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")

@@ -168,7 +168,7 @@ def refine(problem: Problem, start: Dynamics, knots: np.ndarray, evaluations: in
 def intervals(problem: Problem, fitted: Fitted) -> dict[str, tuple[float, float]]:
     """95 % interval of each constant, from the curvature at the fit; as good as the model is right.
 
-        cov = s^2 (J'J)^-1,    J of the misses with the map fitted anew, in the scaled constants
+    cov = s^2 (J'J)^-1,    J of the misses with the map fitted anew, in the scaled constants
     """
     at, step = _scaled(problem, fitted.dynamics), 5e-3
     lower, upper = _limits(problem)

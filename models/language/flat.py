@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -71,7 +72,10 @@ class FlatModel:
     ode : ``(t, x, u, p) -> (xdot, y)``, a CasADi SX function with these argument names; t scalar, the rest columns.
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
+    black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
+
+    black_box: ClassVar[bool] = False
 
     name: str
     inputs: tuple[Signal, ...]

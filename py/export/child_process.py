@@ -42,19 +42,19 @@ def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, fo
         try:
             code = child.wait(timeout=limit)
         except subprocess.TimeoutExpired:
-            _end(child)
+            end_child(child)
             return f"the FMU did not come to an end (got {limit:g} s). Raise time_limit or shorten the record"
         except BaseException:
-            _end(child)
+            end_child(child)
             raise
     answer = folder / "answer.json"
     if answer.exists():
         told = json.loads(answer.read_text(encoding="utf-8"))
         return None if told["done"] else _with_words(told["error"], folder)
-    return _with_words(f"the FMU ended its process ({_way_of_death(code)})", folder)
+    return _with_words(f"the FMU ended its process ({way_of_death(code)})", folder)
 
 
-def _end(child: subprocess.Popen):
+def end_child(child: subprocess.Popen):
     """The child and whatever it started."""
     if os.name == "posix":
         os.killpg(child.pid, signal.SIGKILL)
@@ -63,7 +63,8 @@ def _end(child: subprocess.Popen):
     child.wait()
 
 
-def _way_of_death(code: int) -> str:
+def way_of_death(code: int) -> str:
+    """How a process ended."""
     if code < 0:
         return f"signal {signal.Signals(-code).name}"
     return f"exit code {code}"

@@ -108,7 +108,9 @@ def window_starts(segments: Sequence[Segment], states: Sequence[np.ndarray], sta
 
 
 def horizons(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) -> list[float]:
-    """Window lengths [s], growing; the whole recording comes after them."""
+    """Window lengths [s], growing; the whole recording comes after them. None for what cannot start in the middle."""
+    if flat.black_box:
+        return []
     longest = max(r.time[-1] - r.time[0] for r in recordings)
     period = float(np.median(np.concatenate([np.diff(r.time) for r in recordings])))
     outputs = max(np.isfinite(r.y).any(axis=0).sum() for r in recordings)

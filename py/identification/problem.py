@@ -75,7 +75,7 @@ def free_parameters(
     for name in bounds:
         flat.index_of(name)
     rows = [p for p in flat.parameters if p.name in chosen]
-    index = np.array([flat.index_of(p.name) for p in rows])
+    index = np.array([flat.index_of(p.name) for p in rows], dtype=int)
     limits = [bounds.get(p.name, p.bounds) for p in rows]
     lower, upper = (np.array([float(limit[side]) for limit in limits]) for side in (0, 1))
     for p, low, high in zip(rows, lower, upper, strict=True):
@@ -106,7 +106,7 @@ def _matching(flat: FlatModel, free: Sequence[str] | None, known: Sequence[str])
             raise DeclarationError(f"{flat.name}: no parameter is declared free. Name some: free=['{known[0]}'].")
         return chosen
     patterns = [free] if isinstance(free, str) else list(free)
-    if not patterns:
+    if not patterns and not flat.black_box:
         raise DeclarationError(f"{flat.name}: nothing to identify (got an empty list of free parameters). Name some.")
     chosen = set()
     for pattern in patterns:
@@ -157,4 +157,3 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
         )
     u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
     return Recording(name, record.digest, time, u, y)
-

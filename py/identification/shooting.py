@@ -271,8 +271,9 @@ class Shooting:
         one. Raises SolveError when the run diverges.
         """
         time, u = self._inputs(self.segments[i])
-        delayed = any(s.dead_time for s in self.propagator.flat.inputs)
-        if self.averaged > 1 or delayed or len(time) <= PIECE:
+        flat = self.propagator.flat
+        whole = flat.black_box or any(s.dead_time for s in flat.inputs)
+        if self.averaged > 1 or whole or len(time) <= PIECE:
             found = self._sensitivities(i, at, z)
             if found is None:
                 raise SolveError(f"identify: {self.recordings[self.segments[i].recording].name} diverges.")

@@ -52,6 +52,8 @@ def prepare(
     longest = float(flat.step if step is None else step)
     if not longest > 0:
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
+    if flat.black_box:
+        return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method)
     return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method)
 
 

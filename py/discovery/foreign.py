@@ -1,0 +1,144 @@
+"""discover_around: the gap workflow for an FMU, which effect sits before its inputs or after its outputs."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from hydrotwin.export.reader import FmuBlock
+from hydrotwin.models.effects import Candidate, candidates
+
+from .answering import answer
+from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner
+from .discovery import Discovery
+from .executor import executor_for
+from .forward import reconsidered, searched
+from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
+from .progress import reporting
+from .recordings import split
+from .refit import Question, RefitJob, likelihood, pooled_rmse, refit
+from .screen import Screen, Screened
+from .search import Search, Structure
+from .surroundings import SurroundedFmu, around_only, ready, surrounded
+
+AMPLITUDES = 5  # of a candidate, over its usual range
+SMALLEST = 0.1  # of the largest usual amplitude, where the usual range begins at or below zero
+CLOSER = 8  # further amplitudes around the best
+SHORTLIST = 10  # each of them is a fit that runs the FMU again and again
+
+
+def discover_around(
+    fmu: FmuBlock | SurroundedFmu,
+    records: Sequence,
+    *,
+    validate: Sequence = (),
+    free: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    exclude: Sequence[str] = (),
+    max_effects: int = MOST_EFFECTS,
+    initial_states: str = "auto",
+    outputs: Sequence[str] | None = None,
+    noise: Mapping[str, float] | None = None,
+    step: float | None = None,
+    executor: str | Executor | None = None,
+    progress: bool | Callable | None = None,
+    memory=None,
+) -> Discovery:
+    """Name what stands between a machine and an FMU of it, from recordings of the machine.
+
+    free : globs over the parameters of the FMU to identify along; None: none. Everything else as in `discover`.
+
+    Raises DeclarationError for an FMU without inputs or outputs, DataError for recordings that lack a signal,
+    SolveError where the FMU fails, crashes or hangs.
+    """
+    began = time.perf_counter()
+    model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
+    pieces, said = ready(model, records, validate, free)
+    seen = {name for record in pieces for name in record.signals}
+    fitting = around_only(model, candidates(model, effects, exclude), seen)
+    data = split(model.flat, pieces, validate, outputs, noise)
+    data = dataclasses.replace(data, findings=(*said, *data.findings))
+    question = Question(data.fit, data.select, data.noise, initial_states, step)
+    names = _free_names(model.flat, free or ())
+    bounded = _bounded(model, names)
+    with reporting(progress, model.name) as report, executor_for(executor) as pool:
+        run = _runner(pool, report, memory)
+        job = RefitJob(bounded.flat, names, question, coarse=True, label=model.name)
+        base = _only(run(refit, [job], "identify the base"))
+        told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
+        search = AroundSearch(bounded, names, fitting, question, run, report, told)
+        found = searched(search, reconsidered(search, Structure((), base)), max_effects)
+        return answer(search, dataclasses.replace(data, noise=search.sensors), found, model, began)
+
+
+class AroundSearch(Search):
+    """A search whose candidates are few and far from linear: each is run at amplitudes that close in on its best.
+
+    What a dead time does to a step of a command is no multiple of what a small one does.
+    """
+
+    def screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
+        """All candidates that are not in the structure yet, the most promising first."""
+        _ = self.big
+        rest = [c for c in self.candidates if c.label not in now.key]
+        self.report("screen", 0, len(rest), "")
+        screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
+        limits = [c for c in rest if hasattr(c.effect, "probes_for")]
+        seen = seen_by_parts(self.model(self.candidates), screen, limits)
+        tries = [amplitudes(c, seen[c.label]) if c.label in seen else over_usual_range(c) for c in rest]
+        jobs = [self._probe_job(now, c, values) for c, values in zip(rest, tries, strict=True)]
+        found = []
+        for c, job, runs in zip(rest, jobs, self.run(closing_in, jobs, "probe"), strict=True):
+            made = dataclasses.replace(job, amplitudes=tuple(values for values, _ in runs))
+            found.append(best_amplitude(screen, screen.by_derivative(c), made, [ran for _, ran in runs]))
+        self.not_testable.update({s.candidate.label: s for s in found if not s.testable})
+        return screen, sorted(found, key=lambda s: -s.evidence)
+
+    def shortlist(self, ranked: Sequence[Screened]) -> list[Screened]:
+        """The best of those worth a refit."""
+        return super().shortlist(ranked)[:SHORTLIST]
+
+
+def over_usual_range(candidate: Candidate) -> list[dict[str, float]]:
+    """Amplitudes of a candidate with one parameter over its usual range; else its own probes."""
+    if len(candidate.free) != 1 or candidate.free[0] not in candidate.typical:
+        return [dict(p) for p in candidate.probes]
+    name = candidate.free[0]
+    low, high = candidate.typical[name]
+    if low > 0:
+        return [{name: float(v)} for v in np.geomspace(low, high, AMPLITUDES)]
+    sizes = np.geomspace(SMALLEST * high, high, AMPLITUDES // 2 + 1)
+    return [{name: float(sign * v)} for v in sizes for sign in (1.0, -1.0)]
+
+
+def closing_in(job: ProbeJob) -> list[tuple[Mapping[str, float], tuple[np.ndarray, ...] | None]]:
+    """Amplitudes and their residuals (n, ny) per recording, SI (None where a run diverges): those of the job, then,
+    for a single parameter, more of them between the neighbours of the best."""
+    made = [(dict(values), ran) for values, ran in zip(job.amplitudes, probe(job), strict=True)]
+    names = {n for values, _ in made for n in values}
+    if len(names) != 1 or all(ran is None for _, ran in made):
+        return made
+    (name,) = names
+    cost = {values[name]: _cost(ran, job.question) for values, ran in made}
+    known = sorted({*cost, 0.0})
+    best = min(cost, key=cost.get)
+    k = known.index(best)
+    low, high = known[max(k - 1, 0)], known[min(k + 1, len(known) - 1)]
+
+    def more(value: float) -> float:
+        (ran,) = probe(dataclasses.replace(job, amplitudes=({name: float(value)},)))
+        made.append(({name: float(value)}, ran))
+        return _cost(ran, job.question)
+
+    if high > low:
+        minimize_scalar(more, bounds=(low, high), method="bounded", options={"maxiter": CLOSER, "xatol": 0.0})
+    return made
+
+
+def _cost(ran: Sequence[np.ndarray] | None, q: Question) -> float:
+    return np.inf if ran is None else likelihood(pooled_rmse(ran), q)

@@ -23,6 +23,8 @@ from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable
 from hydrotwin.records import Record
 from hydrotwin.simulation import prepare
 
+from .executor import Starts
+
 DIFFERENCE = 3e-3  # of a parameter's size: the step of a difference
 _SUM = StateVariable("", "1")
 SAME = 1e-9  # of an input's size: a difference from rounding, not from shaping
@@ -187,7 +189,7 @@ def black_box(around: FlatModel, shaped: ca.Function, raw: list[int], fmu: Repea
     inputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.inputs, fmu.inputs, strict=True))
     outputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.outputs, fmu.outputs, strict=True))
     measured = tuple(Signal(f"{s.name} of the FMU", s.unit, "", s.nominal, "linear") for s in outputs)
-    common = {"parameters": parameters, "step": around.step, "initialisation": None}
+    common = {"parameters": parameters, "step": around.step, "initialisation": Starts({})}
     back = FlatModel(
         f"{around.name}_back", (*inputs, *measured), outputs, around.states,
         ode=ca.Function("ode", [t, x, ca.vertcat(u, r), p], [rates, y], *labels, {"cse": True}), **common,

@@ -53,7 +53,7 @@ def discover(
     part in nothing but the final figures.
 
     Args:
-        model: what the machine is thought to be.
+        model: what the machine is thought to be; of an FMU, effects before its inputs and after its outputs.
         records: recordings to learn from, at least one, better three.
         validate: recordings to show the answer on.
         free: globs over the base parameters to identify; None: those the model declares free.
@@ -69,13 +69,21 @@ def discover(
     diverges from every start).
     """
     began = time.perf_counter()
+    if max_effects < 1:
+        raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
+    if getattr(model, "kind", "") == "fmu":
+        from .foreign import discover_around  # made of what stands here
+
+        return discover_around(
+            model, records, validate=validate, free=free, effects=effects, exclude=exclude, max_effects=max_effects,
+            initial_states=initial_states, outputs=outputs, noise=noise, step=step, executor=executor,
+            progress=progress, memory=memory,
+        )  # fmt: skip
     if not isinstance(model, Model):
         raise DeclarationError(
             f"gap: '{getattr(model, 'name', model)}' is no component model, so no effect can be added inside it. "
             "Wrap it, or compare it only: hydrotwin compare."
         )
-    if max_effects < 1:
-        raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
     flat = model.flat
     data = split(flat, records, validate, outputs, noise)
     if len(records) == 1 and initial_states == "auto":

@@ -16,7 +16,7 @@ import sys
 import tempfile
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +45,8 @@ class RepeatedFmu(FmuBlock):
 
 def repeated(block: FmuBlock) -> RepeatedFmu:
     """The same FMU, to be run many times."""
-    return RepeatedFmu(**{name: getattr(block, name) for name in block.__dataclass_fields__})
+    known = {name: getattr(block, name) for name in block.__dataclass_fields__}
+    return RepeatedFmu(**known | {"description": replace(block.description, source=None)})  # so that it can travel
 
 
 def runs_made(path: str) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import importlib.util
 import sys
@@ -22,7 +23,10 @@ SHIPPED = (*PHYSICAL, "eq17")
 def origin(spec: str) -> str:
     """The model behind ``spec``, without the values of a model file: what a model file names as its model."""
     base = str(spec).partition("@")[0]
-    return read_model_file(base).model if base.endswith(".toml") else base
+    if not base.endswith(".toml"):
+        return base
+    model = read_model_file(base).model
+    return str((Path(base).parent / model).resolve()) if model.endswith(".fmu") else model
 
 
 def load(spec: str):
@@ -31,7 +35,7 @@ def load(spec: str):
     ======================  ==============================================================================
     ``cehA``                a shipped model; ``cehA:third_order`` one of its variants; ``eq17`` the published formula
     ``fitted.toml``         a model file (of a shipped model) or a learned block
-    ``machine.fmu``         an FMU
+    ``machine.fmu``         an FMU; a model file may stand for one with effects around it
     ``rig.py:axis``         a Model that a function in the user's own Python file returns
     ``rig.py:axis@f.toml``  the same with the values and effects of a model file
     ======================  ==============================================================================
@@ -47,7 +51,7 @@ def load(spec: str):
     if at and not values:
         raise DeclarationError(f"MODEL: no file after '@' (got '{spec}'). Write {base}@model.toml.")
     if at:
-        return _with_file(_load_base(base), read_model_file(values))
+        return _with_file(surroundable(base), read_model_file(values))
     if spec.endswith(".toml"):
         return _from_toml(Path(spec))
     return _load_base(spec)
@@ -84,6 +88,8 @@ def _from_toml(path: Path):
     if "models" in content and "validate" in content:
         raise DeclarationError(f"{path}: a scenario, not a model. Run it: hydrotwin compare {path}.")
     file = read_model_file(path)
+    if file.model.endswith(".fmu"):
+        return _with_file(_fmu_of(file), file)
     if ".py:" in file.model:
         raise DeclarationError(
             f"{path}: its model is Python code ('{file.model}'), which a data file may not start. "
@@ -94,6 +100,37 @@ def _from_toml(path: Path):
             f"{path}: its model is none of hydrotwin's (got '{file.model}'). {nearest(file.model, PHYSICAL)}"
         )
     return _with_file(_load_base(file.model), file)
+
+
+def surroundable(spec: str):
+    """The model that ``spec`` names; an FMU as one that effects can be added to, before its inputs and behind it."""
+    thing = load(spec)
+    if getattr(thing, "kind", "") == "fmu" and not isinstance(thing, Model):
+        from hydrotwin.discovery.surroundings import surrounded
+
+        return surrounded(thing)
+    return thing
+
+
+def _fmu_of(file: ModelFile) -> Model:
+    """The FMU that a model file names, from the folder of the file; it must be the one that was worked with."""
+    path = file.path.parent / file.model
+    if not path.is_file():
+        raise DataError(f"{file.path}: its FMU is not there (got '{file.model}'). Put it where the file says: {path}.")
+    known = file.provenance.get("fmu", {})
+    told = known.get("sha256") if isinstance(known, Mapping) else None
+    if told and told != sha256_of(path):
+        raise DataError(
+            f"{file.path}: {path} is another FMU than the one its effects belong to (its SHA-256 differs). Put the "
+            "old one back, or look for effects of the new one: hydrotwin gap."
+        )
+    return surroundable(str(path))
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _with_file(model, file: ModelFile) -> Model:

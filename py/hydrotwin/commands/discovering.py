@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
 from datetime import datetime
 from pathlib import Path
@@ -17,7 +18,7 @@ from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.models.language.writing import json_values, write_whole
 from hydrotwin.records import Record, require
 
-from ..loading import origin
+from ..loading import origin, sha256_of, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
     JsonOption,
@@ -103,7 +104,7 @@ def gap(
 
     began = time.perf_counter()
     check_folder(output)
-    thing = physical(model, "gap")
+    thing = surroundable(model) if model.endswith(".fmu") else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale), read_all(validate, scale)
     check_recordings(thing, train, judged)
@@ -121,7 +122,7 @@ def gap(
         except HydrotwinError as error:
             write_failure(thing.name, str(error), output, time.perf_counter() - began)
             raise
-    write_discovery(found, origin(model), output, gap_provenance(found, train, judged))
+    write_discovery(found, origin_from(thing, model, output), output, gap_provenance(found, train, judged))
     memory.remove()
     if as_json:
         from hydrotwin.report.gap_data import gap_data
@@ -131,6 +132,13 @@ def gap(
     print_discovery(found, output)
     if ".py:" in model and found.steps:
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+def origin_from(thing, spec: str, folder: Path) -> str:
+    """What the model file in ``folder`` calls its model; an FMU by its way from there."""
+    if not thing.flat.black_box:
+        return origin(spec)
+    return Path(os.path.relpath(thing.fmu.path, folder.resolve())).as_posix()
 
 
 def finished_fits(folder: Path):
@@ -186,7 +194,7 @@ def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict)
     write_gap_report(found, folder)
     values = getattr(found.fit_after, "flat", None) or found.model.flat
     write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
-    write_whole(folder / "model.mo", modelica_text(found.model))
+    write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
 
 
 def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
@@ -197,6 +205,7 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        **({"fmu": {"sha256": sha256_of(Path(found.model.fmu.path))}} if hasattr(found.model, "fmu") else {}),
         "verdict": found.verdict,
         "effects": steps,
         "noise": dict(found.noise),

@@ -53,6 +53,11 @@ def export(
     thing = load(model)
     if not hasattr(thing, "flat") and not hasattr(thing, "step"):
         raise DeclarationError(f"export: '{model}' is an FMU already. Give a physical model or a learned block.")
+    if getattr(getattr(thing, "flat", None), "black_box", False):
+        raise DeclarationError(
+            f"export: '{model}' is an FMU with effects around it, and an FMU has no equations to write. Connect it to "
+            "the class that 'hydrotwin modelica' writes for what stands around it."
+        )
     export_fmu(
         thing,
         output,

@@ -122,7 +122,8 @@ def modelica(
 
     if output:
         check_file(output, ".mo")
-    text = modelica_text(physical(model, "modelica"))
+    thing = physical(model, "modelica")
+    text = modelica_text(getattr(thing, "opened", thing))
     if output:
         write_whole(output, text)
         err.print(f"written: {output}")
@@ -148,6 +149,8 @@ def linearize(
     if output:
         check_folder(output)
     thing = physical(model, "linearize")
+    if thing.flat.black_box:
+        raise DeclarationError(f"linearize: '{model}' is an FMU, which has no equations to linearize.")
     values = settings_from(at, "--at")
     system, found = linearise(thing, values, steady=steady), modes(thing, values, steady=steady)
     oil = found.hydraulic

@@ -7,16 +7,16 @@ With inducing points Z the data enter through two small matrices (deterministic 
     mean(z) = c + k(z, Z) S^-1 K_ZX (y - c) / noise
     var(z)  = s2 - k(z, Z) (K_ZZ^-1 - S^-1) k(Z, z)
 
-The points are the centres of k-means over the length scales, where a lag that does not matter does not count.
+The points are rows of the data, chosen greedily (pivoted Cholesky; Burt, Rasmussen, van der Wilk, JMLR 21 (2020)). At
+150 points the largest deviation from the exact mean was 2 to 100 times smaller than with the centres of k-means: those
+crowd where samples do, and miss the few transients that a process of little noise remembers.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.vq import kmeans2
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve, cholesky, eigh, lstsq, qr, solve_triangular
 
@@ -72,21 +72,27 @@ def correlation(a: np.ndarray, b: np.ndarray, kernel: str) -> np.ndarray:
     return (1.0 + r) * np.exp(-r)
 
 
-def inducing_points(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Centres (at most ``count``) of k-means over the distinct rows of ``points`` (n, d)."""
-    distinct = np.unique(np.round(points, 6), axis=0)
-    if len(distinct) <= count:
-        return distinct
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an empty cluster keeps its centre
-        centres, _ = kmeans2(distinct, count, iter=20, minit="++", seed=rng)
-    return centres
+def inducing_points(points: np.ndarray, count: int, kernel: str) -> np.ndarray:
+    """At most ``count`` of the rows of ``points`` (n, d), each the one that those before it explain least.
+
+    This is the pivoting of a Cholesky factorization, stopped early. Ends before ``count`` when all rows are explained.
+    """
+    unexplained, L, chosen = np.ones(len(points)), np.zeros((len(points), count)), []
+    for j in range(count):
+        i = int(np.argmax(unexplained))
+        if unexplained[i] <= JITTER:
+            break
+        column = correlation(points, points[i : i + 1], kernel)[:, 0] - L[:, :j] @ L[i, :j]
+        L[:, j] = column / np.sqrt(unexplained[i])
+        unexplained = np.maximum(unexplained - L[:, j] ** 2, 0.0)
+        chosen.append(i)
+    return points[chosen]
 
 
-def small_posterior(exact: Posterior, count: int, rng: np.random.Generator, exact_mean: bool) -> SmallPosterior:
+def small_posterior(exact: Posterior, count: int, exact_mean: bool) -> SmallPosterior:
     """The posterior on ``count`` inducing points; the mean on all training points where ``exact_mean`` asks for it."""
     X = exact.features / exact.lengths
-    Z = inducing_points(X, count, rng)
+    Z = inducing_points(X, count, exact.kernel)
     weights, factor = _condition(exact, X, Z)
     points = X if exact_mean else Z
     weights = exact.weights * exact.prior_variance if exact_mean else weights
@@ -119,7 +125,7 @@ def spline_coefficients(values, lower: float, upper: float, count: int, oversamp
     values : a function of (n,) places, sampled ``oversampling`` times between two knots. `dual_block.spline` evaluates.
     """
     x = np.linspace(lower, upper, oversampling * (count - 3) + 1)
-    basis = BSpline.design_matrix(x, spline_knots(lower, upper, count), 3).toarray()
+    basis = BSpline.design_matrix(x, spline_knots(lower, upper, count), 3, extrapolate=True).toarray()  # ends round
     return lstsq(basis, values(x))[0]
 
 

@@ -17,7 +17,7 @@ from .delay_lines import Rows, certification_grid, delayed_rows, even_period, in
 from .dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, rate
 from .gaussian_process import free_run_errors, recordings
 from .kernel_block import KERNELS
-from .process import (
+from .process_training import (
     DeployedProcess,
     check_options,
     check_size,

@@ -15,7 +15,7 @@ from hydrotwin.simulation import simulate
 from .block_file import Certificate, LearnedBlock, assemble
 from .delay_lines import certification_grid, delayed_rows, even_period, input_scales, training_rows
 from .kernel_block import GAUSSIAN_PROCESS, KERNELS, process_frame
-from .process import (
+from .process_training import (
     DeployedProcess,
     check_options,
     check_size,

@@ -52,6 +52,7 @@ class DeployedProcess:
         posterior = self.trained.posterior
         return {
             "process": self.label,
+            "average": self.centre + self.scale * posterior.constant,
             "lengths": posterior.lengths.tolist(),
             "prior_sd": self.scale * posterior.prior_variance**0.5,
             "noise_sd": self.scale * posterior.noise_variance**0.5,
@@ -71,7 +72,7 @@ def train_process(
     centre, scale = float(targets.mean()), float(targets.std()) or 1.0
     X, y = normalised(features, scales), (targets - centre) / scale
     trained = exact_gp.train(X, y, kernel=kernel, fit=fit, points=points, rng=rng, process=label, progress=progress)
-    small = small_posterior(trained.posterior, compress or USUAL_POINTS, rng, exact_mean=compress is None)
+    small = small_posterior(trained.posterior, compress or USUAL_POINTS, exact_mean=compress is None)
     arrays = {
         "lengths": trained.posterior.lengths,
         "points": small.points,
@@ -85,10 +86,16 @@ def train_process(
 
 
 def stacked(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of several processes, one beside the other; factors of lower rank get rows of zeros."""
-    rank = max(len(part["sd_factor"]) for part in parts)
-    full = [{**p, "sd_factor": np.pad(p["sd_factor"], ((0, rank - len(p["sd_factor"])), (0, 0)))} for p in parts]
-    return {key: np.stack([np.asarray(part[key], dtype=float) for part in full]) for key in parts[0]}
+    """The arrays of several processes, one beside the other; those with fewer points get points of no weight."""
+    arrays = [{key: np.asarray(value, dtype=float) for key, value in part.items()} for part in parts]
+    largest = {key: np.max([part[key].shape for part in arrays], axis=0) for key in arrays[0]}
+
+    def padded(key, value):
+        return (
+            np.pad(value, [(0, n - m) for n, m in zip(largest[key], value.shape, strict=True)]) if value.ndim else value
+        )
+
+    return {key: np.stack([padded(key, part[key]) for part in arrays]) for key in arrays[0]}
 
 
 def counts(processes: Mapping[str, np.ndarray]) -> dict[str, int]:

@@ -148,20 +148,34 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, per
 
 
 def _stretches(record, input, output, rate, settle, window, delay, allowed):
-    """(command, rate, its standard error) of every steady stretch of a recording."""
+    """(command, rate, its standard error) of every steady stretch of a recording, one after the other."""
     t, u, y = record.time, record[input.name], record[output.name]
-    for begin in np.arange(t[0] + settle + delay, t[-1] - window, window):
-        first, low, high = np.searchsorted(t, (begin - settle - delay, begin, begin + window))
-        if high - low < 4 or np.ptp(u[first:high]) > allowed:
+    before, begin, end = settle + delay, t[0] + settle + delay, t[-1] + 1e-9
+    while begin + window <= end:
+        first, low, high = np.searchsorted(t, np.array([begin - before, begin, begin + window]) - 1e-9)
+        wandering = np.flatnonzero(_spread_to_the_end(u[first:high]) > allowed)
+        if len(wandering):
+            begin = t[first + wandering[-1] + 1] + before
             continue
-        x = t[low:high] - t[low:high].mean()
-        slope = float(x @ y[low:high] / (x @ x))
-        mean = float(y[low:high].mean())
-        left = y[low:high] - mean - slope * x
-        noise = math.sqrt(float(left @ left) / max(high - low - 2, 1))
-        late = slice(*np.searchsorted(t, (begin - delay, begin + window - delay)))
-        error = noise / math.sqrt(x @ x) if rate else noise / math.sqrt(high - low)
-        yield float(u[late].mean()), slope if rate else mean, error
+        begin += window
+        if high - low >= 4:
+            late = slice(*np.searchsorted(t, np.array([t[low] - delay, t[low] + window - delay]) - 1e-9))
+            yield float(u[late].mean()), *_level_and_error(t[low:high], y[low:high], rate)
+
+
+def _spread_to_the_end(values: np.ndarray) -> np.ndarray:
+    """Largest minus smallest of what follows, for every value of (n,)."""
+    back = values[::-1]
+    return (np.maximum.accumulate(back) - np.minimum.accumulate(back))[::-1]
+
+
+def _level_and_error(t: np.ndarray, y: np.ndarray, rate: bool) -> tuple[float, float]:
+    """Slope (or mean) of y over t (n,) and its standard error."""
+    x = t - t.mean()
+    slope, mean = float(x @ y / (x @ x)), float(y.mean())
+    left = y - mean - slope * x
+    noise = math.sqrt(float(left @ left) / max(len(t) - 2, 1))
+    return (slope, noise / math.sqrt(x @ x)) if rate else (mean, noise / math.sqrt(len(t)))
 
 
 # -- from a block --------------------------------------------------------------------------------------------------

@@ -1,0 +1,61 @@
+"""The experiment of the C-EHA paper on the rig: learn a formula from five recordings, judge it by free runs on three.
+
+Both fits of `learn_symbolic`, with and without the measured motor speed: the error of the free runs, the formula,
+evaluations per processor second, and the time of a refit of all constants on all recordings.
+``python benchmarks/learned/symbolic.py [SECONDS]``: length of a recording, 80 s as in the paper unless said.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+
+from hydrotwin.learned.symbolic import learn_symbolic
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
+from tests import rig
+
+UNITS = {"command": "V", "motor_speed": "rad/s", "arm_angle": "rad"}
+NOISE = {"arm_angle": 2e-4, "motor_speed": 0.5}
+
+
+def recording(seed: int, seconds: float, rate: float = 1000.0) -> Record:
+    """One run of the arm under the smooth drive command, sampled as in the paper."""
+    time_, command = rig.drive("cehA", seconds, 100.0, seed=seed)
+    fine = np.arange(round(seconds * rate) + 1) / rate
+    held = command[np.clip(np.searchsorted(time_, fine + 1e-9) - 1, 0, None)]
+    columns = rig.record("cehA", held, fine, noise=NOISE, seed=seed)
+    return Record(columns["time"], {n: columns[n] for n in UNITS}, UNITS, f"run_{seed}")
+
+
+def main(seconds: float = 80.0) -> None:
+    train = [recording(seed, seconds) for seed in range(5)]
+    judge = [recording(seed, seconds) for seed in range(500, 503)]
+    print(
+        f"{len(train)} x {seconds:g} s to learn from, {len(judge)} x {seconds:g} s to judge; rms of the free run, deg"
+    )
+    for label, inputs, options in (
+        ("paper", ["command", "motor_speed"], {"fit": "paper"}),
+        ("paper, command only", ["command"], {"fit": "paper"}),
+        ("default", ["command"], {}),
+        ("default, with motor speed", ["command", "motor_speed"], {}),
+    ):
+        began, spent = time.perf_counter(), time.process_time()
+        block = learn_symbolic(train, inputs, ["arm_angle"], **options)
+        wall, cpu = time.perf_counter() - began, time.process_time() - spent
+        errors = [_error(block, record) for record in judge]
+        p = block.provenance
+        print(f"\n{label}: {', '.join(f'{e:.3f}' for e in errors)}; mean {np.mean(errors):.3f}")
+        print(f"  {p['equation']}")
+        print(f"  {wall:.1f} s wall, {cpu:.1f} s of the processor, {p['evaluations_per_cpu_second']} evaluations/CPU-s")
+        print(f"  period {block.period:g} s, certificate {block.certificate.difference:.1e}, {p['stopped']}")
+
+
+def _error(block, record: Record) -> float:
+    return float(np.degrees(np.sqrt(np.mean((simulate(block, record)["arm_angle"] - record["arm_angle"]) ** 2))))
+
+
+if __name__ == "__main__":
+    main(*(float(a) for a in sys.argv[1:]))

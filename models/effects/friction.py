@@ -244,26 +244,32 @@ class AsymmetricViscousFriction(Effect):
 class PressureDependentFriction(Effect):
     """Seals that are pressed on by the oil rub more.
 
-        F = (F_c + a |p_a - p_b|) sign(v),   sign smoothed as tanh(v / v_0)
+        F = (F_c + a |p_a - p_b| + r p_b) sign(v),   sign smoothed as tanh(v / v_0)
 
-    with the pressures on both sides of a piston. ``a`` is an area: that of the seals times their coefficient of
-    friction. Source: Bonchis et al. 1999.
+    with the pressures on both sides of a piston: its own seal is pressed on by their difference, that of the rod by the
+    pressure on the rod's side. ``a`` and ``r`` are areas: those of the seals times their coefficients of friction.
+    Source: Bonchis et al. 1999.
     """
 
     id, title = "pressure_dependent_friction", "friction that grows with pressure"
-    equation = "F = (F_c + a |p_a - p_b|) sign(v)"
+    equation = "F = (F_c + a |p_a - p_b| + r p_b) sign(v)"
     source = BONCHIS
-    typical = {"force": (0.0, 1000.0), "per_pressure": (2e-6, 2e-4)}
-    probes = ({"force": 0.0, "per_pressure": 1e-5}, {"force": 100.0, "per_pressure": 1e-4})
+    typical = {"force": (0.0, 1000.0), "piston_seal": (2e-6, 2e-4), "rod_seal": (2e-6, 2e-4)}
+    probes = (
+        {"force": 0.0, "piston_seal": 1e-5, "rod_seal": 0.0},
+        {"force": 100.0, "piston_seal": 1e-4, "rod_seal": 0.0},
+        {"force": 0.0, "piston_seal": 2e-5, "rod_seal": 2e-5},
+    )
     refines = ("coulomb_friction",)
     confused_with = ("coulomb_friction", "asymmetric_friction", "area_error")
     experiment = "the same slow motion under two loads, with pressures"
 
     flange = Flange("where it rubs")
     p_a = Input("Pa", "pressure on one side", nominal=1e6)
-    p_b = Input("Pa", "pressure on the other side", nominal=1e6)
+    p_b = Input("Pa", "pressure on the side of the rod", nominal=1e6)
     force = dry(source=BONCHIS)
-    per_pressure = Parameter(0.0, "N/Pa", "a", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
+    piston_seal = Parameter(0.0, "N/Pa", "a", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
+    rod_seal = Parameter(0.0, "N/Pa", "r", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
     smoothing_velocity = smoothing()
 
     @classmethod
@@ -275,5 +281,5 @@ class PressureDependentFriction(Effect):
                 yield Site(part.path, ties={"flange": f"{part.path}.{moving[0]}"}, reads={"p_a": a, "p_b": b})
 
     def equations(self):
-        level = self.force + self.per_pressure * ca.fabs(self.p_a - self.p_b)
+        level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b
         yield self.flange.f == level * ca.tanh(der(self.flange.s) / self.smoothing_velocity)

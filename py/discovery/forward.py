@@ -12,6 +12,7 @@ from .answering import Found, Step
 from .choose import choose
 from .decide import T_NEEDED, closed, compared
 from .look_back import pruned, settled
+from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
 from .search import CONVINCING, Search, Structure, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
@@ -64,9 +65,9 @@ def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step
 
 def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
     screens = []
-    if not now.members and search.explained(now.fitted):
+    if not now.members and search.explained(now):
         search.screened(now)  # nothing is missing; what could not have been seen is told
-    while len(now.members) < most and not search.explained(now.fitted):
+    while len(now.members) < most and not search.explained(now):
         screen, ranked = search.screened(now)
         tried = search.singles(now, search.shortlist(ranked))
         screens.append((screen if not screens else None, ranked, tried))
@@ -106,7 +107,7 @@ def reconsidered(search: Search, now: Structure) -> Structure:
     search.sensors = np.where(search.told, search.sensors, less)
     changed = search.ask(search.sensors)
     smoothing = smoothed_signs(flat, now.members)
-    if smoothing and not search.explained(fitted):
+    if smoothing and not search.explained(now):
         job = TwinJob(flat, names, search.question, fitted, smoothing, label_of(now.members))
         floor = search.run(floor_of, [job], "twin")[0]
         changed |= not isinstance(floor, str) and search.ask(with_floor(search.sensors, floor))
@@ -125,5 +126,5 @@ def _noise_of_residuals(fitted: Refitted, q: Question, noise: np.ndarray) -> np.
         columns = [(r, np.isfinite(r)) for r in residual.T]
         found.append([channel_noise(recording.time[s], r[s]).sigma if s.any() else np.nan for r, s in columns])
     with np.errstate(invalid="ignore"):
-        left = np.sqrt(np.mean(np.square(found), axis=0))
+        left = np.fmax(np.sqrt(np.mean(np.square(found), axis=0)), quanta(q.fit) / np.sqrt(12))
         return np.where((left > 0) & (left < SHARPER * noise), left, noise)

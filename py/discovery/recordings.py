@@ -17,9 +17,11 @@ from hydrotwin.identification.noise import output_noise
 from hydrotwin.identification.problem import Recording, recordings
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records.noise import quantisation_step
 
 SHORTEST = 200  # samples of a recording that can tell effects apart
 PIECES = 12  # of a lone recording of something that integrates
+COARSE = 2.5  # noises: of a larger step most of the noise is rounding
 FIT_SHARE = 0.6  # of a lone recording of something that settles
 
 
@@ -70,7 +72,21 @@ def split(
             "commands and give it as --validate."
         )
     fit, select = _roles(train)
-    return Split(fit, select, train, report, output_noise(flat, train, noise), tuple(wanted), tuple(findings))
+    floor = output_noise(flat, train, noise)
+    steps = quanta(train)
+    findings += [
+        f"gap: {o.name} is recorded in steps of {q:.3g} {o.unit} (quantisation of the sensor). They make most of its "
+        "noise, and no effect is looked for below them."
+        for o, q, s in zip(flat.outputs, steps, floor, strict=True)
+        if q > COARSE * s
+    ]
+    return Split(fit, select, train, report, floor, tuple(wanted), tuple(findings))
+
+
+def quanta(measured: Sequence[Recording]) -> np.ndarray:
+    """Step (ny,) in which every output is recorded, SI; 0 where there is none."""
+    steps = [[quantisation_step(column[np.isfinite(column)]) for column in r.y.T] for r in measured]
+    return np.max(steps, axis=0)
 
 
 def _in_pieces(flat: FlatModel, train: tuple[Recording, ...]) -> tuple[Recording, ...]:

@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 
-from .decide import Evidence, bic_needed, compared, has_gap
+from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, compared, has_gap
 from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
@@ -269,10 +269,13 @@ class Search:
             groups.append(((one.candidate, other.candidate), starts))
         return self.refitted(now, groups)
 
-    def explained(self, fitted: Refitted) -> bool:
-        """No measurable gap is left on the recordings of the search."""
-        residuals = (*fitted.residuals_fit, *fitted.residuals_select)
-        return not has_gap(residuals, self.question.noise).any()
+    def explained(self, now: Structure) -> bool:
+        """No measurable gap is left on the recordings of the search; after a first name it must ask for a reason.
+
+        No equation of the catalogue is exactly the machine's: what is left of it is coloured, and no further effect.
+        """
+        residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
+        return not has_gap(residuals, self.question.noise, CLEARLY if now.members else MEASURABLE).any()
 
     @property
     def needed(self) -> float:

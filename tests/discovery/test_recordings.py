@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.recordings import split
+from hydrotwin.discovery.recordings import quanta, split
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
@@ -123,3 +123,12 @@ def test_an_output_that_the_model_does_not_have_is_refused(outputs):
 def test_pieces_of_a_lone_recording_must_be_long_enough_to_be_weighed():
     data = split(Model(Slide()).flat, [record(0, seconds=4.0)], [])
     assert min(len(r.time) for r in data.train) >= 16
+
+
+def test_the_steps_of_a_coarse_sensor_are_told_and_nothing_is_looked_for_below_them():
+    coarse = [changed(r, speed=0.05 * np.round(r["speed"] / 0.05)) for r in records(3)]
+    data = split(slide().flat, coarse, [record(20)])
+    assert quanta(data.train) == pytest.approx([0.05])
+    assert data.noise == pytest.approx([0.05 / np.sqrt(12)], rel=0.2)
+    assert any("speed is recorded in steps of 0.05 m/s" in f for f in data.findings)
+    assert quanta(split(slide().flat, records(3), [record(20)]).train) == [0.0]

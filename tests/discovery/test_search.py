@@ -125,15 +125,15 @@ def test_an_idle_member_is_dropped_and_the_one_that_works_stays(rubbing):
 def test_two_members_that_both_work_stay():
     search, fitted = searching(question(records(3, dry=30.0, late=3)), ("coulomb_friction", "dead_time"))
     both = grown(search, Structure((), fitted), "dead_time", "coulomb_friction", coulomb_friction=30.0, dead_time=0.05)
-    assert search.explained(both.fitted)
+    assert search.explained(both)
     assert pruned(search, both) is both
     assert both.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=1e-3)
 
 
 def test_a_gap_is_explained_only_at_the_noise(rubbing):
     search, base, *_ = rubbing
-    assert not search.explained(base.fitted)
-    assert search.explained(grown(search, base, "coulomb_friction", coulomb_friction=30.0).fitted)
+    assert not search.explained(base)
+    assert search.explained(grown(search, base, "coulomb_friction", coulomb_friction=30.0))
     assert search.needed == pytest.approx(bic_needed(5))
 
 
@@ -160,7 +160,7 @@ def test_a_pair_that_explains_only_together_is_tried():
     pairs = search.pairs(base, screen, ranked, search.singles(base, ranked))
     best = max(pairs, key=lambda t: t.evidence.bic_gain)
     assert {c.id for c in best.members} == {"coulomb_friction", "dead_time"}
-    assert search.explained(best.structure.fitted)
+    assert search.explained(best.structure)
 
 
 # -- plausibility ------------------------------------------------------------------------------------------------------

@@ -26,7 +26,7 @@ ALL = (
     PreslidingFriction(force=50.0, displacement=1e-4, rise=0.4),
     PositionDependentFriction(force=20.0, slope=400.0),
     AsymmetricFriction(out=60.0, back=20.0),
-    PressureDependentFriction(force=10.0, per_pressure=2e-5),
+    PressureDependentFriction(force=10.0, piston_seal=2e-5, rod_seal=1e-5),
 )
 
 
@@ -75,10 +75,16 @@ def test_friction_changes_along_the_way_and_never_drives(place, expected):
 
 
 def test_seals_rub_more_under_pressure_whichever_side_it_is_on():
-    part = PressureDependentFriction(force=10.0, per_pressure=2e-5)
+    part = PressureDependentFriction(force=10.0, piston_seal=2e-5)
     assert force(part, 0.1, p_a=5e6, p_b=1e6) == pytest.approx(90.0)
     assert force(part, 0.1, p_a=1e6, p_b=5e6) == pytest.approx(90.0)
     assert force(part, -0.1, p_a=3e6, p_b=3e6) == pytest.approx(-10.0)
+
+
+def test_the_seal_of_the_rod_feels_the_pressure_on_its_own_side_only():
+    part = PressureDependentFriction(force=10.0, rod_seal=2e-5)
+    assert force(part, 0.1, p_a=5e6, p_b=1e6) == pytest.approx(30.0)
+    assert force(part, 0.1, p_a=1e6, p_b=5e6) == pytest.approx(110.0)
 
 
 @pytest.mark.parametrize("part", ALL, ids=lambda p: p.id)

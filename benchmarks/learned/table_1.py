@@ -20,7 +20,7 @@ from examples.table_1.make_recordings import record
 from hydrotwin.learned.grey_box import learn_grey_box
 from hydrotwin.learned.grey_box_block import Dynamics
 from hydrotwin.learned.grey_box_data import run_of
-from hydrotwin.learned.grey_box_fit import Problem, evaluate, played, responses
+from hydrotwin.learned.grey_box_fit import Problem, bent_knots, evaluate, played, responses
 from hydrotwin.learned.piecewise import learn_piecewise
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, savitzky_golay
@@ -111,7 +111,9 @@ def oracle(train: Record) -> Predict:
     run, ratio = run_of(train, h, CURRENT, POSITION), 0.3
     known = Dynamics(0.08 - h / 2, 120.0, 0.8, 0.04, 0.003)
     problem = Problem([run], h, True, ratio, 1.0)
-    fitted = evaluate(problem, known, np.linspace(*problem.span, 49))
+    fitted = evaluate(problem, known, np.linspace(*problem.span, 25))
+    for _ in range(2):
+        fitted = evaluate(problem, known, bent_knots(fitted.knots, fitted.values))
 
     def predict(r):
         other = run_of(r, h, CURRENT, POSITION)
@@ -144,7 +146,7 @@ def models() -> dict[str, tuple[str, Callable[[Record], Predict | Sequence[Predi
         "piecewise, no dead time": ("6", lambda r: _block(learn_piecewise, r, dead_time=0.0)),
         "piecewise, dead time": ("7", lambda r: _block(learn_piecewise, r)),
         "grey box": ("30", lambda r: _block(learn_grey_box, r)),
-        "oracle: grey box, true play": ("49", oracle),
+        "oracle: grey box, true dynamics": ("25", oracle),
     }
 
 

@@ -61,7 +61,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     view = View(flat, data, before, after, shown)
     share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
     members = [named for step in steps for named in _named(step, after, share)]
-    experiment = _experiment(search, data, steps) if verdict == "class" else None
+    experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit
     unknown = ()
     if verdict == "unknown" or has_gap(residual, data.noise, CLEARLY).any():
@@ -132,6 +132,11 @@ def _findings(search: Search, found: Found, verdict: str) -> list[str]:
                 f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
                 f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
             )
+    if verdict == "class" and search.base.flat.black_box:
+        said.append(
+            "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "
+            "separates its members stands with each of them."
+        )
     if verdict == "unknown" and found.steps:
         names = ", ".join(label(step.choice.best) for step in found.steps)
         share = closed(found.last.fitted, found.base.fitted, search.question)

@@ -12,6 +12,9 @@ import numpy as np
 from scipy.optimize import isotonic_regression, minimize_scalar
 
 from hydrotwin.identification import identify
+from hydrotwin.learned.block_file import LearnedBlock
+from hydrotwin.learned.dual_gp import learn_dual_gp
+from hydrotwin.learned.grey_box import learn_grey_box
 from hydrotwin.learned.inverse import learn_inverse
 from hydrotwin.learned.inverse_curve import static_answer
 from hydrotwin.learned.inverse_data import Characteristic
@@ -91,17 +94,29 @@ def learned(source, axis: str, method: str = "table", **options) -> Currents:
     return lambda v, strokes: static_answer(block, v)
 
 
-def learned_from_block(block: Block, axis: str) -> Currents:
+def learned_from_block(block: Block, axis: str, **options) -> Currents:
     """The inverse of a learned forward block of the axis: current in, velocity or stroke among its outputs."""
-    wanted = [s.name for s in block.outputs if s.name in (f"{axis}_velocity", "velocity", f"{axis}_stroke", "position")]
+    names = (f"{axis}_velocity", "velocity", f"{axis}_stroke", "position")
+    wanted = [s.name for s in block.outputs if s.name in names]
     if len(block.inputs) != 1 or not wanted:
         raise DataError(
             f"{block.name}: not a forward block of one axis (got inputs {[s.name for s in block.inputs]}, outputs "
             f"{[s.name for s in block.outputs]}). It needs the current alone in, {axis}_velocity or {axis}_stroke out. "
             f"Learn it from the staircases of the {axis}."
         )
-    inverse = learn_inverse(block, block.inputs[0], wanted[0], settle=1.0)
+    inverse = learn_inverse(block, block.inputs[0], wanted[0], settle=1.0, **options)
     return lambda v, strokes: static_answer(inverse, v)
+
+
+def dual_process(records: list[Record], axis: str) -> LearnedBlock:
+    """The paper's forward model at the paper's 10 Hz: current to measured spool, spool to the rate of the stroke."""
+    current, stroke, spool = (f"{axis}_{name}" for name in ("current", "stroke", "spool"))
+    return learn_dual_gp(records, [current], [stroke], through=spool, period=0.1)
+
+
+def grey_box(records: list[Record], axis: str) -> LearnedBlock:
+    """Dead time, latent spool, play and a monotone map, from current and stroke alone."""
+    return learn_grey_box(records, [f"{axis}_current"], [f"{axis}_stroke"])
 
 
 def identified(records: list[Record], axis: str) -> tuple[Model, Currents]:

@@ -133,6 +133,8 @@ class Crane(Component):
     jib_stroke = Output("m", "stroke of the jib's cylinder", nominal=0.1)
     boom_velocity = Output("m/s", "velocity of the boom's cylinder", nominal=0.1)
     jib_velocity = Output("m/s", "velocity of the jib's cylinder", nominal=0.1)
+    boom_spool = Output("1", "position of the boom's spool", nominal=1.0)
+    jib_spool = Output("1", "position of the jib's spool", nominal=1.0)
     boom_angle = Output("rad", "angle of the boom", nominal=0.5)
     jib_angle = Output("rad", "angle of the jib to the boom", nominal=0.5)
 
@@ -149,6 +151,7 @@ class Crane(Component):
             part = getattr(self, axis)
             yield getattr(self, f"{axis}_stroke") == part.stroke
             yield getattr(self, f"{axis}_velocity") == part.velocity
+            yield getattr(self, f"{axis}_spool") == part.slide.position
             yield getattr(self, f"{axis}_angle") == getattr(self.links, f"{axis}_angle")
 
     def initial_equations(self):

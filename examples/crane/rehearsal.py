@@ -14,10 +14,10 @@ from . import kinematics
 
 AXES = ("boom", "jib")
 PERIOD, LEVELS, HOLD, SETTLE = 0.01, 7, 1.0, 0.5  # s, steps in one direction, s each, s before it is steady
-NOISE = 2e-4  # m, of the sensors of the strokes
+NOISE = {"boom_stroke": 2e-4, "jib_stroke": 2e-4, "boom_spool": 2e-3, "jib_spool": 2e-3}  # m and 1, of the sensors
 STARTS = {"boom": (0.10, 0.95), "jib": (-1.75, -0.55)}  # rad, where the cylinder goes out and where it goes in
 OTHERS = {"boom": (-1.5, -1.0, -0.6), "jib": (0.25, 0.55, 0.85)}  # rad, of the axis that rests
-UNITS = {"boom_current": "1", "jib_current": "1", "boom_stroke": "m", "jib_stroke": "m"}
+UNITS = {"boom_stroke": "m", "jib_stroke": "m", "boom_spool": "1", "jib_spool": "1"}
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def _staircase(machine: Model, axis: str, number: int, random: np.random.Generat
     record = Record(time, currents, {name: "1" for name in currents}, f"{axis} staircase {number}")
     start = {f"links.{axis}_angle": STARTS[axis][inward], f"links.{other}_angle": OTHERS[axis][number // 2 % 3]}
     run = simulate(machine, record, start=start)
-    seen = {name: run[name] + NOISE * random.standard_normal(len(time)) for name in ("boom_stroke", "jib_stroke")}
+    seen = {name: run[name] + sigma * random.standard_normal(len(time)) for name, sigma in NOISE.items()}
     return record.with_signals(seen, UNITS)
 
 

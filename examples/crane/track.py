@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -98,7 +99,7 @@ def drive(machine, way: Way, circle: kinematics.Circle = CIRCLE) -> Track:
 def ways(machine, *, quick: bool = False, forward: Mapping[str, str] | None = None, seed: int = 0) -> list[Way]:
     """Every way that the staircases on ``machine`` give, and one more for learned ``forward`` block files by axis.
 
-    quick : without the identified model and the network, which take most of the time. seed : of the staircases.
+    quick : without what is trained (networks, processes, grey box, identified model). seed : of the staircases.
     """
     records = {axis: recordings(machine, axis, seed=seed) for axis in AXES}
     points = {axis: steady_points(records[axis], axis) for axis in AXES}
@@ -122,11 +123,7 @@ def ways(machine, *, quick: bool = False, forward: Mapping[str, str] | None = No
         Way("table, dead time, play", played, late, play),
     ]
     if not quick:
-        if find_spec("torch"):
-            network = of(lambda axis: inverses.learned(curves[axis], axis, method="network"))
-            found.append(Way("network, dead time", network, late, none))
-        physical = of(lambda axis: inverses.identified(records[axis], axis)[1])
-        found.append(Way("identified model, dead time", physical, late, none))
+        found += [Way(f"{name}, dead time", currents, late, none) for name, currents in _slow(records, curves).items()]
     found += [
         Way("valve under load, dead time", of(lambda axis: loaded[axis].currents), late, none),
         Way("valve under load, dead time, play", of(lambda axis: both[axis].currents), late,
@@ -135,6 +132,21 @@ def ways(machine, *, quick: bool = False, forward: Mapping[str, str] | None = No
     if forward:
         found.append(Way("learned blocks, dead time", of(lambda axis: _of_file(forward[axis], axis)), late, none))
     return found
+
+
+def _slow(records, curves) -> dict[str, dict[str, inverses.Currents]]:
+    """The inverses that take seconds to train; those that need PyTorch or GPyTorch only where these are there."""
+    dual = cache(lambda axis: inverses.dual_process(records[axis], axis))
+    makers = {
+        "grey box": lambda axis: inverses.learned_from_block(inverses.grey_box(records[axis], axis), axis),
+        "identified model": lambda axis: inverses.identified(records[axis], axis)[1],
+    }
+    if find_spec("torch"):
+        makers["network"] = lambda axis: inverses.learned(curves[axis], axis, method="network")
+    if find_spec("torch") and find_spec("gpytorch"):
+        makers["dual GP"] = lambda axis: inverses.learned_from_block(dual(axis), axis)
+        makers["dual GP and network"] = lambda axis: inverses.learned_from_block(dual(axis), axis, method="network")
+    return {name: {axis: make(axis) for axis in AXES} for name, make in makers.items()}
 
 
 def _of_file(path: str, axis: str) -> inverses.Currents:
@@ -188,13 +200,14 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("out/crane"), help="folder of track.html")
     parser.add_argument("--forward", action="append", default=[], metavar="AXIS=FILE", help="learned forward block")
-    parser.add_argument("--quick", action="store_true", help="without the identified model and the network")
+    parser.add_argument("--quick", action="store_true", help="without what takes long to train")
     parser.add_argument("--seed", type=int, default=0, help="of the staircases: other levels, other noise")
     parser.add_argument("--payload", type=float, help="kg at the tip while it tracks; the rehearsal had 100")
     asked = parser.parse_args(arguments)
     files = dict(item.split("=", 1) for item in asked.forward)
     if files and set(files) != set(AXES):
         parser.error(f"--forward is needed for each of {', '.join(AXES)} (got {', '.join(files)})")
+    print("staircases, learning and identifying" + ("" if asked.quick else ": about a minute"), flush=True)
     found = ways(plant(), quick=asked.quick, forward=files, seed=asked.seed)
     tracks = [drive(plant(asked.payload), way) for way in found]
     print(told(tracks))

@@ -89,8 +89,8 @@ def desired_curve(waypoints: Sequence[tuple[float, float]], degree: int | None =
 
 def learn_compensator(
     source,
-    input: Signal | str,
-    output: Signal | str,
+    input: Signal | str | None,
+    output: Signal | str | None,
     waypoints: Sequence[tuple[float, float]],
     *,
     degree: int | None = None,
@@ -113,7 +113,7 @@ def learn_compensator(
     curve = desired_curve(waypoints, degree)
     options = {k: learning.pop(k) for k in tuple(learning) if k in characteristic.__kwdefaults__}
     forward = characteristic(source, input, output, **options)
-    inverse = learn_inverse(forward, forward.input, forward.rate, name=f"{name}_inverse", **learning)
+    inverse = learn_inverse(forward, name=f"{name}_inverse", **learning)
     _check_reach(curve, inverse, name)
     structure = {"powers": len(curve.coefficients), "knots": 0, "hidden": 0} | inverse.structure
     arrays = {"coefficients": np.array(curve.coefficients), "full": np.array([curve.full]), **inverse.arrays}

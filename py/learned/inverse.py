@@ -45,8 +45,8 @@ class RoundTrip:
 
 def learn_inverse(
     source,
-    input: Signal | str,
-    output: Signal | str,
+    input: Signal | str | None = None,
+    output: Signal | str | None = None,
     *,
     method: str = "table",
     seed: int = 0,
@@ -63,6 +63,7 @@ def learn_inverse(
 
     Args:
         source: recordings, a Block, a Model or a `Characteristic`; ``steady`` are the options of `characteristic`.
+        input, output: Signals or names; a Characteristic has its own.
         method: "table" (isotonic, the best), "network" (the paper's, with its monotonicity loss, Eq. 6-7), "monotone"
             (a network whose weights are positive). The last two need PyTorch to learn, never to run.
         steepest: of the table, in mean slopes: how fast the command may cross the deadband.

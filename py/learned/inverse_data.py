@@ -72,8 +72,8 @@ class Characteristic:
 
 def characteristic(
     source,
-    input: Signal | str,
-    output: Signal | str,
+    input: Signal | str | None = None,
+    output: Signal | str | None = None,
     *,
     rate: bool | None = None,
     settle: float = 0.5,
@@ -105,6 +105,11 @@ def characteristic(
     """
     if isinstance(source, Characteristic):
         return source
+    if input is None or output is None:
+        raise DeclarationError(
+            f"characteristic: no {'input' if input is None else 'output'} is named (got None). "
+            "Name the command and what it moves, as 'current', 'position'."
+        )
     positive = {"settle": settle, "window": window, "steady": steady, "period": period}
     for option, value in positive.items():
         if value is not None and not (math.isfinite(value) and (value > 0 or (option == "settle" and value == 0))):

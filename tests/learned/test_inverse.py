@@ -43,7 +43,7 @@ def points(noise: float = 0.0, waves: float = 0.0, count: int = 401) -> Characte
 
 
 def learn(forward, **options):
-    return learn_inverse(forward, CURRENT, SPEED, **options)
+    return learn_inverse(forward, **options)
 
 
 def true_round_trip(block) -> np.ndarray:
@@ -286,5 +286,7 @@ def test_impossible_options_are_refused(option, sentence):
 def test_an_unknown_signal_of_a_model_is_refused_with_the_nearest():
     with pytest.raises(DeclarationError, match="Did you mean 'velocity'"):
         learn_inverse(quasi_static(), "current", "velocty")
+    with pytest.raises(DeclarationError, match="no output is named"):
+        learn_inverse(quasi_static(), "current")
     with pytest.raises(DeclarationError, match="settle must be positive"):
         learn_inverse(quasi_static(), "current", "velocity", settle=-1.0)

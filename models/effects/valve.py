@@ -14,6 +14,7 @@ from .stepping import Lagged, stepped
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 JELALI = "M. Jelali and A. Kroll, Hydraulic Servo-systems, 2003"
+NOTHING = 1e-16  # keeps the power of a share differentiable where there is none
 
 
 class ValveOverlap(Effect):
@@ -176,18 +177,24 @@ class SpoolLag(Lagged):
 
 
 class FlowSaturation(Effect):
-    """The flow grows less and less with the opening: a fixed passage lies in series with the edges.
+    """The flow grows less and less with the opening: a passage lies in series, or the edges are open all the way.
 
-        y = u / sqrt(1 + c u^2),   c = (k_q / k_fixed)^2
+        y = u / (1 + c^(n/2) |u/u_0|^n)^(1/n)
 
-    Exact for two sharp edges in series. Source: Merritt 1967, section 3.3.
+    With n = 2 exact for two sharp edges in series, c = (k_q / k_fixed)^2; a larger n bends more suddenly, as edges do
+    that end. The largest equivalent opening is u_0 / sqrt(c). Source: Merritt 1967, section 3.3.
     """
 
     id, title = "flow_saturation", "flow that saturates with the opening"
-    equation = "y = u / sqrt(1 + c u^2)"
+    equation = "y = u / (1 + c^(n/2) |u/u_0|^n)^(1/n)"
     source = MERRITT
-    typical = {"ratio": (0.05, 3.0)}
-    probes = ({"ratio": 0.2}, {"ratio": 1.0})
+    typical = {"ratio": (0.05, 3.0), "sharpness": (2.0, 8.0)}
+    probes = (
+        {"ratio": 0.2, "sharpness": 2.0},
+        {"ratio": 1.0, "sharpness": 2.0},
+        {"ratio": 1.5, "sharpness": 5.0},
+        {"ratio": 6.0, "sharpness": 5.0},
+    )
     confused_with = ("supply_droop", "command_saturation", "load_dependent_flow")
     experiment = "constant openings up to the largest at one load, with the supply's pressure measured"
     order = 8
@@ -195,12 +202,15 @@ class FlowSaturation(Effect):
     u = Input("signal", "opening")
     y = Output("signal", "opening that would pass the same flow without the fixed passage")
     ratio = Parameter(0.0, "1", "ratio c at full opening", bounds=(0, 50), nominal=0.2, source=MERRITT, free=True)
-    full = Parameter(1.0, "signal", "full opening", bounds=(1e-6, 1e6), source="nominal of the signal")
+    sharpness = Parameter(2.0, "1", "n", bounds=(2, 12), nominal=1.0, source=MERRITT, free=True)
+    full = Parameter(1.0, "signal", "full opening u_0", bounds=(1e-6, 1e6), source="nominal of the signal")
 
     sites = staticmethod(valve_signals)
 
     def equations(self):
-        yield self.y == self.u / ca.sqrt(1 + self.ratio * (self.u / self.full) ** 2)
+        n = self.sharpness
+        share = self.ratio * (self.u / self.full) ** 2 + NOTHING
+        yield self.y == self.u / (1 + share ** (n / 2)) ** (1 / n)
 
 
 class SupplyDroop(Effect):

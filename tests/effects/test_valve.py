@@ -174,3 +174,13 @@ def test_a_signal_is_traced_back_through_the_parts_that_make_it():
     places = Places(spool_valve.model())
     assert places.upstream("valve.spool") == ("slide.target", "solenoid.current", "current")
     assert Places(valve_bench()).upstream("valve.spool") == ("spool",)
+
+
+def test_the_flow_of_edges_that_end_bends_more_suddenly_than_through_a_passage_in_series():
+    def share(spool, n):
+        bent = add_effect(valve_bench(), "flow_saturation", values={"ratio": 4.0, "sharpness": n})
+        return flow(bent, spool) / flow(valve_bench(), spool)
+
+    for spool in (0.1, 0.2, 0.3):
+        assert share(spool, 2.0) < share(spool, 12.0) == pytest.approx(1.0, abs=1e-3)
+    assert share(1.0, 12.0) == pytest.approx(0.5, rel=1e-2)  # u_0 / sqrt(c) is the largest equivalent opening

@@ -24,7 +24,7 @@ from .recordings import split
 from .refit import Question, RefitJob, likelihood, pooled_rmse, refit
 from .screen import Screen, Screened
 from .search import Search, Structure
-from .surroundings import SurroundedFmu, around_only, ready, surrounded
+from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
 
 AMPLITUDES = 5  # of a candidate, over its usual range
 SMALLEST = 0.1  # of the largest usual amplitude, where the usual range begins at or below zero
@@ -59,6 +59,7 @@ def discover_around(
     began = time.perf_counter()
     model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
     pieces, said = ready(model, records, validate, free)
+    model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
     fitting = around_only(model, candidates(model, effects, exclude), seen)
     data = split(model.flat, pieces, validate, outputs, noise)

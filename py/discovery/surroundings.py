@@ -24,6 +24,7 @@ from .black_box import BlackBox, black_box
 RAW = "puts_out_"  # before the name of an output: what the FMU itself puts out
 WIDE = 30.0  # factor around its value within which a parameter of the FMU without bounds may move
 STEP, SAMPLES = 1e-3, 10  # s, steps of the surroundings in one of the FMU
+LARGE = 0.9  # quantile of the size of a signal: its typical magnitude
 SHARE = 0.6  # of a lone recording: what is fitted to
 
 
@@ -124,6 +125,23 @@ def surrounded(fmu: FmuBlock) -> SurroundedFmu:
     name = re.sub(r"\W|^(?=\d)", "_", fmu.name)
     provenance = {k: str(v) for k, v in fmu.provenance.items()}
     return SurroundedFmu(_component(fmu), name, step=max(STEP, own / SAMPLES), provenance=provenance)
+
+
+def sized(model: SurroundedFmu, records: Sequence[Record]) -> SurroundedFmu:
+    """The same with typical magnitudes from recordings, of signals for which the FMU declares none.
+
+    Effects on a signal are sized by it: an offset of a pressure that counts as 1 Pa large would be looked for in vain.
+    """
+    declared = {v.name for v in model.fmu.description.source.modelVariables if v.nominal}
+    of = model.fmu.description.fmu_names
+
+    def with_size(s):
+        values = [np.abs(r[s.name][np.isfinite(r[s.name])]) for r in records if s.name in r]
+        size = float(np.quantile(np.concatenate(values), LARGE)) if values and sum(map(len, values)) else 0.0
+        return s if of[s.name] in declared or not size > 0 else dataclasses.replace(s, nominal=float(f"{size:.1g}"))
+
+    signals = {kind: tuple(with_size(s) for s in getattr(model.fmu, kind)) for kind in ("inputs", "outputs")}
+    return surrounded(dataclasses.replace(model.fmu, **signals)).with_settings(model.settings, model.provenance)
 
 
 def around_only(model: SurroundedFmu, candidates: Sequence[Candidate], seen: set[str]) -> tuple[Candidate, ...]:

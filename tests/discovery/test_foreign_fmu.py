@@ -132,6 +132,17 @@ def test_an_fmu_of_another_tool_with_a_continuous_solver_of_ours_is_surrounded_t
     assert answer.steps[0].parameters[0].value == pytest.approx(LATE * PERIOD, rel=0.02)
 
 
+def test_an_fmu_that_tells_no_typical_magnitude_takes_that_of_the_recordings(two_sensors, folder):
+    """A sensor in thousandths, with an offset that is thousands of times the unit."""
+    plain = {' nominal="10.0" />': " />"}
+    fmu = read_fmu(rewritten(folder / "two_sensors.fmu", folder / "plain.fmu", xml=plain))
+    assert {s.nominal for s in fmu.outputs} == {1.0}
+    answer = found(fmu, drive_records(2, other=lambda w, time: w + 30.0), effects=["sensor_*", "null_bias"])
+    assert [(s.effect, s.site) for s in answer.steps] == [("sensor_bias", "other")]
+    assert answer.steps[0].parameters[0].value == pytest.approx(30.0, rel=0.01)
+    assert {s.nominal for s in answer.model.fmu.outputs} != {1.0}
+
+
 # -- how it runs ------------------------------------------------------------------------------------------------------
 def test_surroundings_without_effects_run_as_the_fmu_alone(two_sensors):
     (record,) = drive_records(1, other=same)

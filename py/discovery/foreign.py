@@ -58,7 +58,7 @@ def discover_around(
     """
     began = time.perf_counter()
     model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
-    pieces, said = ready(model, records, validate, free)
+    pieces, said, seconds = ready(model, records, validate, free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
     fitting = around_only(model, candidates(model, effects, exclude), seen)
@@ -69,6 +69,7 @@ def discover_around(
     bounded = _bounded(model, names)
     with reporting(progress, model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory)
+        report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
         job = RefitJob(bounded.flat, names, question, coarse=True, label=model.name)
         base = _only(run(refit, [job], "identify the base"))
         told = tuple(s.name in (noise or {}) for s in model.flat.outputs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import re
+import time
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
@@ -155,14 +156,15 @@ def around_only(model: SurroundedFmu, candidates: Sequence[Candidate], seen: set
     return tuple(c for c in candidates if c.site.through in words)
 
 
-def ready(model: SurroundedFmu, records: Sequence[Record], validate: Sequence[Record], free) -> tuple[list, list[str]]:
-    """Recordings that the FMU runs through, a lone one as two, and what is to be said about it.
+def ready(model: SurroundedFmu, records: Sequence[Record], validate: Sequence[Record], free):
+    """Recordings that the FMU runs through, a lone one as two; what is to be said about it; seconds of a run.
 
     An FMU cannot start in the middle of a recording. Both parts of a lone one are the whole, with what belongs to the
     other not measured.
 
     Raises DataError or UnitError for missing signals, SolveError where the FMU fails, crashes or hangs.
     """
+    seconds = 0.0
     for record in (*records, *validate):
         require(record, model.fmu.inputs, model.name)
         if not any(s.name in record for s in model.fmu.outputs):
@@ -170,7 +172,9 @@ def ready(model: SurroundedFmu, records: Sequence[Record], validate: Sequence[Re
                 f"{record.source or record.name}: none of the outputs of {model.name} is recorded "
                 f"({', '.join(s.name for s in model.fmu.outputs)}). Record at least one of them."
             )
+        began = time.perf_counter()
         simulate(model, record)
+        seconds = time.perf_counter() - began  # the first also starts the process
     said = []
     fixed = [p.name for p in model.fmu.parameters if p.name not in model.fmu.starts]
     if not free and fixed:
@@ -181,8 +185,8 @@ def ready(model: SurroundedFmu, records: Sequence[Record], validate: Sequence[Re
         )
     if len(records) == 1:
         outputs = [s.name for s in model.fmu.outputs]
-        return [_part(records[0], outputs, number) for number in (1, 2)], said
-    return list(records), said
+        return [_part(records[0], outputs, number) for number in (1, 2)], said, seconds
+    return list(records), said, seconds
 
 
 def _part(record: Record, outputs: Sequence[str], number: int) -> Record:

@@ -17,7 +17,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, SolveE
 from hydrotwin.records import Record
 from hydrotwin.simulation import prepare, simulate
 from tests.discovery.slides import PERIOD, Drive, Inline, TwoSensors, drive_records
-from tests.export.foreign import CRASHES, fmi3_model_exchange, rewritten
+from tests.export.foreign import CRASHES, HANGS, fmi3_model_exchange, rewritten
 
 LATE = 3  # samples
 TRUE = {"gain": 10.0, "time_constant": 0.3}
@@ -214,8 +214,11 @@ def test_recordings_that_lack_what_the_fmu_takes_or_gives_are_told(two_sensors):
         discover(two_sensors, [other])
 
 
-def test_an_fmu_that_crashes_is_one_sentence_and_the_next_one_runs(two_sensors, folder):
+def test_an_fmu_that_crashes_or_hangs_is_one_sentence_and_the_next_one_runs(two_sensors, folder):
     broken = read_fmu(rewritten(folder / "two_sensors.fmu", folder / "crashing.fmu", c=CRASHES))
     with pytest.raises(SolveError, match=r"the FMU ended its process \(signal SIGABRT\).*hydrotwin check"):
         found(broken, drive_records(2, other=same))
+    hanging = read_fmu(rewritten(folder / "two_sensors.fmu", folder / "hanging.fmu", c=HANGS), time_limit=1.0)
+    with pytest.raises(SolveError, match=r"the FMU did not come to an end \(got 1 s\)"):
+        found(hanging, drive_records(2, other=same))
     assert found(two_sensors, drive_records(2, other=same), effects=["sensor_bias"]).verdict == "none"

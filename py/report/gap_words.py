@@ -200,8 +200,9 @@ def experiment_sentence(discovery: Discovery) -> str:
     """Which experiment would tell; that there is none when a class has none."""
     e = discovery.experiment
     if e is None:
-        split = any(len(s.members) > 1 for s in discovery.steps)
-        return "No input within the limits was found that would tell them apart." if split else ""
+        hints = [s.sentence for s in discovery.steps if len(s.members) > 1]
+        told = f" What may: {lowered(sentence(hints[0]))}" if hints and hints[0] else ""
+        return f"No input within the limits was found that would tell them apart.{told}" if hints else ""
     return f"The experiment that would tell: {lowered(sentence(e.sentence))}"
 
 

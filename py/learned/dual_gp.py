@@ -32,7 +32,9 @@ from .training_data import training_box
 
 VERB = "learn_dual_gp"
 SD_KNOTS = 3  # times those of the mean: the deviation is needed for one range beyond either end
-BINS = 40
+BINS = 40  # classes of the spool, to compare leads
+PLACES = 501  # of the spool, where process II is compared
+SHARE_OF_ONE = 0.5  # of the bound: what process I may use of it
 
 
 def learn_dual_gp(
@@ -47,7 +49,7 @@ def learn_dual_gp(
     fit: str = "default",
     points: int | None = 1000,
     samples: int = 6000,
-    compress: int | None = 150,
+    compress: int | str | None = "auto",
     knots: int = 60,
     bound: float = 0.02,
     period: float | None = None,
@@ -80,15 +82,14 @@ def learn_dual_gp(
     rows = training_rows(records, period, inputs, both, lags, samples, rng)
     lead = _lead(rows, fit) if lead is None else lead
     check_size(VERB, len(rows), rows.features.shape[1], 1, compress)
+    held_out = [delayed_rows(r, period, inputs, both, lags) for r in validate]
+    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     options = {"fit": fit, "points": points, "compress": compress}
-    shared = {**options, "rng": rng, "progress": progress}
+    shared = {**options, "bound": SHARE_OF_ONE * bound, "rng": rng, "progress": progress}
     scales = input_scales(rows.features, len(inputs))
     spool, slopes = _spool(rows, lead), rows.slopes[:, 1]
-    one = train_process(exact_gp, rows.features, spool, scales, kernel=kernels[0], label=both[0].name, **shared)
-    label = f"{both[1].name}.slope"
-    two = train_process(
-        exact_gp, spool[:, None], slopes, input_scales(spool[:, None], 1), kernel=kernels[1], label=label, **shared
-    )
+    one = train_process(exact_gp, rows.features, spool, scales, grid, kernel=kernels[0], label=both[0].name, **shared)
+    two = _second(exact_gp, spool, slopes, kernel=kernels[1], label=f"{both[1].name}.slope", **shared)
     process, splines = stacked([one.arrays]), _splines(two, spool, knots)
     block = assemble(
         DUAL_GAUSSIAN_PROCESS,
@@ -102,8 +103,6 @@ def learn_dual_gp(
         description=f"dual Gaussian process, {'/'.join(kernels)}, {lags} lags, {process['points'].shape[1]} points",
         provenance=provenance("dual_gaussian_process", records, seed, rows, [one, two], options | {"kernel": kernels}),
     )
-    held_out = [delayed_rows(r, period, inputs, both, lags) for r in validate]
-    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     deviation, certificate = certify(block, one, two, grid, bound)
     errors = {"training": _errors(block, [rows], lead)} | (
         {"validation": _errors(block, held_out, lead)} if held_out else {}
@@ -113,29 +112,31 @@ def learn_dual_gp(
     return replace(block, certificate=certificate, provenance={**block.provenance, **told})
 
 
-def certify(
-    block: LearnedBlock, one: DeployedProcess, two: DeployedProcess, grid: np.ndarray, bound: float, steps: int = 501
-):
+def _second(exact_gp, spool: np.ndarray, slopes: np.ndarray, **options) -> DeployedProcess:
+    """Process II, compared on even places over the range of the spool."""
+    places = np.linspace(spool.min(), spool.max(), PLACES)[:, None]
+    return train_process(exact_gp, spool[:, None], slopes, input_scales(spool[:, None], 1), places, **options)
+
+
+def certify(block: LearnedBlock, one: DeployedProcess, two: DeployedProcess, grid: np.ndarray, bound: float):
     """The largest |deployed - exact|, over the spread of the spool and of the rate.
 
-    Process I over the delay lines in ``grid``, process II over ``steps`` places of the spool's range, and the rate of
-    the cascade over ``grid``.
+    Process I over the delay lines in ``grid`` (n, lags nu), process II over its places, and the rate of the cascade
+    over ``grid``.
     """
     spool, spool_sd, v, _ = cascade(block, grid)
-    exact, exact_sd = one.exact(grid)
+    exact, exact_sd = one.on_grid
     low, high = block.arrays["spool_range"]
-    places = np.linspace(low, high, steps)
-    known = np.stack(_rate_of(block)(places, np.zeros(steps)))
-    exact_rate = np.stack(two.exact(places[:, None]))
-    in_cascade = two.exact(np.clip(exact, low, high)[:, None])[0]
+    known = _rate_of(block)(np.linspace(low, high, PLACES), np.zeros(PLACES))
+    in_cascade = two.exact_mean(np.clip(exact, low, high)[:, None])
     deviation = {
         "spool": float(np.abs(spool - exact).max() / one.scale),
         "spool_sd": float(np.abs(spool_sd - exact_sd).max() / one.scale),
-        "slope": float(np.abs(known[0] - exact_rate[0]).max() / two.scale),
-        "slope_sd": float(np.abs(known[1] - exact_rate[1]).max() / two.scale),
+        "slope": float(np.abs(known[0] - two.on_grid[0]).max() / two.scale),
+        "slope_sd": float(np.abs(known[1] - two.on_grid[1]).max() / two.scale),
         "slope_in_cascade": float(np.abs(v - in_cascade).max() / two.scale),
     }
-    return deviation, Certificate(max(deviation.values()), bound, len(grid) + steps, reference_name())
+    return deviation, Certificate(max(deviation.values()), bound, len(grid) + PLACES, reference_name())
 
 
 def cascade(block: LearnedBlock, features: np.ndarray) -> tuple[np.ndarray, ...]:

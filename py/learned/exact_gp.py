@@ -54,11 +54,11 @@ class TrainedProcess:
     stopped: str
     model: gpytorch.models.ExactGP
 
-    def predict(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """GPyTorch's own mean and latent standard deviation at ``features`` (n, d), each (n,)."""
+    def predict(self, features: np.ndarray, deviation: bool = True) -> tuple[np.ndarray, np.ndarray | None]:
+        """GPyTorch's own mean and latent standard deviation (when asked) at ``features`` (n, d), each (n,)."""
         with torch.no_grad(), _exact():
             answer = self.model(torch.tensor(features))
-            return answer.mean.numpy(), answer.variance.clamp_min(0.0).sqrt().numpy()
+            return answer.mean.numpy(), answer.variance.clamp_min(0.0).sqrt().numpy() if deviation else None
 
 
 class _Exact(gpytorch.models.ExactGP):

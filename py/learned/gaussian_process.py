@@ -40,7 +40,7 @@ def learn_gaussian_process(
     fit: str = "default",
     points: int | None = 1000,
     samples: int = 6000,
-    compress: int | None = 150,
+    compress: int | str | None = "auto",
     bound: float = 0.02,
     period: float | None = None,
     validate: Sequence[Record] = (),
@@ -62,7 +62,8 @@ def learn_gaussian_process(
         fit: "default", L-BFGS on the marginal likelihood; "paper", 100 Adam steps of 1e-2 from GPyTorch's defaults.
         points: random rows that the hyper-parameters are fitted on; None: all, as the paper did (minutes each step).
         samples: most rows to condition on; more are thinned at random.
-        compress: inducing points; None keeps every row in the mean (the deviation is always compressed, to 150).
+        compress: inducing points; "auto": 100 to 400, the fewest that keep ``bound``; None keeps every row in the mean
+            (the deviation is always compressed: the exact one needs the square of the rows in constants).
         bound: of the deployed mean and deviation against the exact ones, over the output's spread; certified.
         period: s between steps; None: see `even_period`.
         validate: recordings for the certificate and for ``provenance["validation"]``; nothing is selected on them.
@@ -83,11 +84,12 @@ def learn_gaussian_process(
     check_size("learn_gaussian_process", len(rows), rows.features.shape[1], len(outputs), compress)
     targets = rows.slopes if rate else rows.levels
     scales = input_scales(rows.features, len(inputs))
+    held_out = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
+    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     options = {"kernel": kernel, "fit": fit, "points": points, "compress": compress}
+    shared = {**options, "bound": bound, "rng": rng, "progress": progress}
     trained = [
-        train_process(
-            exact_gp, rows.features, targets[:, j], scales, **options, rng=rng, label=s.name, progress=progress
-        )
+        train_process(exact_gp, rows.features, targets[:, j], scales, grid, label=s.name, **shared)
         for j, s in enumerate(outputs)
     ]
     processes = stacked([p.arrays for p in trained])
@@ -102,8 +104,6 @@ def learn_gaussian_process(
         description=f"Gaussian process, {kernel}, {lags} lags, {processes['points'].shape[1]} points",
         provenance=provenance("gaussian_process", records, seed, rows, trained, options),
     )
-    held_out = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
-    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     deviation, certificate = certify(block, trained, grid, bound)
     told = {"deviation": deviation, "validation": free_run_errors(block, validate, outputs)}
     return replace(block, certificate=certificate, provenance={**block.provenance, **told})
@@ -118,7 +118,7 @@ def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.nd
     deviation = {"mean": 0.0, "sd": 0.0}
     for j, process in enumerate(trained):
         deployed = seen[:, each * (j + 1) - 2 : each * (j + 1)]
-        for k, (part, exact) in enumerate(zip(deviation, process.exact(grid), strict=True)):
+        for k, (part, exact) in enumerate(zip(deviation, process.on_grid, strict=True)):
             deviation[part] = max(deviation[part], float(np.abs(deployed[:, k] - exact).max() / process.scale))
     certificate = Certificate(max(deviation.values()), bound, len(grid), reference_name())
     return deviation, certificate

@@ -19,27 +19,30 @@ if TYPE_CHECKING:
     from .exact_gp import TrainedProcess
 
 LARGEST_C = 5e6  # bytes
-BYTES_OF_CONSTANT = 25  # one double in generated C
-USUAL_POINTS = 150  # inducing points
+BYTES_OF_CONSTANT = 30  # one double in generated C, with its share of the indices
+AUTO = (100, 150, 200, 300, 400)  # inducing points, tried in turn
 FITS = ("default", "paper")
 
 
 @dataclass(frozen=True, eq=False)
 class DeployedProcess:
-    """A trained process, the arrays of its block, and the scale its targets were normalised with."""
+    """A trained process, the arrays of its block, and the scale its targets were normalised with.
+
+    on_grid : GPyTorch's mean and latent deviation where the certificate is taken, SI.
+    """
 
     label: str
     trained: TrainedProcess
     small: SmallPosterior
     arrays: Mapping[str, np.ndarray]
     scales: Mapping[str, np.ndarray]
+    on_grid: tuple[np.ndarray, np.ndarray]
     centre: float
     scale: float
 
-    def exact(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """GPyTorch's mean and latent deviation at ``features`` (n, d), SI."""
-        mean, sd = self.trained.predict(normalised(features, self.scales))
-        return self.centre + self.scale * mean, self.scale * sd
+    def exact_mean(self, features: np.ndarray) -> np.ndarray:
+        """GPyTorch's mean at ``features`` (n, d), SI."""
+        return self.centre + self.scale * self.trained.predict(normalised(features, self.scales), deviation=False)[0]
 
     def fast(self, features: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation at ``features`` (n, d) from what `compression` kept, SI."""
@@ -64,15 +67,14 @@ class DeployedProcess:
 
 
 def train_process(
-    exact_gp, features, targets, scales, *, kernel, fit, points, compress, rng, label, progress
+    exact_gp, features, targets, scales, grid, *, kernel, fit, points, compress, bound, rng, label, progress
 ) -> DeployedProcess:
-    """Normalise, train, condition and compress one process."""
-    from .compression import small_posterior
-
+    """Normalise, train, condition and compress one process; ``grid`` (m, d) is where the compressed one is compared."""
     centre, scale = float(targets.mean()), float(targets.std()) or 1.0
-    X, y = normalised(features, scales), (targets - centre) / scale
+    X, y, places = normalised(features, scales), (targets - centre) / scale, normalised(grid, scales)
     trained = exact_gp.train(X, y, kernel=kernel, fit=fit, points=points, rng=rng, process=label, progress=progress)
-    small = small_posterior(trained.posterior, compress or USUAL_POINTS, exact_mean=compress is None)
+    exact = trained.predict(places)
+    small = _compressed(trained.posterior, places, exact, compress, bound)
     arrays = {
         "lengths": trained.posterior.lengths,
         "points": small.points,
@@ -82,7 +84,21 @@ def train_process(
         "prior_variance": scale**2 * small.prior_variance,
         "output_centre": centre + scale * small.constant,
     }
-    return DeployedProcess(label, trained, small, arrays, scales, centre, scale)
+    on_grid = (centre + scale * exact[0], scale * exact[1])
+    return DeployedProcess(label, trained, small, arrays, scales, on_grid, centre, scale)
+
+
+def _compressed(posterior, places, exact, compress, bound: float) -> SmallPosterior:
+    """On ``compress`` inducing points; "auto" and the deviation of an exact mean: the fewest that keep the bound."""
+    from .compression import small_posterior
+
+    for count in AUTO if compress in ("auto", None) else (compress,):
+        small = small_posterior(posterior, count, exact_mean=compress is None)
+        found = small.at(places / posterior.lengths, posterior.kernel)
+        worst = max(float(np.abs(f - e).max()) for f, e in zip(found, exact, strict=True))
+        if worst <= bound or len(small.sd_points) < count:
+            break
+    return small
 
 
 def stacked(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -145,7 +161,7 @@ def check_options(verb, kernel, lags, fit, points, samples, compress, bound, per
             raise DeclarationError(f"{verb}: no {option} '{value}'. {nearest(str(value), known)}")
     least = {"lags": (lags, 1), "samples": (samples, FEWEST)}
     least |= {} if points is None else {"points": (points, FEWEST)}
-    least |= {} if compress is None else {"compress": (compress, 5)}
+    least |= {} if compress in (None, "auto") else {"compress": (compress, 5)}
     for option, (value, smallest) in least.items():
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < smallest:
             raise DeclarationError(f"{verb}: {option} must be a whole number from {smallest} up (got {value}).")
@@ -154,14 +170,14 @@ def check_options(verb, kernel, lags, fit, points, samples, compress, bound, per
             raise DeclarationError(f"{verb}: {option} must be positive (got {value}).")
 
 
-def check_size(verb: str, rows: int, features: int, processes: int, compress: int | None) -> None:
-    """Raise `DeclarationError` when the block would be more than 5 MB of C."""
-    deviation = min(compress or USUAL_POINTS, rows)
+def check_size(verb: str, rows: int, features: int, processes: int, compress: int | str | None) -> None:
+    """Raise `DeclarationError` when the block would be more than 5 MB of C, were the fewest points enough."""
+    deviation = min(compress if isinstance(compress, int) else AUTO[0], rows)
     points = rows if compress is None else deviation
     numbers = processes * (points * (features + 2) + deviation * (features + 1) + deviation * (deviation + 1) / 2)
     if numbers * BYTES_OF_CONSTANT > LARGEST_C:
         raise DeclarationError(
             f"{verb}: the block would be {numbers * BYTES_OF_CONSTANT / 1e6:.0f} MB of C (got {points} points of "
             f"{features} features, {processes} processes). At most {LARGEST_C / 1e6:.0f} MB run well in an FMU. "
-            f"Compress it: compress={USUAL_POINTS}."
+            "Compress it: compress='auto' or fewer points."
         )

@@ -12,7 +12,7 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import read_block, write_block
 from hydrotwin.learned.block_file import LearnedBlock, assemble
 from hydrotwin.learned.compression import spline_coefficients, spline_knots
-from hydrotwin.learned.delay_lines import certification_grid, delayed_rows, input_scales
+from hydrotwin.learned.delay_lines import certification_grid, delayed_rows, input_scales, training_rows
 from hydrotwin.learned.dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, spline
 from hydrotwin.learned.dual_gp import certify, learn_dual_gp
 from hydrotwin.models.language.errors import DataError, DeclarationError
@@ -137,29 +137,24 @@ def test_the_errors_of_each_process_and_of_the_cascade_are_told_apart(dual, vali
     assert told["slope_in_cascade"] > told["slope_on_measured_spool"] > 0 and told["spool"] > NOISE
 
 
-def test_the_certificate_is_of_the_whole_cascade_and_catches_a_changed_spline(dual, recordings):
+def test_the_certificate_is_of_the_whole_cascade_and_catches_a_changed_spline(dual, recordings, validation):
     pytest.importorskip("gpytorch")
     from hydrotwin.learned import exact_gp
     from hydrotwin.learned.process_training import train_process
 
-    parts, rng = (
-        [delayed_rows(r, PERIOD, [CURRENT], [SPOOL, POSITION], 5) for r in recordings],
-        np.random.default_rng(0),
-    )
-    features, ahead, slopes = (np.concatenate([getattr(p, k) for p in parts]) for k in ("features", "ahead", "slopes"))
-    shared = {"fit": "default", "progress": None, "rng": rng, "compress": 150, **QUICK}
-    spool = ahead[:, :1]
-    one = train_process(
-        exact_gp, features, spool[:, 0], input_scales(features, 1), kernel="rbf", label="spool", **shared
-    )
-    two = train_process(
-        exact_gp, spool, slopes[:, 1], input_scales(spool, 1), kernel="matern32", label="slope", **shared
-    )
-    grid = certification_grid(parts, 1, 5, rng)
+    rng, both = np.random.default_rng(0), (SPOOL, POSITION)
+    rows = training_rows(recordings, PERIOD, [CURRENT], both, 5, 6000, rng)
+    grid = certification_grid([rows, delayed_rows(validation, PERIOD, [CURRENT], both, 5)], 1, 5, rng)
+    features, spool, slopes = rows.features, rows.ahead[:, :1], rows.slopes
+    shared = {"fit": "default", "progress": None, "rng": rng, "compress": "auto", "bound": 0.01, **QUICK}
+    names = {"kernel": "rbf", "label": "spool"}, {"kernel": "matern32", "label": "slope"}
+    one = train_process(exact_gp, features, spool[:, 0], input_scales(features, 1), grid, **names[0], **shared)
+    places = np.linspace(spool.min(), spool.max(), 501)[:, None]
+    two = train_process(exact_gp, spool, slopes[:, 1], input_scales(spool, 1), places, **names[1], **shared)
     deviation, certificate = certify(dual, one, two, grid, 0.02)
     assert dual.certificate.holds and certificate.holds
-    for part in ("spool", "slope", "slope_in_cascade"):
-        assert 0 < deviation[part] < 0.02 and 0 < dual.provenance["deviation"][part] < 0.02
+    assert deviation == pytest.approx(dual.provenance["deviation"], rel=1e-6)
+    assert all(0 < v < 0.02 for v in deviation.values())
     bent = dual.arrays["rate_mean"] * np.where(np.arange(60) == 30, 1.5, 1.0) + 0.05 * (np.arange(60) == 30)
     frame = {f.name: getattr(dual, f.name) for f in dataclasses.fields(dual)}
     frame = {k: v for k, v in frame.items() if k not in ("arrays", "structure", "kind", "step", "start")}

@@ -24,8 +24,10 @@ if str(ROOT) not in sys.path:
 from examples.crane import inverses, kinematics  # noqa: E402
 from examples.crane.model import plant  # noqa: E402
 from examples.crane.rehearsal import AXES, PERIOD, recordings, steady_points  # noqa: E402
+from hydrotwin.learned import read_block  # noqa: E402
+from hydrotwin.models.language.errors import HydrotwinError  # noqa: E402
 from hydrotwin.records import Record  # noqa: E402
-from hydrotwin.simulation import simulate  # noqa: E402
+from hydrotwin.simulation import Block, simulate  # noqa: E402
 
 CIRCLE = kinematics.Circle()
 PAPER = 6.85  # cm, root mean square, on a real loader crane: IEEE RA-L 7 (2022), Fig. 8
@@ -96,8 +98,8 @@ def drive(machine, way: Way, circle: kinematics.Circle = CIRCLE) -> Track:
     return Track(way.name, place, np.linalg.norm(place - circle.place(time), axis=1))
 
 
-def ways(machine, *, quick: bool = False, forward: Mapping[str, str] | None = None, seed: int = 0) -> list[Way]:
-    """Every way that the staircases on ``machine`` give, and one more for learned ``forward`` block files by axis.
+def ways(machine, *, quick: bool = False, forward: Mapping[str, Block] | None = None, seed: int = 0) -> list[Way]:
+    """Every way that the staircases on ``machine`` give, and one more for learned ``forward`` blocks by axis.
 
     quick : without what is trained (networks, processes, grey box, identified model). seed : of the staircases.
     """
@@ -130,7 +132,8 @@ def ways(machine, *, quick: bool = False, forward: Mapping[str, str] | None = No
             {axis: max(both[axis].half_width, 0.0) for axis in AXES}),
     ]  # fmt: skip
     if forward:
-        found.append(Way("learned blocks, dead time", of(lambda axis: _of_file(forward[axis], axis)), late, none))
+        given = of(lambda axis: inverses.learned_from_block(forward[axis], axis))
+        found.append(Way("given blocks, dead time", given, late, none))
     return found
 
 
@@ -147,14 +150,6 @@ def _slow(records, curves) -> dict[str, dict[str, inverses.Currents]]:
         makers["dual GP"] = lambda axis: inverses.learned_from_block(dual(axis), axis)
         makers["dual GP and network"] = lambda axis: inverses.learned_from_block(dual(axis), axis, method="network")
     return {name: {axis: make(axis) for axis in AXES} for name, make in makers.items()}
-
-
-def _of_file(path: str, axis: str) -> inverses.Currents:
-    """The inverse of a learned forward block in a file."""
-    from hydrotwin.learned import read_block
-
-    block = read_block(path)
-    return inverses.learned_from_block(block, axis)
 
 
 def figure(tracks: list[Track], circle: kinematics.Circle = CIRCLE) -> dict:
@@ -207,8 +202,17 @@ def main(arguments: list[str] | None = None) -> None:
     files = dict(item.split("=", 1) for item in asked.forward)
     if files and set(files) != set(AXES):
         parser.error(f"--forward is needed for each of {', '.join(AXES)} (got {', '.join(files)})")
+    try:
+        report(asked, files)
+    except HydrotwinError as error:
+        parser.exit(1, f"{error}\n")
+
+
+def report(asked: argparse.Namespace, files: Mapping[str, str]) -> None:
+    """Learn, drive, print the table and write the figure."""
+    blocks = {axis: read_block(path) for axis, path in files.items()}
     print("staircases, learning and identifying" + ("" if asked.quick else ": about a minute"), flush=True)
-    found = ways(plant(), quick=asked.quick, forward=files, seed=asked.seed)
+    found = ways(plant(), quick=asked.quick, forward=blocks, seed=asked.seed)
     tracks = [drive(plant(asked.payload), way) for way in found]
     print(told(tracks))
     write_figure(tracks, asked.out / "track.html")

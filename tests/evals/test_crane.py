@@ -179,13 +179,16 @@ def test_a_forward_block_of_an_axis_gives_the_inverse_of_its_velocity():
         assert run["velocity"][-1] == pytest.approx(wanted, abs=5e-4)
 
 
-def test_what_is_no_forward_block_of_an_axis_is_refused(tmp_path):
+def test_what_is_no_forward_block_of_an_axis_is_refused(tmp_path, capsys):
     block = learn_inverse(inverses.curve(steady_points(list(staircases("boom")), "boom"), "boom"))
     with pytest.raises(DataError, match="not a forward block of one axis"):
         inverses.learned_from_block(block, "boom")
     path, _ = write_block(block, tmp_path / "inverse.toml")
-    with pytest.raises(DataError, match="not a forward block"):
-        track._of_file(str(path), "boom")
+    asked = ["--quick", "--forward", f"boom={path}", "--forward"]
+    for other, sentence in ((f"jibe={path}", "needed for each of boom, jib"), ("jib=none.toml", "no such file")):
+        with pytest.raises(SystemExit):
+            track.main([*asked, other])
+        assert sentence in capsys.readouterr().err
 
 
 def test_the_figure_shows_every_path_and_every_error(tmp_path):

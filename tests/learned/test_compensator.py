@@ -52,6 +52,15 @@ def recordings() -> list[Record]:
     return [staircase(seed) for seed in range(14)]
 
 
+def small_compensator():
+    """Learnt from a straight line with a deadband, for the tests of every kind."""
+    u = np.linspace(-1, 1, 41)
+    line = Characteristic(
+        Signal("current", "1"), Signal("velocity", "m/s"), u, np.sign(u) * np.maximum(abs(u) - 0.1, 0)
+    )
+    return learn_compensator(line, None, None, [(0.5, 0.2), (1.0, 0.6)])
+
+
 @pytest.fixture(scope="module")
 def compensator(recordings):
     return learn_compensator(recordings, "current", "position", WAYPOINTS, settle=0.25, window=0.3)
@@ -129,6 +138,6 @@ def test_a_curve_beyond_what_the_machine_reaches_is_refused_with_the_scale_that_
     u = np.linspace(-1, 1, 101)
     weak = Characteristic(Signal("current", "1"), Signal("velocity", "m/s"), u, np.where(u > 0, 0.1 * u, 0.03 * u))
     with pytest.raises(DataError, match=r"reaches -0.03 to 0.1 m/s.* Scale the waypoints by 0.5"):
-        learn_compensator(weak, "current", "velocity", [(0.5, 0.02), (1.0, 0.06)])
-    fitting = learn_compensator(weak, "current", "velocity", [(0.5, 0.01), (1.0, 0.03)])
+        learn_compensator(weak, None, None, [(0.5, 0.02), (1.0, 0.06)])
+    fitting = learn_compensator(weak, None, None, [(0.5, 0.01), (1.0, 0.03)])
     assert static_answer(fitting, [1.0, -1.0]) == pytest.approx([0.3, -1.0], abs=1e-6)

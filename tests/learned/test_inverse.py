@@ -62,32 +62,41 @@ def monotone():
     return learn(points(5e-4), method="monotone", **QUICK)
 
 
-# -- the blocks ----------------------------------------------------------------------------------------------------
-def test_the_table_is_piecewise_linear_and_holds_its_ends():
+def untrained(kind, arrays, structure):
+    return assemble(
+        kind, arrays, structure, name="untrained", inputs=(SPEED,), outputs=(CURRENT,), states=(), parameters=(),
+        period=0.01, domain=TrainingDomain((SPEED.name,), (-1.0,), (0.5,)), provenance={"kind": "inverse", "seed": 0},
+    )  # fmt: skip
+
+
+def small_table():
+    """A table of three knots, for the tests of every kind."""
     arrays = {"rates": np.array([-1.0, 0.0, 0.5]), "commands": np.array([-3.0, 1.0, 2.0])}
-    block = untrained(INVERSE_TABLE, arrays, {"knots": 3})
-    r = np.array([-2.0, -1.0, -0.25, 0.25, 0.5, 9.0])
-    assert static_answer(block, r) == pytest.approx(np.interp(r, arrays["rates"], arrays["commands"]), rel=1e-14)
+    return untrained(INVERSE_TABLE, arrays, {"knots": 3})
 
 
-def test_the_network_is_the_written_equation():
+def small_network():
+    """A network with random weights, for the tests of every kind."""
     rng = np.random.default_rng(0)
     arrays = {k: rng.normal(size=s) for k, s in network_shapes({"hidden": 4}, 1, 1).items()}
     arrays |= {"rate_lower": np.array([-0.5]), "rate_upper": np.array([0.8]), "rate_scale": np.array([0.7])}
-    a = {k: v[0] if v.shape == (1,) else v for k, v in arrays.items()}
-    block = untrained(INVERSE_NETWORK, arrays, {"hidden": 4})
+    return untrained(INVERSE_NETWORK, arrays, {"hidden": 4})
+
+
+# -- the blocks ----------------------------------------------------------------------------------------------------
+def test_the_table_is_piecewise_linear_and_holds_its_ends():
+    block, r = small_table(), np.array([-2.0, -1.0, -0.25, 0.25, 0.5, 9.0])
+    assert static_answer(block, r) == pytest.approx(np.interp(r, [-1.0, 0.0, 0.5], [-3.0, 1.0, 2.0]), rel=1e-14)
+
+
+def test_the_network_is_the_written_equation():
+    block = small_network()
+    a = {k: v[0] if v.shape == (1,) else v for k, v in block.arrays.items()}
     for r in (-2.0, -0.3, 0.4, 3.0):
         z = (np.clip(r, -0.5, 0.8) - a["rate_centre"]) / 0.7
         h = np.tanh(a["second_weights"] @ np.tanh(a["first_weights"] * z + a["first_bias"]) + a["second_bias"])
         u = a["command_centre"] + a["command_scale"] * (a["linear"] * z + a["output_weights"] @ h + a["output_bias"])
         assert static_answer(block, [r])[0] == pytest.approx(u, rel=1e-12)
-
-
-def untrained(kind, arrays, structure):
-    return assemble(
-        kind, arrays, structure, name="untrained", inputs=(SPEED,), outputs=(CURRENT,), states=(), parameters=(),
-        period=0.01, domain=TrainingDomain((SPEED.name,), (-1.0,), (0.5,)), provenance={},
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("fixture", ["table", "monotone"])

@@ -1,16 +1,33 @@
 """Learned surrogates: trained from recordings, deployed as Blocks that need numpy and CasADi only."""
 
 from .block_file import Certificate, LearnedBlock, LearnedKind, learned_kinds, read_block, register_kind, write_block
+from .compensator import learn_compensator
+from .dual_gp import learn_dual_gp
+from .gaussian_process import learn_gaussian_process
+from .grey_box import learn_grey_box
+from .inverse import learn_inverse
+from .inverse_data import Characteristic, characteristic
 from .network import train_network
+from .piecewise import learn_piecewise
 from .published_formula import published_formula
+from .symbolic import learn_symbolic
 from .training_data import DomainShare, domain_share
 
 __all__ = [
     "Certificate",
+    "Characteristic",
     "DomainShare",
     "LearnedBlock",
     "LearnedKind",
+    "characteristic",
     "domain_share",
+    "learn_compensator",
+    "learn_dual_gp",
+    "learn_gaussian_process",
+    "learn_grey_box",
+    "learn_inverse",
+    "learn_piecewise",
+    "learn_symbolic",
     "learned_kinds",
     "published_formula",
     "read_block",

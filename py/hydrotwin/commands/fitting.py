@@ -1,9 +1,8 @@
-"""identify and learn: models from recordings."""
+"""identify and friction: physical models from recordings."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated
@@ -11,8 +10,6 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
-from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.records import Record, require
 
@@ -25,20 +22,18 @@ from .shared import (
     ValidateOption,
     check_file,
     check_folder,
-    err,
     examples,
     mark,
     out,
     print_json,
     progress_bar,
     read_all,
+    require_columns,
     settings_from,
     table,
     tell_ignored,
 )
 from .showing import physical
-
-KINDS = ("nn",)
 
 
 def register(app: typer.Typer) -> None:
@@ -46,9 +41,6 @@ def register(app: typer.Typer) -> None:
     app.command(epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_*.csv --out model.toml"))(
         identify
     )
-    app.command(
-        epilog=examples("hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml")
-    )(learn)
     app.command(epilog=examples("hydrotwin friction friction_test.csv --out friction"))(friction)
 
 
@@ -174,69 +166,6 @@ def print_fit(fit, path: Path) -> None:
     if unexplained:
         mark(out, "note", f"not explained: {', '.join(unexplained)}. Look for a missing effect, or free more.")
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
-
-
-def learn(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="nn")],
-    records: RecordsArgument,
-    output: Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")],
-    inputs: Annotated[list[str] | None, typer.Option("--input", metavar="NAME", help="input columns")] = None,
-    outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="output columns")] = None,
-    validate: ValidateOption = None,
-    hidden: Annotated[int, typer.Option(min=0, help="hidden units; 0: the best linear model")] = 10,
-    seed: Annotated[int, typer.Option(help="the same seed gives the same network")] = 0,
-    budget: Annotated[float, typer.Option(min=0.1, help="seconds of training, then the best so far is taken")] = 120.0,
-    name: Annotated[str, typer.Option(help="name of the block")] = "network",
-    scale: ScaleOption = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Learn a surrogate from recordings: KIND nn is a small network, selected on its free-run error."""
-    from hydrotwin.learned import train_network, write_block
-
-    if kind not in KINDS:
-        raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
-    check_file(output, ".toml")
-    train, judged = read_all(records, scale), read_all(validate, scale)
-    signals_in, signals_out = learned_signals([*train, *judged], inputs, outputs)
-    with progress_bar() as bar:
-        row = bar.add_task("learn nn", total=None)
-
-        def told(p):
-            bar.update(row, description=f"learn nn: seed {p.seed}, best free-run error {p.best:.4g} of the spread")
-
-        block = train_network(
-            train, signals_in, signals_out, validate=judged, hidden=hidden, seed=seed, budget=budget, name=name,
-            progress=None if as_json else told,
-        )  # fmt: skip
-    output.parent.mkdir(parents=True, exist_ok=True)
-    files = write_block(block, output)
-    answer = {"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance}
-    if as_json:
-        print_json(answer)
-        return
-    out.print(f"{block.name}: {block.description} period {block.period:g} s. Written: {', '.join(map(str, files))}")
-
-
-def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:
-    """The columns to learn from; a recording with two columns needs no naming."""
-    columns = list(records[0].signals)
-    if not inputs and not outputs and len(columns) == 2:
-        inputs, outputs = columns[:1], columns[1:]
-        err.print(f"learning {outputs[0]} from {inputs[0]}", style="dim")
-    if not inputs or not outputs:
-        raise DeclarationError(
-            f"learn: which columns are inputs, which outputs? Give --input and --output. Known: {', '.join(columns)}."
-        )
-    require_columns(records, (*inputs, *outputs))
-    return list(inputs), list(outputs)
-
-
-def require_columns(records: list[Record], columns: Sequence[str], hint: str = "") -> None:
-    """Every record has every column, or the first that lacks one is named."""
-    for record in records:
-        for column in columns:
-            if column not in record:
-                raise DeclarationError(f"{record.source}: no column '{column}'. {nearest(column, record.names)}{hint}")
 
 
 def friction(

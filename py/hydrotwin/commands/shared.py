@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records import Record, read_record
 
@@ -134,3 +134,11 @@ def progress_bar() -> Progress:
     """A bar on standard error for anything over a second."""
     text = TextColumn("{task.description}", markup=False)
     return Progress(text, BarColumn(), TimeElapsedColumn(), console=err, transient=True)
+
+
+def require_columns(records: list[Record], columns: Sequence[str], hint: str = "") -> None:
+    """Every record has every column, or the first that lacks one is named."""
+    for record in records:
+        for column in columns:
+            if column not in record:
+                raise DeclarationError(f"{record.source}: no column '{column}'. {nearest(column, record.names)}{hint}")

@@ -1,0 +1,254 @@
+"""learn, invert and compensate: blocks from recordings."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from ..loading import load
+from .shared import (
+    JsonOption,
+    RecordsArgument,
+    ScaleOption,
+    ValidateOption,
+    check_file,
+    err,
+    examples,
+    out,
+    print_json,
+    progress_bar,
+    read_all,
+    require_columns,
+)
+
+KINDS = {
+    "nn": ("train_network", "a small network, selected on its free-run error"),
+    "gp": ("learn_gaussian_process", "a Gaussian process on delayed inputs, with its standard deviation"),
+    "dual_gp": ("learn_dual_gp", "two processes: command to spool, spool to rate (needs a measured spool)"),
+    "piecewise": ("learn_piecewise", "a characteristic of straight lines"),
+    "grey_box": ("learn_grey_box", "dead time, hidden spool, play and a monotone characteristic; no spool sensor"),
+    "symbolic": ("learn_symbolic", "a formula found by genetic programming"),
+}
+OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
+RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind, such as lags=5")
+]
+OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this file."""
+    app.command(
+        epilog=examples(
+            "hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml",
+            "hydrotwin learn gp train_*.csv --input current --output position --set rate=true --out gp.toml",
+        )
+    )(learn)
+    app.command(
+        epilog=examples(
+            "hydrotwin invert valve.toml --input current --output position --out inverse.toml",
+            "hydrotwin invert ramps_*.csv --input current --output position --set delay=0.05 --out inverse.toml",
+        )
+    )(invert)
+    app.command(
+        epilog=examples(
+            "hydrotwin compensate valve.toml --input current --output position --waypoint 0.5=0.05 --waypoint 1=0.2 "
+            "--out compensator.toml"
+        )
+    )(compensate)
+
+
+def learn(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="; ".join(f"{k}: {v[1]}" for k, v in KINDS.items()))],
+    records: RecordsArgument,
+    output: OutOption,
+    inputs: Annotated[list[str] | None, typer.Option("--input", metavar="NAME", help="input columns")] = None,
+    outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="output columns")] = None,
+    validate: ValidateOption = None,
+    fit: Annotated[str | None, typer.Option(help="paper: the published procedure; default: the better one")] = None,
+    hidden: Annotated[int | None, typer.Option(min=0, help="nn: hidden units; 0: the best linear model")] = None,
+    budget: Annotated[float | None, typer.Option(min=0.1, help="s of training, then the best so far is taken")] = None,
+    seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
+    name: Annotated[str | None, typer.Option(help="name of the block")] = None,
+    settings: SetOption = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Learn a surrogate from recordings: a block that simulates, compares and exports as a model does."""
+    import hydrotwin.learned
+
+    if kind not in KINDS:
+        raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
+    check_file(output, ".toml")
+    trainer = getattr(hydrotwin.learned, KINDS[kind][0])
+    flags = {"fit": fit, "hidden": hidden, "budget": budget}
+    options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None})
+    train, judged = read_all(records, scale), read_all(validate, scale)
+    signals_in, signals_out = learned_signals([*train, *judged], inputs, outputs)
+    block = _trained(
+        f"learn {kind}", trainer, (train, signals_in, signals_out), as_json,
+        **options, **_named(name), validate=judged, seed=seed,
+    )  # fmt: skip
+    _written(block, output, as_json)
+
+
+def invert(
+    source: Annotated[list[str], typer.Argument(metavar="MODEL|REC...", help="a model, a block, or recordings")],
+    output: OutOption,
+    command: Annotated[str, typer.Option("--input", metavar="NAME", help="what is commanded")],
+    answer: Annotated[str, typer.Option("--output", metavar="NAME", help="what moves at a rate, or settles")],
+    method: Annotated[str, typer.Option(help="table (the best), network (the paper's), monotone")] = "table",
+    seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
+    name: Annotated[str | None, typer.Option(help="name of the block")] = None,
+    settings: SetOption = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Learn which command gives a wanted steady rate: the inverse of a characteristic, as a block."""
+    from hydrotwin.learned import characteristic, learn_inverse
+
+    check_file(output, ".toml")
+    options = _options("invert", learn_inverse, settings, {"method": method}, characteristic)
+    block = _trained(
+        "invert", learn_inverse, (_source(source, scale), command, answer), as_json,
+        **options, **_named(name), seed=seed,
+    )  # fmt: skip
+    _written(block, output, as_json)
+
+
+def compensate(
+    source: Annotated[list[str], typer.Argument(metavar="MODEL|REC...", help="a model, a block, or recordings")],
+    output: OutOption,
+    command: Annotated[str, typer.Option("--input", metavar="NAME", help="what is commanded")],
+    answer: Annotated[str, typer.Option("--output", metavar="NAME", help="what moves at a rate, or settles")],
+    waypoints: Annotated[
+        list[str], typer.Option("--waypoint", metavar="COMMAND=RATE", help="a point of the desired curve, SI")
+    ],
+    degree: Annotated[int | None, typer.Option(min=1, help="of the polynomial; by default through all points")] = None,
+    name: Annotated[str | None, typer.Option(help="name of the block")] = None,
+    settings: SetOption = None,
+    scale: ScaleOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Learn what to command instead, so that the machine follows a desired curve through waypoints."""
+    from hydrotwin.learned import characteristic, learn_compensator, learn_inverse
+
+    check_file(output, ".toml")
+    options = _options("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
+    points = [_waypoint(text) for text in waypoints]
+    block = _trained(
+        "compensate", learn_compensator, (_source(source, scale), command, answer, points), True,
+        **options, **_named(name),
+    )  # fmt: skip
+    _written(block, output, as_json)
+
+
+def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:
+    """The columns to learn from; a recording with two columns needs no naming."""
+    columns = list(records[0].signals)
+    if not inputs and not outputs and len(columns) == 2:
+        inputs, outputs = columns[:1], columns[1:]
+        err.print(f"learning {outputs[0]} from {inputs[0]}", style="dim")
+    if not inputs or not outputs:
+        raise DeclarationError(
+            f"learn: which columns are inputs, which outputs? Give --input and --output. Known: {', '.join(columns)}."
+        )
+    require_columns(records, (*inputs, *outputs))
+    return list(inputs), list(outputs)
+
+
+def _named(name: str | None) -> dict[str, str]:
+    return {"name": name} if name else {}
+
+
+def _options(what: str, function: Callable, settings, flags: dict, *more: Callable) -> dict:
+    """Options by name from flags and ``NAME=VALUE``, each one that ``function`` (or one of ``more``) has."""
+    known: dict[str, inspect.Parameter] = {}
+    for one in (function, *more):
+        known |= {k: p for k, p in inspect.signature(one).parameters.items() if p.kind is p.KEYWORD_ONLY}
+    found = dict(flags)
+    for text in settings or ():
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise DeclarationError(f"{what}: --set takes NAME=VALUE (got '{text}'). Write --set lags=5.")
+        found[key.strip()] = _value(value.strip())
+    own = [k for k in known if k not in OWN]
+    for key in found:
+        if key not in own:
+            raise DeclarationError(f"{what}: has no option '{key}'. {nearest(key, own)} It has: {', '.join(own)}.")
+    return found
+
+
+def _value(text: str):
+    """A number, true, false, none, or a word."""
+    words = {"true": True, "false": False, "none": None}
+    if text.lower() in words:
+        return words[text.lower()]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def _waypoint(text: str) -> tuple[float, float]:
+    command, _, rate = text.partition("=")
+    try:
+        return float(command), float(rate)
+    except ValueError:
+        raise DeclarationError(
+            f"compensate: a waypoint is COMMAND=RATE in SI units (got '{text}'). Write --waypoint 0.5=0.05."
+        ) from None
+
+
+def _source(source: Sequence[str], scale):
+    """A model or block, or recordings."""
+    if all(text.lower().endswith(RECORDINGS) for text in source):
+        return read_all([Path(text) for text in source], scale)
+    if len(source) > 1:
+        raise DataError(
+            f"invert: give one model, or recordings ({', '.join(RECORDINGS)}) (got {', '.join(source)}). Leave out the "
+            "others."
+        )
+    return load(source[0])
+
+
+def _trained(what: str, trainer: Callable, arguments: tuple, silent: bool, **options):
+    """The trained block, with a bar that says how good the best so far is."""
+    if "progress" not in inspect.signature(trainer).parameters or silent:
+        return trainer(*arguments, **options)
+    with progress_bar() as bar:
+        row = bar.add_task(what, total=None)
+
+        def told(step, *more) -> None:
+            best = more[0] if more else step.best
+            bar.update(row, description=f"{what}: {_where(step)}best so far {best:.4g}")
+
+        return trainer(*arguments, **options, progress=told)
+
+
+def _where(step) -> str:
+    """What a step of a training says about itself: its output, process, seed or generation."""
+    words = [f"{k} {getattr(step, k)}" for k in ("process", "output", "seed", "generation") if hasattr(step, k)]
+    return f"{', '.join(words)}, " if words else ""
+
+
+def _written(block, output: Path, as_json: bool) -> None:
+    from hydrotwin.learned import write_block
+
+    output.parent.mkdir(parents=True, exist_ok=True)
+    files = write_block(block, output)
+    if as_json:
+        print_json({"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance})
+        return
+    out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

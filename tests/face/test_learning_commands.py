@@ -1,0 +1,92 @@
+"""learn, invert and compensate on the command line: options by name, blocks that load and simulate."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.records import Record
+from tests.face.command_line import hydrotwin
+
+EDGES, GAIN = (-0.1, 0.15), 0.2  # deadband [1] and m/s per unit beyond it
+SIGNALS = "--input current --output position"
+
+
+def rate(u):
+    """The true characteristic, m/s."""
+    return GAIN * (np.minimum(u - EDGES[0], 0) + np.maximum(u - EDGES[1], 0))
+
+
+@pytest.fixture(scope="module")
+def ramps(tmp_path_factory):
+    """Slow ramps up and down, 50 Hz, 0.02 mm noise."""
+    folder = tmp_path_factory.mktemp("ramps")
+    for number in (1, 2):
+        time = np.arange(0, 80, 0.02)
+        current = np.interp(time, [0, 20, 60, 80], [0, 1, -1, 0]) * (1 if number == 1 else -0.9)
+        position = np.concatenate([[0], np.cumsum(rate(current[:-1])) * 0.02])
+        position += np.random.default_rng(number).normal(0, 2e-5, len(time))
+        record = Record(time, {"current": current, "position": position}, {"current": "1", "position": "m"}, "ramp")
+        ht.write_record(record, folder / f"ramp_{number}.csv")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(ramps, monkeypatch):
+    monkeypatch.chdir(ramps)
+    return ramps
+
+
+def test_a_characteristic_is_learnt_and_its_file_simulates():
+    line = f"learn piecewise ramp_1.csv {SIGNALS} --validate ramp_2.csv --set dead_time=0 --json --out a.toml"
+    answer = hydrotwin(*line.split())
+    assert answer.code == 0, answer.err
+    assert json.loads(answer.out)["kind"] == "piecewise"
+    block, measured = ht.load("a.toml"), ht.read_record("ramp_2.csv")
+    predicted = ht.simulate(block, measured)["position"]
+    assert np.sqrt(np.mean((predicted - measured["position"]) ** 2)) < 0.01 * np.ptp(measured["position"])
+
+
+@pytest.mark.parametrize("source", ["ramp_1.csv ramp_2.csv", "a.toml"])
+def test_the_inverse_gives_back_the_command_from_recordings_and_from_a_block(source):
+    if source == "a.toml":
+        assert hydrotwin(*f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --out a.toml".split()).code == 0
+        source += " --set rate=true"
+    answer = hydrotwin(*f"invert {source} {SIGNALS} --out inverse.toml".split())
+    assert answer.code == 0, answer.err
+    block = ht.load("inverse.toml")
+    wanted = np.array([-0.15, -0.05, 0.05, 0.15])
+    time = np.arange(4) * block.period
+    asked = Record(time, {block.inputs[0].name: wanted}, {block.inputs[0].name: block.inputs[0].unit})
+    commands = ht.simulate(block, asked)[block.outputs[0].name]
+    assert rate(commands) == pytest.approx(wanted, abs=0.004)
+
+
+def test_a_compensated_command_follows_the_desired_curve():
+    points = "--waypoint 0.5=0.06 --waypoint 1=0.15"
+    answer = hydrotwin(*f"compensate ramp_1.csv ramp_2.csv {SIGNALS} {points} --out compensator.toml".split())
+    assert answer.code == 0, answer.err
+    block = ht.load("compensator.toml")
+    name = block.inputs[0].name
+    asked = Record(np.arange(4) * block.period, {name: np.array([-1.0, -0.5, 0.5, 1.0])}, {name: "1"})
+    assert rate(ht.simulate(block, asked)["current"]) == pytest.approx([-0.15, -0.06, 0.06, 0.15], abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        (f"learn gp ramp_1.csv {SIGNALS} --set lagz=3 --out a.toml", ["learn gp: has no option 'lagz'", "'lags'"]),
+        (f"learn piecewise ramp_1.csv {SIGNALS} --hidden 3 --out a.toml", ["has no option 'hidden'", "dead_time"]),
+        (f"learn gp ramp_1.csv {SIGNALS} --set lags --out a.toml", ["--set takes NAME=VALUE"]),
+        ("invert ramp_1.csv a.toml --input current --output position --out b.toml", ["one model, or recordings"]),
+        (f"compensate ramp_1.csv {SIGNALS} --waypoint fast --out b.toml", ["COMMAND=RATE", "got 'fast'"]),
+    ],
+)
+def test_wrong_words_are_answered_with_what_would_be_right(line, says):
+    answer = hydrotwin(*line.split())
+    assert answer.code == 2
+    for words in says:
+        assert words in answer.err

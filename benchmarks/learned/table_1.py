@@ -20,7 +20,7 @@ from examples.table_1.make_recordings import record
 from hydrotwin.learned.grey_box import learn_grey_box
 from hydrotwin.learned.grey_box_block import Dynamics
 from hydrotwin.learned.grey_box_data import run_of
-from hydrotwin.learned.grey_box_fit import Problem, bent_knots, evaluate, played, responses
+from hydrotwin.learned.grey_box_fit import Problem, bent_knots, evaluate, opening, responses
 from hydrotwin.learned.piecewise import learn_piecewise
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, savitzky_golay
@@ -117,7 +117,7 @@ def oracle(train: Record) -> Predict:
 
     def predict(r):
         other = run_of(r, h, CURRENT, POSITION)
-        rows = responses(played(other, known, h), fitted.knots, known.lag, h, True)
+        rows = responses(opening(other, known, h), fitted.knots, known.lag, h, True)
         return slopes(r.with_signals({"position": other.sampled(rows @ fitted.values)}))
 
     return predict

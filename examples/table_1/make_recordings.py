@@ -104,6 +104,6 @@ def make(folder: Path, seed: int = 0) -> list[Path]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "recordings")
+    parser.add_argument("folder", type=Path, nargs="?", default=Path(__file__).parent / "out")
     for path in make(parser.parse_args().folder):
         print(path)

@@ -21,6 +21,7 @@ from .grey_box_data import (
     Watch,
     block_period,
     certify,
+    coarser,
     falls,
     named,
     one_in_one_out,
@@ -33,7 +34,7 @@ from .grey_box_fit import (
     bent_knots,
     evaluate,
     intervals,
-    played,
+    opening,
     refine,
     responses,
     reweighed,
@@ -42,7 +43,7 @@ from .grey_box_fit import (
 from .training_data import training_box
 
 LONGEST = 125  # periods: dead time, time constants
-TRIAL = 5  # evaluations of the outer solver (each with its derivatives) per start
+TRIAL, MORE = 5, 15  # evaluations of the outer solver (each with its derivatives): per start, for the best one
 
 
 def learn_grey_box(
@@ -69,7 +70,8 @@ def learn_grey_box(
         records: training recordings without gaps. inputs, outputs: one each, as Signals or names.
         period: s between steps of the block; None: a fifth of `choose_period`.
         validate: recordings that choose among the starts; none: the training loss does.
-        knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, the best is kept.
+        knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, every
+            other one with the play behind the spool; the best is kept.
         integrating: the map gives the rate of the output (a position); False: the output itself (a speed).
         seed: spreads the starts. effort: scales the evaluations.
         progress: called with a `FitProgress` after every evaluation.
@@ -86,11 +88,16 @@ def learn_grey_box(
     _check_options(knots, starts, effort)
     records, validate, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate)
     period = block_period("learn_grey_box", records, period)
-    runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
-    sign = -1.0 if falls(runs, integrating) else 1.0
-    runs, judges = ([replace(r, output=sign * r.output) for r in part] for part in (runs, judges))
-    problem = Problem(runs, period, integrating, 1.0 if integrating else None, LONGEST * period)
-    fitted, problem, watch = _fit(problem, judges, knots, starts, seed, effort, progress)
+    sign = -1.0 if falls([run_of(r, period, input_, output) for r in records], integrating) else 1.0
+
+    def at(step: float, part=records) -> Problem:
+        runs = [run_of(r, step, input_, output) for r in part]
+        turned = [replace(run, output=sign * run.output) for run in runs]
+        return Problem(turned, step, integrating, 1.0 if integrating else None, LONGEST * period)
+
+    quick, fine = at(coarser(records, period)), at(period)
+    judge = at(quick.period, validate) if validate else quick
+    fitted, problem, watch = _fit(quick, fine, judge, knots, starts, seed, effort, progress)
     block = _block(fitted, sign, integrating, period, name, records, input_, output)
     identified = _identified(problem, fitted, seen_late(records, period, input_))
     provenance = {
@@ -98,6 +105,7 @@ def learn_grey_box(
         "trained_on": named(records),
         "selected_on": named(validate) or "the training loss",
         "identified": identified,
+        "play": "before the spool" if fitted.dynamics.play_first else "behind the spool",
         "walk_to_sensor_noise": "none" if problem.ratio is None else problem.ratio,
         "seed": seed,
         "evaluations": watch.evaluations,
@@ -105,39 +113,50 @@ def learn_grey_box(
         "stopped": watch.stopped or "finished",
         "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "casadi")},
     }
-    expected = [sign * _output(problem, fitted, run) for run in runs]
-    return replace(block, provenance=provenance, certificate=certify(block, runs, expected))
+    expected = [sign * _output(problem, fitted, run) for run in problem.runs]
+    return replace(block, provenance=provenance, certificate=certify(block, problem.runs, expected))
 
 
 def _identified(problem: Problem, fitted: Fitted, late: float) -> dict[str, list[float]]:
     """[value, low, high] of each constant; the dead time is the machine's, which the block sees later by ``late``."""
     known = intervals(problem, fitted)
-    answer = {key: [value, *known[key]] for key, value in asdict(fitted.dynamics).items()}
+    answer = {key: [value, *known[key]] for key, value in _constants(fitted).items()}
     answer["dead_time"] = [value + late for value in answer["dead_time"]]
     return answer
 
 
-def _fit(problem: Problem, judges, knots: int, starts: int, seed: int, effort: float, progress):
-    """Scan, refine each start a little, then weigh and place the knots anew and refine the best; twice."""
-    watch, low_high = Watch(progress), problem.span
-    even = np.linspace(*low_high, knots)
+def _fit(quick: Problem, fine: Problem, judge: Problem, knots: int, starts: int, seed: int, effort: float, progress):
+    """Scan, refine each start a little, weigh and place the knots anew and refine the best; at last at full fineness.
+
+    Half of the starts have the play before the spool, half behind it.
+    """
+    watch, even, problem = Watch(progress), np.linspace(*quick.span, knots), quick
+    trial, more = (max(round(n * effort), 1) for n in (TRIAL, MORE))
     try:
         watch(evaluate(problem, rough_starts(problem, 1)[0], even))
         problem = reweighed(problem, watch.best)
         watch.anew()
-        begun = _spread(rough_starts(problem, starts), starts, seed)
-        tried = [refine(problem, d, even, max(round(TRIAL * effort), 1), watch) for d in begun]
-        best = min(tried, key=lambda f: _judged(problem, judges, f))
-        for _ in range(2):
+        half = (starts + 1) // 2
+        apart = _spread(rough_starts(problem, half), half, seed)
+        begun = [replace(d, play_first=first) for d in apart for first in (True, False)][:starts]
+        tried = [refine(problem, d, even, trial, watch) for d in begun]
+        best = min(tried, key=lambda f: _loss(replace(judge, ratio=problem.ratio), f))
+        for problem, evaluations in ((quick, more), (fine, trial)):
             problem = reweighed(problem, best)
             bent = bent_knots(best.knots, best.values)
             watch.anew()
-            best = refine(problem, best.dynamics, bent, max(round(3 * TRIAL * effort), 1), watch)
+            best = refine(problem, best.dynamics, bent, evaluations, watch)
     except KeyboardInterrupt:
         if watch.best is None:
             raise
         watch.stopped, best = "interrupted", watch.best
-    return best, problem, watch
+    problem = replace(fine, ratio=problem.ratio)
+    return evaluate(problem, best.dynamics, best.knots), problem, watch
+
+
+def _constants(fitted: Fitted) -> dict[str, float]:
+    """Dead time, natural frequency, damping, play and lag."""
+    return {key: value for key, value in asdict(fitted.dynamics).items() if key != "play_first"}
 
 
 def _spread(found, starts: int, seed: int):
@@ -150,25 +169,24 @@ def _spread(found, starts: int, seed: int):
     return answer[:starts]
 
 
-def _judged(problem: Problem, judges, fitted: Fitted) -> float:
-    if not judges:
-        return fitted.loss
-    other = replace(problem, runs=judges)
-    misses = other.rows(lambda run: run.output - run.sampled(_output(problem, fitted, run)))
+def _loss(problem: Problem, fitted: Fitted) -> float:
+    """Mean square of the weighed misses of the fit on the runs of the problem."""
+    misses = problem.rows(lambda run: run.output - run.sampled(_output(problem, fitted, run)))
     return float(np.mean(misses**2))
 
 
 def _output(problem: Problem, fitted: Fitted, run: Run) -> np.ndarray:
     """The output of the fit at the block's samples, (m,), from the first one measured."""
-    d, q = fitted.dynamics, played(run, fitted.dynamics, problem.period)
+    d, q = fitted.dynamics, opening(run, fitted.dynamics, problem.period)
     rows = responses(q, fitted.knots, d.lag, problem.period, problem.integrating)
     return rows @ fitted.values + run.output[0] * problem.integrating
 
 
 def _block(fitted: Fitted, sign, integrating, period, name, records, input_: Signal, output: Signal) -> LearnedBlock:
     d = fitted.dynamics
-    structure = {"knots": len(fitted.knots), "delay": d.late(period)[0] + 1, "integrating": int(integrating)}
-    arrays = {key: np.array([value]) for key, value in {**asdict(d), "period": period}.items()}
+    structure = {"knots": len(fitted.knots), "delay": d.late(period)[0] + 1}
+    structure |= {"integrating": int(integrating), "play_first": int(d.play_first)}
+    arrays = {key: np.array([value]) for key, value in {**_constants(fitted), "period": period}.items()}
     return assemble(
         GREY_BOX,
         arrays | {"knots": fitted.knots, "rates": sign * fitted.values},
@@ -181,8 +199,9 @@ def _block(fitted: Fitted, sign, integrating, period, name, records, input_: Sig
         period=period,
         domain=training_box(records, (input_, output)),
         description=(
-            f"latent spool: dead time {1e3 * d.dead_time:.3g} ms, {d.natural_frequency:.3g} rad/s, "
-            f"play {d.play:.3g} {input_.unit}, {len(fitted.knots)} knots, lag {1e3 * d.lag:.3g} ms"
+            f"latent spool: dead time {1e3 * d.dead_time:.3g} ms, {d.natural_frequency:.3g} rad/s, play {d.play:.3g} "
+            f"{input_.unit} {'before' if d.play_first else 'behind'} it, {len(fitted.knots)} knots, "
+            f"lag {1e3 * d.lag:.3g} ms"
         ),
         provenance={},
     )

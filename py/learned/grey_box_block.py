@@ -1,11 +1,14 @@
 """The latent-spool grey box's equations: a spool that nobody measures between command and speed, in CasADi.
 
     c(t)  = u(t - T_d)                                                dead time
-    s''   = w0^2 (c - s) - 2 D w0 s'                                  spool, unit gain
-    q     : s - b/2 <= q <= s + b/2, moves only when pushed           play of width b
-    f     = monotone, piecewise linear in q, constant beyond its ends
-    tau v' = f(q) - v                                                 lag
+    q     : c - b/2 <= q <= c + b/2, moves only when pushed           play of width b
+    s''   = w0^2 (q - s) - 2 D w0 s'                                  spool, unit gain
+    f     = monotone, piecewise linear in s, constant beyond its ends
+    tau v' = f - v                                                    lag
     y'    = v   (integrating)      or      y = v
+
+The play stands before the spool (the solenoid's magnetic hysteresis) or behind it (friction and edges); then the spool
+follows c, q follows s, and f is of q. Where a slow command is all there is, both are one.
 
 Sampled with period h: the spool exactly for an input held over the step (with a dead time that ends inside a step, its
 mean over the step); f as the mean of its values at both ends, the lag and the integral exactly for that mean:
@@ -30,13 +33,17 @@ CONSTANTS = ("dead_time", "natural_frequency", "damping", "play", "lag", "period
 
 @dataclass(frozen=True)
 class Dynamics:
-    """Dead time [s], spool's natural frequency [rad/s] and damping [1], play [unit of the input], lag [s]."""
+    """Dead time [s], spool's natural frequency [rad/s] and damping [1], play [unit of the input], lag [s].
+
+    play_first : whether the play stands before the spool.
+    """
 
     dead_time: float
     natural_frequency: float
     damping: float
     play: float
     lag: float
+    play_first: bool = True
 
     def spool(self, period: float) -> tuple[np.ndarray, np.ndarray]:
         """A (2, 2), B (2,): (s, s') after one period for an input held over it."""
@@ -81,14 +88,17 @@ def characteristic(knots: np.ndarray, values: np.ndarray, q):
 
 
 def _shapes(structure: Mapping[str, int], inputs: int, outputs: int) -> Shapes:
-    counts = {name: structure[name] for name in ("knots", "delay", "integrating")}
+    counts = {name: structure[name] for name in ("knots", "delay", "integrating", "play_first")}
     return {name: (1,) for name in CONSTANTS} | {"knots": (counts["knots"],), "rates": (counts["knots"],)}
 
 
 def _functions(arrays: Mapping[str, np.ndarray], structure: Mapping[str, int]) -> tuple[ca.Function, ca.Function]:
     constants = {name: float(arrays[name][0]) for name in CONSTANTS}
     h = constants.pop("period")
-    dynamics, integrating = Dynamics(**constants), bool(structure["integrating"])
+    dynamics, integrating = (
+        Dynamics(**constants, play_first=bool(structure["play_first"])),
+        bool(structure["integrating"]),
+    )
     whole, share = dynamics.late(h)
     A, B = (ca.DM(part) for part in dynamics.spool(h))
     decay = float(np.exp(-h / dynamics.lag)) if dynamics.lag > 0 else 0.0
@@ -100,9 +110,19 @@ def _functions(arrays: Mapping[str, np.ndarray], structure: Mapping[str, int]) -
     y, v = x[0], x[1 if integrating else 0]
     spool, play, line = ca.vertsplit(x[2 if integrating else 1 :], [0, 2, 3, 3 + structure["delay"]])
     late = ca.vertcat(u, line)
-    spool_next = ca.mtimes(A, spool) + B * ((1 - share) * late[whole] + share * late[whole + 1])
-    play_next = ca.fmin(ca.fmax(play, spool_next[0] - dynamics.play / 2), spool_next[0] + dynamics.play / 2)
-    mean = (f(play) + f(play_next)) / 2
+    command = (1 - share) * late[whole] + share * late[whole + 1]
+
+    def played(pushed):
+        return ca.fmin(ca.fmax(play, pushed - dynamics.play / 2), pushed + dynamics.play / 2)
+
+    if dynamics.play_first:
+        play_next = played(command)
+        spool_next = ca.mtimes(A, spool) + B * play_next
+        mean = (f(spool[0]) + f(spool_next[0])) / 2
+    else:
+        spool_next = ca.mtimes(A, spool) + B * command
+        play_next = played(spool_next[0])
+        mean = (f(play) + f(play_next)) / 2
     v_next = decay * v + (1 - decay) * mean
     y_next = [y + h * mean - dynamics.lag * (v_next - v), v_next] if integrating else [v_next]
     x_next = ca.vertcat(*y_next, spool_next, play_next, late[:-1])

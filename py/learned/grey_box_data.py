@@ -20,6 +20,8 @@ from .training_data import as_signals, check_excitation, choose_period, usable
 FINER = 5  # block samples over the longest period that loses nothing
 TOLERANCE = 1e-9  # of the output's range: deployed against fitted
 LEAST = 100  # samples of the output over all recordings
+MOST = 40_000  # samples of the block over all recordings, unless a period is given
+FEW = 12_000  # samples of the block to start a fit with
 RATIOS = np.geomspace(1e-5, 1e5, 21)
 
 
@@ -146,11 +148,22 @@ def block_period(verb: str, records: Sequence[Record], period: float | None) -> 
 
 
 def _fine_period(records: Sequence[Record]) -> float:
-    wanted, recorded = choose_period(records) / FINER, max(r.period for r in records)
+    longest, recorded = choose_period(records), max(r.period for r in records)
+    wanted = max(longest / FINER, min(longest, sum(r.duration for r in records) / MOST))
     if not all(r.uniform and abs(r.period - recorded) <= 1e-6 * recorded for r in records):
         return float(f"{min(wanted, min(r.period for r in records) / FINER):.6g}")
     steps = np.floor(wanted / recorded * (1 + 1e-9))
     return float(f"{recorded * steps if steps else recorded / np.ceil(recorded / wanted * (1 - 1e-9)):.9g}")
+
+
+def coarser(records: Sequence[Record], period: float) -> float:
+    """A multiple of the period, up to the longest that loses nothing, that keeps a first fit quick [s].
+
+    Only of recordings much denser than the block: otherwise held inputs would change between its samples.
+    """
+    if max(r.period for r in records) > 1.01 * period:
+        return period
+    return period * min(FINER, max(1, round(sum(r.duration for r in records) / period / FEW)))
 
 
 def seen_late(records: Sequence[Record], period: float, input_: Signal) -> float:

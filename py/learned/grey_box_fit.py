@@ -17,6 +17,7 @@ from .grey_box_data import Run, best_ratio, weighing
 
 STIFFNESS = 1e-5  # of the information per knot: what a kink costs; it bridges knots that no sample tells of
 SHORTEST = 0.3  # of a period: the time constants of spool and lag
+LEAST_DAMPING = 0.5  # a spool is well damped; less would be a load that rings, taken for it
 SCAN_KNOTS = 13
 
 
@@ -52,25 +53,31 @@ class Problem:
         return np.concatenate([weigh(columns_of(run)) for run, weigh in zip(self.runs, maps, strict=True)])
 
 
-def played(run: Run, dynamics: Dynamics, period: float) -> np.ndarray:
-    """Position behind the play (m,), from rest at the first input."""
+def opening(run: Run, dynamics: Dynamics, period: float) -> np.ndarray:
+    """What the map is of, (m,): the spool, or what lies behind its play; from rest at the first input."""
+    whole, share = dynamics.late(period)
+    padded = np.concatenate([np.full(whole + 1, run.input[0]), run.input])[: len(run.input) + 1]
+    late = (1 - share) * padded[1:] + share * padded[:-1]
+    if dynamics.play_first:
+        return _spool(follow(late, dynamics.play), dynamics, period)
+    return follow(_spool(late, dynamics, period), dynamics.play)
+
+
+def _spool(driven: np.ndarray, dynamics: Dynamics, period: float) -> np.ndarray:
+    """The spool (m,) that follows an input held over each period."""
     from scipy.signal import lfilter
 
-    whole, share = dynamics.late(period)
-    padded = np.concatenate([np.full(whole + 1, run.input[0]), run.input]) - run.input[0]
-    late = (1 - share) * padded[1:] + share * padded[:-1]
     A, B = dynamics.spool(period)
     b = [0.0, B[0], A[0, 1] * B[1] - A[1, 1] * B[0]]
-    spool = run.input[0] + lfilter(b, [1.0, -np.trace(A), np.linalg.det(A)], late[: len(run.input)])
-    return follow(spool, dynamics.play)
+    return driven[0] + lfilter(b, [1.0, -np.trace(A), np.linalg.det(A)], driven - driven[0])
 
 
-def follow(spool: np.ndarray, width: float) -> np.ndarray:
-    """Play of that width behind ``spool`` (m,), at first in its middle."""
+def follow(pushed: np.ndarray, width: float) -> np.ndarray:
+    """Play of that width behind ``pushed`` (m,), at first in its middle."""
     if width <= 0:
-        return spool
-    q, half, answer = float(spool[0]), width / 2, []
-    for s in spool.tolist():
+        return pushed
+    q, half, answer = float(pushed[0]), width / 2, []
+    for s in pushed.tolist():
         if q < s - half:
             q = s - half
         elif q > s + half:
@@ -130,7 +137,7 @@ def evaluate(problem: Problem, dynamics: Dynamics, knots: np.ndarray) -> Fitted:
     h, integrating = problem.period, problem.integrating
 
     def columns(run):
-        return run.sampled(responses(played(run, dynamics, h), knots, dynamics.lag, h, integrating))
+        return run.sampled(responses(opening(run, dynamics, h), knots, dynamics.lag, h, integrating))
 
     target = problem.rows(lambda run: run.output - run.output[0] * integrating)
     values, misses = monotone(problem.rows(columns), target, knots)
@@ -156,13 +163,13 @@ def refine(problem: Problem, start: Dynamics, knots: np.ndarray, evaluations: in
     lower, upper = _limits(problem)
 
     def misses(scaled):
-        fitted = evaluate(problem, _dynamics(problem, scaled), knots)
+        fitted = evaluate(problem, _dynamics(problem, scaled, start.play_first), knots)
         seen(fitted)
         return fitted.residuals
 
     first = np.clip(_scaled(problem, start), lower + 1e-3, upper - 1e-3)
     found = least_squares(misses, first, bounds=(lower, upper), diff_step=2e-3, max_nfev=evaluations, xtol=1e-5)
-    return evaluate(problem, _dynamics(problem, found.x), knots)
+    return evaluate(problem, _dynamics(problem, found.x, start.play_first), knots)
 
 
 def intervals(problem: Problem, fitted: Fitted) -> dict[str, tuple[float, float]]:
@@ -170,13 +177,13 @@ def intervals(problem: Problem, fitted: Fitted) -> dict[str, tuple[float, float]
 
     cov = s^2 (J'J)^-1,    J of the misses with the map fitted anew, in the scaled constants
     """
-    at, step = _scaled(problem, fitted.dynamics), 5e-3
+    at, step, first = _scaled(problem, fitted.dynamics), 5e-3, fitted.dynamics.play_first
     lower, upper = _limits(problem)
     sides = [np.where(at + step > upper, -step, step)[k] * np.eye(5)[k] for k in range(5)]
-    moved = [evaluate(problem, _dynamics(problem, at + side), fitted.knots).residuals for side in sides]
+    moved = [evaluate(problem, _dynamics(problem, at + side, first), fitted.knots).residuals for side in sides]
     J = np.column_stack([(m - fitted.residuals) / side.sum() for m, side in zip(moved, sides, strict=True)])
     spread = 1.96 * np.sqrt(fitted.loss * np.diag(np.linalg.pinv(J.T @ J)))
-    ends = [astuple(_dynamics(problem, np.clip(at + sign * spread, lower, upper))) for sign in (-1, 1)]
+    ends = [astuple(_dynamics(problem, np.clip(at + sign * spread, lower, upper), first))[:5] for sign in (-1, 1)]
     low, high = np.min(ends, axis=0), np.max(ends, axis=0)
     names = ("dead_time", "natural_frequency", "damping", "play", "lag")
     return {name: (float(a), float(b)) for name, a, b in zip(names, low, high, strict=True)}
@@ -199,7 +206,7 @@ def reweighed(problem: Problem, fitted: Fitted) -> Problem:
     d, h = fitted.dynamics, problem.period
     misses = []
     for run in problem.runs:
-        rows = run.sampled(responses(played(run, d, h), fitted.knots, d.lag, h, True))
+        rows = run.sampled(responses(opening(run, d, h), fitted.knots, d.lag, h, True))
         misses.append(np.diff(run.output - rows @ fitted.values))
     return replace(problem, ratio=best_ratio(problem.runs, misses))
 
@@ -217,7 +224,7 @@ def _scaled(problem: Problem, d: Dynamics) -> np.ndarray:
     )
 
 
-def _dynamics(problem: Problem, scaled: np.ndarray) -> Dynamics:
+def _dynamics(problem: Problem, scaled: np.ndarray, play_first: bool) -> Dynamics:
     width = problem.span[1] - problem.span[0]
     dead, w, damping, play, lag = (float(v) for v in scaled)
     return Dynamics(
@@ -226,11 +233,12 @@ def _dynamics(problem: Problem, scaled: np.ndarray) -> Dynamics:
         float(np.exp(damping)),
         play * float(width) / 10,
         float(np.exp(lag)) * problem.period,
+        play_first,
     )
 
 
 def _limits(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     slow = problem.longest / problem.period
-    lower = np.array([0.0, np.log(2 / slow), np.log(0.2), 0.0, np.log(SHORTEST)])
+    lower = np.array([0.0, np.log(2 / slow), np.log(LEAST_DAMPING), 0.0, np.log(SHORTEST)])
     upper = np.array([10.0, np.log(1 / SHORTEST), np.log(3.0), 4.0, np.log(slow)])
     return lower, upper

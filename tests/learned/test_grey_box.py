@@ -13,7 +13,7 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import assemble
 from hydrotwin.learned.grey_box import learn_grey_box
-from hydrotwin.learned.grey_box_block import GREY_BOX, Dynamics, grey_box_states
+from hydrotwin.learned.grey_box_block import CONSTANTS, GREY_BOX, Dynamics, grey_box_states
 from hydrotwin.learned.grey_box_data import Run, Whitening, best_ratio
 from hydrotwin.learned.grey_box_fit import bent_knots, follow, monotone, shares
 from hydrotwin.learned.piecewise import learn_piecewise
@@ -42,11 +42,12 @@ def short():
     return steps_record(1, duration=40.0)
 
 
-def written_block(dead_time=0.035, play=0.1, lag=0.02, period=0.01, integrating=1):
+def written_block(dead_time=0.035, play=0.1, lag=0.02, period=0.01, integrating=1, play_first=1):
     """A block whose constants are written down: rates -1, 0, 0, 2 at -1, -0.1, 0.1, 1."""
     dynamics = Dynamics(dead_time, 60.0, 0.8, play, lag)
     structure = {"knots": 4, "delay": dynamics.late(period)[0] + 1, "integrating": integrating}
-    constants = {**vars(dynamics), "period": period}
+    structure["play_first"] = play_first
+    constants = {name: getattr(dynamics, name) for name in CONSTANTS[:-1]} | {"period": period}
     knots, rates = [-1.0, -0.1, 0.1, 1.0], [-1.0, 0.0, 0.0, 2.0]
     return assemble(
         GREY_BOX, {k: [v] for k, v in constants.items()} | {"knots": knots, "rates": rates}, structure,
@@ -91,9 +92,10 @@ def test_the_total_delay_of_a_step_is_dead_time_spool_and_lag():
         assert late == pytest.approx(0.035 + 2 * 0.8 / 60 + 0.02, abs=tolerance)
 
 
-def test_the_play_makes_the_rate_of_a_falling_command_higher_than_that_of_a_rising_one():
+@pytest.mark.parametrize("play_first", [0, 1])
+def test_the_play_makes_the_rate_of_a_falling_command_higher_than_that_of_a_rising_one(play_first):
     slow = np.concatenate([np.linspace(0, 0.9, 2000), np.linspace(0.9, 0, 2000)])
-    v = np.diff(simulate(written_block(dead_time=0.0, lag=0.0), driven(slow))["position"]) / 0.01
+    v = np.diff(simulate(written_block(dead_time=0.0, lag=0.0, play_first=play_first), driven(slow))["position"]) / 0.01
     up, down = v[:2000][np.searchsorted(slow[:2000], 0.5)], v[2000:][np.searchsorted(-slow[2000:], -0.5)]
     assert down - up == pytest.approx(2.0 / 0.9 * 0.1, rel=0.02)
 

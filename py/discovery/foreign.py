@@ -28,6 +28,7 @@ from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
 
 AMPLITUDES = 5  # of a candidate, over its usual range
 SMALLEST = 0.1  # of the largest usual amplitude, where the usual range begins at or below zero
+ITS_OWN = 1.25  # times the noise: what an FMU whose parameters are held may leave
 CLOSER = 8  # further amplitudes around the best
 SHORTLIST = 10  # each of them is a fit that runs the FMU again and again
 
@@ -100,6 +101,14 @@ class AroundSearch(Search):
             found.append(best_amplitude(screen, screen.by_derivative(c), made, [ran for _, ran in runs]))
         self.not_testable.update({s.candidate.label: s for s in found if not s.testable})
         return screen, sorted(found, key=lambda s: -s.evidence)
+
+    def explained(self, now: Structure) -> bool:
+        """Little is left. Behind a first name a little more than noise is the FMU's own, of which nothing is fitted."""
+        if super().explained(now) or self.free or not now.members:
+            return super().explained(now)
+        with np.errstate(invalid="ignore"):
+            times = pooled_rmse((*now.fitted.residuals_fit, *now.fitted.residuals_select)) / self.question.noise
+        return bool(np.nanmax(times) < ITS_OWN)
 
     def shortlist(self, ranked: Sequence[Screened]) -> list[Screened]:
         """The best of those worth a refit."""

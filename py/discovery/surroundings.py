@@ -24,7 +24,7 @@ from .black_box import BlackBox, black_box
 
 RAW = "puts_out_"  # before the name of an output: what the FMU itself puts out
 WIDE = 30.0  # factor around its value within which a parameter of the FMU without bounds may move
-STEP, SAMPLES = 1e-3, 10  # s, steps of the surroundings in one of the FMU
+STEP, SAMPLES = 1e-3, 10  # s; steps of the surroundings in one of the FMU or between two samples
 LARGE = 0.9  # quantile of the size of a signal: its typical magnitude
 SHARE = 0.6  # of a lone recording: what is fitted to
 
@@ -110,8 +110,8 @@ class SurroundedFmu(Model):
         return Model(root, self.name, settings=settings, step=self.step, additions=self.additions)
 
 
-def surrounded(fmu: FmuBlock) -> SurroundedFmu:
-    """The FMU with nothing around it yet.
+def surrounded(fmu: FmuBlock, period: float = 0.0) -> SurroundedFmu:
+    """The FMU with nothing around it yet, for recordings with a sample every ``period`` s where that is known.
 
     Raises DeclarationError for one without inputs or outputs.
     """
@@ -125,11 +125,12 @@ def surrounded(fmu: FmuBlock) -> SurroundedFmu:
     own = float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.0
     name = re.sub(r"\W|^(?=\d)", "_", fmu.name)
     provenance = {k: str(v) for k, v in fmu.provenance.items()}
-    return SurroundedFmu(_component(fmu), name, step=max(STEP, own / SAMPLES), provenance=provenance)
+    step = max(STEP, own / SAMPLES, period / SAMPLES)
+    return SurroundedFmu(_component(fmu), name, step=step, provenance=provenance)
 
 
 def sized(model: SurroundedFmu, records: Sequence[Record]) -> SurroundedFmu:
-    """The same with typical magnitudes from recordings, of signals for which the FMU declares none.
+    """The same with steps that suit recordings, and typical magnitudes from them where the FMU declares none.
 
     Effects on a signal are sized by it: an offset of a pressure that counts as 1 Pa large would be looked for in vain.
     """
@@ -142,7 +143,9 @@ def sized(model: SurroundedFmu, records: Sequence[Record]) -> SurroundedFmu:
         return s if of[s.name] in declared or not size > 0 else dataclasses.replace(s, nominal=float(f"{size:.1g}"))
 
     signals = {kind: tuple(with_size(s) for s in getattr(model.fmu, kind)) for kind in ("inputs", "outputs")}
-    return surrounded(dataclasses.replace(model.fmu, **signals)).with_settings(model.settings, model.provenance)
+    period = min(float(np.median(np.diff(r.time))) for r in records)
+    sized_fmu = dataclasses.replace(model.fmu, **signals)
+    return surrounded(sized_fmu, period).with_settings(model.settings, model.provenance)
 
 
 def around_only(model: SurroundedFmu, candidates: Sequence[Candidate], seen: set[str]) -> tuple[Candidate, ...]:

@@ -39,9 +39,9 @@ CURRENT, SPOOL, POSITION = (Signal(name, UNITS[name]) for name in ("current", "s
 def main() -> None:
     print(f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores, {torch.get_num_threads()} threads")
     records = [recording(seed) for seed in (1, 2)]
-    dual = trained("dual process, 150 points", lambda: learn_dual_gp(records, [CURRENT], [POSITION], **options()))
+    dual = trained("dual process", lambda: learn_dual_gp(records, [CURRENT], [POSITION], **options()))
     single = trained(
-        "single process, 150 points",
+        "single process",
         lambda: learn_gaussian_process(records, [CURRENT], [POSITION], rate=True, **options()),
     )
     exact = trained(

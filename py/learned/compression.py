@@ -14,13 +14,15 @@ crowd where samples do, and miss the few transients that a process of little noi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve, cholesky, eigh, lstsq, qr, solve_triangular
 
 JITTER = 1e-10  # of the prior variance, on the diagonal of K_ZZ
+MEAN_POINTS = (100, 150, 200, 300, 400, 800)  # tried in turn
+SD_POINTS = (100, 150, 200)
 NEGLIGIBLE = 1e-8  # of the prior variance: a direction the data say less about is dropped from the deviation
 
 
@@ -89,34 +91,63 @@ def inducing_points(points: np.ndarray, count: int, kernel: str) -> np.ndarray:
     return points[chosen]
 
 
-def small_posterior(exact: Posterior, count: int, exact_mean: bool) -> SmallPosterior:
-    """The posterior on ``count`` inducing points; the mean on all training points where ``exact_mean`` asks for it."""
-    X = exact.features / exact.lengths
-    Z = inducing_points(X, count, exact.kernel)
-    weights, factor = _condition(exact, X, Z)
-    points = X if exact_mean else Z
-    weights = exact.weights * exact.prior_variance if exact_mean else weights
-    return SmallPosterior(points, weights, Z, factor, exact.constant, exact.prior_variance)
+def compressed(
+    exact: Posterior, places: np.ndarray, known: tuple[np.ndarray, np.ndarray], compress: int | str | None, bound: float
+) -> SmallPosterior:
+    """The posterior on ``compress`` inducing points; "auto" takes the fewest that keep ``bound``, None the exact mean.
 
-
-def _condition(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (M,) and upper trapezoidal factor (rank, M) for correlations with ``Z``.
-
-    With L L' = K_ZZ the variance explained is |(1 - B^-1)^1/2 L^-1 k(Z, z)|^2, where |L^-1 k|^2 is never more than the
-    prior variance: directions in which 1 - B^-1 is small can be left out for any z.
+    places (m, d), known: where the exact mean and deviation (m,) are known, to compare with. The mean costs little per
+    point and takes as many as it needs, the last resort being all rows; the deviation costs their square and takes 200
+    at most.
     """
-    s2, noise = exact.prior_variance, exact.noise_variance
-    K = s2 * (correlation(Z, Z, exact.kernel) + JITTER * np.eye(len(Z)))
-    L = cholesky(K, lower=True)
-    A = solve_triangular(L, s2 * correlation(Z, X, exact.kernel), lower=True)
-    B = np.eye(len(Z)) + A @ A.T / noise
-    alpha = cho_solve(cho_factor(B), A @ (exact.targets - exact.constant) / noise)
-    weights = s2 * solve_triangular(L.T, alpha)
+    X, at = exact.features / exact.lengths, places / exact.lengths
+    fixed = isinstance(compress, int)
+    sd_points, mean_points = ((compress,), (compress,)) if fixed else (SD_POINTS, MEAN_POINTS)
+    chosen = inducing_points(X, max(sd_points), exact.kernel)
+    for count in sd_points:
+        Z = chosen[:count]
+        small = SmallPosterior(Z, np.zeros(len(Z)), Z, _factor(exact, X, Z), exact.constant, exact.prior_variance)
+        if np.abs(small.at(at, exact.kernel)[1] - known[1]).max() <= bound or len(chosen) <= count:
+            break
+    for count in () if compress is None else mean_points:
+        if count > len(chosen) == max(sd_points):
+            chosen = inducing_points(X, max(mean_points), exact.kernel)
+        points, weights = _small_mean(exact, X, chosen[:count])
+        small = replace(small, points=points, weights=weights)
+        if fixed or np.abs(small.at(at, exact.kernel)[0] - known[0]).max() <= bound:
+            return small
+        if len(chosen) <= count:
+            break
+    return replace(small, points=X, weights=exact.prior_variance * exact.weights)
+
+
+def _small_mean(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points and weights (M,) of the mean for correlations with ``Z``."""
+    L, A, B = _whitened(exact, X, Z)
+    alpha = cho_solve(cho_factor(B), A @ (exact.targets - exact.constant) / exact.noise_variance)
+    return Z, exact.prior_variance * solve_triangular(L.T, alpha)
+
+
+def _factor(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Upper trapezoidal factor (rank, M) of the variance explained, for correlations with ``Z``.
+
+    The variance explained is |(1 - B^-1)^1/2 L^-1 k(Z, z)|^2, where |L^-1 k|^2 is never more than the prior variance:
+    directions in which 1 - B^-1 is small can be left out for any z.
+    """
+    L, _, B = _whitened(exact, X, Z)
     scale, V = eigh(B)
     told = np.maximum(1.0 - 1.0 / scale, 0.0)
-    told, V = (told[told > NEGLIGIBLE], V[:, told > NEGLIGIBLE]) if told.max() > NEGLIGIBLE else (told[-1:], V[:, -1:])
-    R = s2 * solve_triangular(L, V * np.sqrt(told), lower=True, trans="T").T
-    return weights, np.triu(qr(R, mode="economic")[1])
+    kept = told > min(NEGLIGIBLE, told.max() / 2)
+    R = solve_triangular(L, V[:, kept] * np.sqrt(told[kept]), lower=True, trans="T").T
+    return np.triu(qr(exact.prior_variance * R, mode="economic")[1])
+
+
+def _whitened(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """L with L L' = K_ZZ, A = L^-1 K_ZX and B = 1 + A A' / noise."""
+    s2 = exact.prior_variance
+    L = cholesky(s2 * (correlation(Z, Z, exact.kernel) + JITTER * np.eye(len(Z))), lower=True)
+    A = solve_triangular(L, s2 * correlation(Z, X, exact.kernel), lower=True)
+    return L, A, np.eye(len(Z)) + A @ A.T / exact.noise_variance
 
 
 def spline_coefficients(values, lower: float, upper: float, count: int, oversampling: int = 20) -> np.ndarray:

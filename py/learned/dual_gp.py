@@ -136,7 +136,8 @@ def certify(block: LearnedBlock, one: DeployedProcess, two: DeployedProcess, gri
         "slope_sd": float(np.abs(known[1] - two.on_grid[1]).max() / two.scale),
         "slope_in_cascade": float(np.abs(v - in_cascade).max() / two.scale),
     }
-    return deviation, Certificate(max(deviation.values()), bound, len(grid) + PLACES, reference_name())
+    worst = {sd: max(v for k, v in deviation.items() if k.endswith("_sd") is sd) for sd in (False, True)}
+    return deviation, Certificate(worst[False], bound, len(grid) + PLACES, reference_name(worst[True]))
 
 
 def cascade(block: LearnedBlock, features: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -62,9 +62,10 @@ def learn_gaussian_process(
         fit: "default", L-BFGS on the marginal likelihood; "paper", 100 Adam steps of 1e-2 from GPyTorch's defaults.
         points: random rows that the hyper-parameters are fitted on; None: all, as the paper did (minutes each step).
         samples: most rows to condition on; more are thinned at random.
-        compress: inducing points; "auto": 100 to 400, the fewest that keep ``bound``; None keeps every row in the mean
-            (the deviation is always compressed: the exact one needs the square of the rows in constants).
-        bound: of the deployed mean and deviation against the exact ones, over the output's spread; certified.
+        compress: inducing points; "auto": the fewest from 100 up that keep ``bound``; None: every row, the exact mean.
+            The deviation has 200 at most, for it needs their square in constants.
+        bound: of the deployed mean against the exact one, over the output's spread; certified. The certificate also
+            states how far the deviation is off.
         period: s between steps; None: see `even_period`.
         validate: recordings for the certificate and for ``provenance["validation"]``; nothing is selected on them.
         progress: called with a `GaussianProcessProgress` after every evaluation of the likelihood.
@@ -120,8 +121,8 @@ def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.nd
         deployed = seen[:, each * (j + 1) - 2 : each * (j + 1)]
         for k, (part, exact) in enumerate(zip(deviation, process.on_grid, strict=True)):
             deviation[part] = max(deviation[part], float(np.abs(deployed[:, k] - exact).max() / process.scale))
-    certificate = Certificate(max(deviation.values()), bound, len(grid), reference_name())
-    return deviation, certificate
+    reference = reference_name(deviation["sd"])
+    return deviation, Certificate(deviation["mean"], bound, len(grid), reference)
 
 
 def free_run_errors(block, records, outputs) -> dict[str, float]:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 LARGEST_C = 5e6  # bytes
 BYTES_OF_CONSTANT = 30  # one double in generated C, with its share of the indices
-AUTO = (100, 150, 200, 300, 400)  # inducing points, tried in turn
+FEWEST_POINTS = 100  # inducing points, before the bound asks for more
 FITS = ("default", "paper")
 
 
@@ -70,11 +70,13 @@ def train_process(
     exact_gp, features, targets, scales, grid, *, kernel, fit, points, compress, bound, rng, label, progress
 ) -> DeployedProcess:
     """Normalise, train, condition and compress one process; ``grid`` (m, d) is where the compressed one is compared."""
+    from .compression import compressed
+
     centre, scale = float(targets.mean()), float(targets.std()) or 1.0
     X, y, places = normalised(features, scales), (targets - centre) / scale, normalised(grid, scales)
     trained = exact_gp.train(X, y, kernel=kernel, fit=fit, points=points, rng=rng, process=label, progress=progress)
     exact = trained.predict(places)
-    small = _compressed(trained.posterior, places, exact, compress, bound)
+    small = compressed(trained.posterior, places, exact, compress, bound)
     arrays = {
         "lengths": trained.posterior.lengths,
         "points": small.points,
@@ -86,19 +88,6 @@ def train_process(
     }
     on_grid = (centre + scale * exact[0], scale * exact[1])
     return DeployedProcess(label, trained, small, arrays, scales, on_grid, centre, scale)
-
-
-def _compressed(posterior, places, exact, compress, bound: float) -> SmallPosterior:
-    """On ``compress`` inducing points; "auto" and the deviation of an exact mean: the fewest that keep the bound."""
-    from .compression import small_posterior
-
-    for count in AUTO if compress in ("auto", None) else (compress,):
-        small = small_posterior(posterior, count, exact_mean=compress is None)
-        found = small.at(places / posterior.lengths, posterior.kernel)
-        worst = max(float(np.abs(f - e).max()) for f, e in zip(found, exact, strict=True))
-        if worst <= bound or len(small.sd_points) < count:
-            break
-    return small
 
 
 def stacked(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -135,9 +124,10 @@ def provenance(kind: str, records, seed: int, rows: Rows, trained: Sequence[Depl
     }
 
 
-def reference_name() -> str:
-    """What the certificate compares with."""
-    return f"gpytorch {metadata.version('gpytorch')} float64: recorded rows, steady inputs, steps"
+def reference_name(sd: float) -> str:
+    """What the certificate compares with, and where; ``sd`` is how far the deviation is off, over the spread."""
+    version = metadata.version("gpytorch")
+    return f"gpytorch {version} float64: recorded rows, steady inputs, steps; standard deviation within {sd:.1e}"
 
 
 def import_training(verb: str):
@@ -172,7 +162,7 @@ def check_options(verb, kernel, lags, fit, points, samples, compress, bound, per
 
 def check_size(verb: str, rows: int, features: int, processes: int, compress: int | str | None) -> None:
     """Raise `DeclarationError` when the block would be more than 5 MB of C, were the fewest points enough."""
-    deviation = min(compress if isinstance(compress, int) else AUTO[0], rows)
+    deviation = min(compress if isinstance(compress, int) else FEWEST_POINTS, rows)
     points = rows if compress is None else deviation
     numbers = processes * (points * (features + 2) + deviation * (features + 1) + deviation * (deviation + 1) / 2)
     if numbers * BYTES_OF_CONSTANT > LARGEST_C:

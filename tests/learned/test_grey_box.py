@@ -14,14 +14,15 @@ from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import assemble
 from hydrotwin.learned.grey_box import learn_grey_box
 from hydrotwin.learned.grey_box_block import CONSTANTS, GREY_BOX, Dynamics, grey_box_states
-from hydrotwin.learned.grey_box_data import Run, Whitening, best_ratio
-from hydrotwin.learned.grey_box_fit import bent_knots, follow, monotone, shares
+from hydrotwin.learned.grey_box_data import Run, Whitening, best_ratio, coarser, run_of
+from hydrotwin.learned.grey_box_fit import bent_knots, follow, monotone, opening, responses, shares
 from hydrotwin.learned.piecewise import learn_piecewise
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-from tests.learned.hidden_valve import DEAD_TIME, PLAY, SPOOL_DELAY, ramps_record, steps_record
+from tests import rig
+from tests.learned.hidden_valve import DEAD_TIME, PLAY, SPOOL_DELAY, ramps_record, steps_record, valve_record
 
 CURRENT, POSITION = Signal("current", "1"), Signal("position", "m")
 BRIEF = {"period": 0.05, "knots": 7, "starts": 1, "effort": 0.2}
@@ -98,6 +99,33 @@ def test_the_play_makes_the_rate_of_a_falling_command_higher_than_that_of_a_risi
     v = np.diff(simulate(written_block(dead_time=0.0, lag=0.0, play_first=play_first), driven(slow))["position"]) / 0.01
     up, down = v[:2000][np.searchsorted(slow[:2000], 0.5)], v[2000:][np.searchsorted(-slow[2000:], -0.5)]
     assert down - up == pytest.approx(2.0 / 0.9 * 0.1, rel=0.02)
+
+
+@pytest.mark.parametrize("play_first", [0, 1])
+@pytest.mark.parametrize("integrating", [0, 1])
+@pytest.mark.parametrize(("dead_time", "play", "lag"), [(0.035, 0.1, 0.02), (0.0, 0.0, 0.0), (0.05, 0.3, 0.001)])
+def test_the_block_is_what_the_fit_runs(play_first, integrating, dead_time, play, lag):
+    command = np.repeat(np.random.default_rng(3).uniform(-1.2, 1.2, 40), 12)
+    record = driven(command)
+    run = run_of(record, 0.01, CURRENT, POSITION)
+    dynamics = Dynamics(dead_time, 60.0, 0.8, play, lag, bool(play_first))
+    block = written_block(dead_time, play, lag, integrating=integrating, play_first=play_first)
+    knots, rates = block.arrays["knots"], block.arrays["rates"]
+    fitted = responses(opening(run, dynamics, 0.01), knots, lag, 0.01, bool(integrating)) @ rates
+    found = simulate(block, record.with_signals({"position": np.full(len(command), fitted[0])}))["position"]
+    assert np.ptp(fitted) > 0.1 and np.abs(found - fitted).max() < 1e-12
+
+
+def test_from_a_dense_even_recording_play_and_dead_time_come_out_as_they_are():
+    time = np.arange(6001) / 200
+    command = rig.commands.steps(time, 1.0, 3, hold=(0.2, 1.0), speed=(0.104, 0.099), room=(-0.2, 0.2))
+    record = valve_record(command, time, step=0.0, noise=1e-4)
+    assert coarser([record], 0.0005) == 0.0005 and coarser([record], 0.005) == 0.005
+    assert coarser([record] * 4, 0.005) == pytest.approx(0.01)
+    block = learn_grey_box([record], ["current"], ["position"], period=0.005, starts=2, knots=15, effort=0.6)
+    found = {name: value for name, (value, *_) in block.provenance["identified"].items()}
+    assert found["play"] == pytest.approx(PLAY, abs=0.006)
+    assert found["dead_time"] == pytest.approx(DEAD_TIME, abs=0.01)
 
 
 def test_an_output_that_does_not_integrate_is_the_map_itself_after_the_lag():

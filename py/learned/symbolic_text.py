@@ -79,13 +79,14 @@ def equation_text(
             expression = expression + symbols[i]
         rounded = _rounded(expression)
         scale, centre = float(scales[f"{part}_scale"][i]), float(scales["output_centre"][i]) if whole_value else 0.0
-        shift = f"{centre:g} {output.unit} + " if centre else ""
+        unit, fancy = _units(output)
+        shift = f"{centre:g}{unit} + " if centre else ""
         before = "" if whole_value else f"{output.name}[k] + "
-        text.append(f"{output.name}[k+1] = {before}{shift}{scale:g} {output.unit} * ({sympy.sstr(rounded)})")
-        word, unit = _latex_word(output.name), rf"\,\mathrm{{{_escaped(output.unit)}}}"
+        text.append(f"{output.name}[k+1] = {before}{shift}{scale:g}{unit} * ({sympy.sstr(rounded)})")
+        word = _latex_word(output.name)
         own = "" if whole_value else rf"{word}[k] + "
-        own += f"{centre:g}{unit} + " if centre else ""
-        latex.append(rf"{word}[k+1] = {own}{scale:g}{unit}\left({sympy.latex(rounded)}\right)")
+        own += f"{centre:g}{fancy} + " if centre else ""
+        latex.append(rf"{word}[k+1] = {own}{scale:g}{fancy}\left({sympy.latex(rounded)}\right)")
     text += [f"x{n} = {meanings[i][0]}" for n, i in enumerate(used, 1)]
     latex += [f"x_{{{n}}} = {meanings[i][1]}" for n, i in enumerate(used, 1)]
     return "; ".join(text), r" \\ ".join(latex)
@@ -107,11 +108,11 @@ def _meanings(inputs, outputs, shape: NarxShape, scales) -> list[tuple[str, str]
     for lag in range(1, shape.output_lags + 1):
         for i, s in enumerate(outputs):
             later = "k" if lag == 1 else f"k-{lag - 1}"
-            scale, word = float(scales["increment_scale"][i]), _latex_word(s.name)
+            scale, word, (unit, fancy) = float(scales["increment_scale"][i]), _latex_word(s.name), _units(s)
             words.append(
                 (
-                    f"({s.name}[{later}] - {s.name}[k-{lag}])/({scale:g} {s.unit})",
-                    rf"({word}[{later}] - {word}[k-{lag}])/({scale:g}\,\mathrm{{{_escaped(s.unit)}}})",
+                    f"({s.name}[{later}] - {s.name}[k-{lag}])/({scale:g}{unit})",
+                    rf"({word}[{later}] - {word}[k-{lag}])/({scale:g}{fancy})",
                 )
             )
     for lag in range(shape.input_lags):
@@ -122,12 +123,16 @@ def _meanings(inputs, outputs, shape: NarxShape, scales) -> list[tuple[str, str]
 
 
 def _scaled(signal: Signal, at: str, centre, scale) -> tuple[str, str]:
-    centre, scale, unit = float(centre), float(scale), _escaped(signal.unit)
-    plain, fancy = f"{signal.name}[{at}]", f"{_latex_word(signal.name)}[{at}]"
+    centre, scale, (unit, fancy) = float(centre), float(scale), _units(signal)
+    plain, word = f"{signal.name}[{at}]", f"{_latex_word(signal.name)}[{at}]"
     if centre:
-        plain = f"({plain} - {centre:g} {signal.unit})"
-        fancy = rf"({fancy} - {centre:g}\,\mathrm{{{unit}}})"
-    return f"{plain}/({scale:g} {signal.unit})", rf"{fancy}/({scale:g}\,\mathrm{{{unit}}})"
+        plain, word = f"({plain} - {centre:g}{unit})", f"({word} - {centre:g}{fancy})"
+    return f"{plain}/({scale:g}{unit})", f"{word}/({scale:g}{fancy})"
+
+
+def _units(signal: Signal) -> tuple[str, str]:
+    """The unit behind a number, in text and in LaTeX; nothing for pure numbers."""
+    return ("", "") if signal.unit == "1" else (f" {signal.unit}", rf"\,\mathrm{{{_escaped(signal.unit)}}}")
 
 
 def _latex_word(name: str) -> str:

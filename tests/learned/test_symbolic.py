@@ -31,10 +31,11 @@ from hydrotwin.learned.symbolic import learn_symbolic
 from hydrotwin.learned.symbolic_data import prepare
 from hydrotwin.learned.symbolic_refit import FreeRun, laid_out
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation import simulate
 from tests.learned.toy_machine import ANGLE, COMMAND, PERIOD, SPEED, toy_record
 
-QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 40, "population": 600}
+QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 40, "population": 600, "budget": 3600.0}
 BRIEF = QUICK | {"generations": 10, "population": 200}
 # d = 0.5 d1 + 2 sin(0.2 u1) - 0.1 : features y, d1, u0, u1, u2
 SUM = (ADD, MULTIPLY, CONSTANT, VARIABLE + 1, MULTIPLY, CONSTANT, SINE, MULTIPLY, CONSTANT, VARIABLE + 3)
@@ -219,7 +220,7 @@ def test_the_learned_formula_follows_an_unseen_recording_within_a_degree(learned
 
 
 def test_free_runs_choose_better_than_the_paper_s_one_step_error(learned, recordings, validation):
-    paper = learn_symbolic(recordings, [COMMAND], [ANGLE], fit="paper", generations=40, population=600)
+    paper = learn_symbolic(recordings, [COMMAND], [ANGLE], fit="paper", generations=40, population=600, budget=3600)
     assert paper.period == PERIOD and paper.structure["output_lags"] == 0
     assert paper.certificate.holds
     assert rmse_deg(paper, validation) > 3 * rmse_deg(learned, validation)
@@ -230,6 +231,18 @@ def test_the_formula_can_be_read_with_its_units(learned):
     assert text == learned.description and text.startswith("arm_angle[k+1] = arm_angle[k] + 0.00")
     assert " rad * (" in text and "command[k" in text and " V)" in text
     assert r"\mathrm{arm\_angle}[k+1] =" in latex and r"\,\mathrm{V}" in latex
+
+
+def test_a_pure_number_is_printed_without_a_unit_and_a_centre_with_its_own():
+    pytest.importorskip("sympy")
+    from hydrotwin.learned.symbolic_text import equation_text
+
+    valve, formula = Signal("valve", "1"), Formula((MULTIPLY, CONSTANT, VARIABLE + 1), (0.25,))
+    scales = {"input_centre": [0.5], "input_scale": [0.2], "output_centre": [0.0], "output_scale": [0.3]}
+    scales |= {"increment_scale": [0.01]}
+    text, latex = equation_text(formula, (valve,), (ANGLE,), NarxShape(1, 1, 0, 1, 0), scales)
+    assert text == "arm_angle[k+1] = arm_angle[k] + 0.01 rad * (0.25*x1); x1 = (valve[k] - 0.5)/(0.2)"
+    assert latex.endswith(r"x_{1} = (\mathrm{valve}[k] - 0.5)/(0.2)")
 
 
 def test_the_printed_formula_is_the_deployed_one(learned):
@@ -328,7 +341,7 @@ def test_interrupting_the_selection_keeps_the_best_so_far(brief_recording):
 
 def test_the_time_budget_ends_the_work_early(brief_recording):
     pytest.importorskip("pyoperon")
-    block = learn_symbolic([brief_recording], [COMMAND], [ANGLE], budget=1e-3, **BRIEF)
+    block = learn_symbolic([brief_recording], [COMMAND], [ANGLE], **BRIEF | {"budget": 1e-3})
     assert "time budget" in block.provenance["stopped"]
 
 

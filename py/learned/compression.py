@@ -20,6 +20,8 @@ import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve, cholesky, eigh, lstsq, qr, solve_triangular
 
+from .kernel_block import BYTES_OF_CONSTANT, LARGEST_C
+
 JITTER = 1e-10  # of the prior variance, on the diagonal of K_ZZ
 MEAN_POINTS = (100, 150, 200, 300, 400, 800)  # tried in turn
 SD_POINTS = (100, 150, 200)
@@ -97,11 +99,11 @@ def compressed(
     """The posterior on ``compress`` inducing points; "auto" takes the fewest that keep ``bound``, None the exact mean.
 
     places (m, d), known: where the exact mean and deviation (m,) are known, to compare with. The mean costs little per
-    point and takes as many as it needs, the last resort being all rows; the deviation costs their square and takes 200
-    at most.
+    point and takes as many as it needs, in the end all rows where 5 MB of C allow it; the deviation costs the square of
+    its points and takes 200 at most.
     """
     X, at = exact.features / exact.lengths, places / exact.lengths
-    fixed = isinstance(compress, int)
+    fixed, small_enough = compress not in (None, "auto"), X.size * BYTES_OF_CONSTANT < 0.7 * LARGEST_C
     sd_points, mean_points = ((compress,), (compress,)) if fixed else (SD_POINTS, MEAN_POINTS)
     chosen = inducing_points(X, max(sd_points), exact.kernel)
     for count in sd_points:
@@ -118,6 +120,8 @@ def compressed(
             return small
         if len(chosen) <= count:
             break
+    if compress == "auto" and not small_enough:
+        return small
     return replace(small, points=X, weights=exact.prior_variance * exact.weights)
 
 

@@ -31,6 +31,7 @@ from .block_file import LearnedKind, Shapes, register_kind
 
 KERNELS = ("rbf", "matern32")
 LEAST_VARIANCE = 1e-12  # of the prior variance: keeps the derivative of the root finite
+LARGEST_C, BYTES_OF_CONSTANT = 5e6, 30  # bytes of generated C; of one double in it, with its share of the indices
 TINY = 1e-20  # under the root of a squared distance, for the same reason
 
 

@@ -12,14 +12,12 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError, nearest
 
 from .delay_lines import FEWEST, Rows, normalised
-from .kernel_block import KERNELS
+from .kernel_block import BYTES_OF_CONSTANT, KERNELS, LARGEST_C
 
 if TYPE_CHECKING:
     from .compression import SmallPosterior
     from .exact_gp import TrainedProcess
 
-LARGEST_C = 5e6  # bytes
-BYTES_OF_CONSTANT = 30  # one double in generated C, with its share of the indices
 FEWEST_POINTS = 100  # inducing points, before the bound asks for more
 FITS = ("default", "paper")
 
@@ -162,7 +160,7 @@ def check_options(verb, kernel, lags, fit, points, samples, compress, bound, per
 
 def check_size(verb: str, rows: int, features: int, processes: int, compress: int | str | None) -> None:
     """Raise `DeclarationError` when the block would be more than 5 MB of C, were the fewest points enough."""
-    deviation = min(compress if isinstance(compress, int) else FEWEST_POINTS, rows)
+    deviation = min(FEWEST_POINTS if compress in (None, "auto") else compress, rows)
     points = rows if compress is None else deviation
     numbers = processes * (points * (features + 2) + deviation * (features + 1) + deviation * (deviation + 1) / 2)
     if numbers * BYTES_OF_CONSTANT > LARGEST_C:

@@ -106,17 +106,13 @@ def one_in_one_out(verb: str, records, inputs, outputs, validate) -> tuple:
     records, validate = list(records), list(validate)
     if not records:
         raise DataError(f"{verb}: no recordings (got an empty list). Give at least one Record.")
-    inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
-    for role, named in {"input": inputs, "output": outputs}.items():
-        if len(named) != 1:
-            raise DataError(
-                f"{verb}: one {role} is needed (got {', '.join(s.name for s in named)}). "
-                "Learn a block for each, or take train_network."
-            )
-    if inputs[0].name == outputs[0].name:
-        raise DataError(f"{verb}: '{inputs[0].name}' named both as input and output. A signal is one of the two.")
-    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
-    check_excitation(records, (*inputs, *outputs))
+    try:
+        inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
+        _only_one(verb, inputs, outputs)
+        records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
+        check_excitation(records, (*inputs, *outputs))
+    except DataError as error:  # the checks are shared, and name the elder trainer
+        raise DataError(str(error).replace("train_network: ", f"{verb}: ", 1)) from None
     for record in (*records, *validate):
         if len(record) < 3:
             raise DataError(f"{record.source or record.name}: too few samples (got {len(record)}). Leave it out.")
@@ -126,6 +122,17 @@ def one_in_one_out(verb: str, records, inputs, outputs, validate) -> tuple:
             "Record longer."
         )
     return records, validate, inputs[0], outputs[0]
+
+
+def _only_one(verb: str, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> None:
+    for role, given in {"input": inputs, "output": outputs}.items():
+        if len(given) != 1:
+            raise DataError(
+                f"{verb}: one {role} is needed (got {', '.join(s.name for s in given)}). "
+                "Learn a block for each, or take train_network."
+            )
+    if inputs[0].name == outputs[0].name:
+        raise DataError(f"{verb}: '{inputs[0].name}' named both as input and output. A signal is one of the two.")
 
 
 def block_period(verb: str, records: Sequence[Record], period: float | None) -> float:

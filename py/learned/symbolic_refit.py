@@ -90,12 +90,16 @@ class FreeRun:
         return both[:, :, no:].reshape(*both.shape[:2], nc, no).swapaxes(2, 3)
 
     def error(self, constants, runs: Runs) -> float:
-        """RMS over all samples and outputs, in output scales."""
+        """RMS over all samples and outputs, in output scales; infinite for a run that leaves the finite numbers."""
         miss = (self.outputs(constants, runs) - runs.target)[runs.inside]
-        return float(np.sqrt(np.mean(miss**2)))
+        error = float(np.sqrt(np.mean(miss**2)))
+        return error if np.isfinite(error) else np.inf
 
     def refit(self, runs: Runs, evaluations: int) -> Formula:
-        """The formula with the constants of the least free-run error, by least squares from where they are."""
+        """The formula with the constants of the least free-run error, by least squares from where they are.
+
+        It stays as it is when its run or the derivatives leave the finite numbers.
+        """
         from scipy.optimize import least_squares
 
         if not self.formula.constants:
@@ -108,7 +112,10 @@ class FreeRun:
             return self.derivatives(c, runs)[runs.inside].reshape(-1, len(c))
 
         first = np.array(self.formula.constants)
-        found = least_squares(residual, first, slopes, x_scale="jac", ftol=TOLERANCE, max_nfev=evaluations)
+        try:
+            found = least_squares(residual, first, slopes, x_scale="jac", ftol=TOLERANCE, max_nfev=evaluations)
+        except (ValueError, np.linalg.LinAlgError):  # what SciPy raises for values that are not finite
+            return self.formula
         return Formula(self.formula.tokens, tuple(float(c) for c in found.x))
 
     def _walk(self, step: ca.Function, start: np.ndarray, constants, runs: Runs) -> np.ndarray:

@@ -64,7 +64,11 @@ class Selection:
             whole += self._pruned(shortest, i, bound).formula
         if len(self.names) == 1 or self.stopped:
             return whole
-        joint = _refit(self.data, whole, range(len(self.names)), LONG)
+        try:
+            joint = _refit(self.data, whole, range(len(self.names)), LONG)
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+            return whole
         return min(whole, joint, key=lambda f: free_run_error(self.data, f))
 
     def _refitted(self, formulas: Sequence[Formula], i: int) -> list[Candidate]:

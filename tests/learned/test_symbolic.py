@@ -29,7 +29,7 @@ from hydrotwin.learned.formula_block import (
 from hydrotwin.learned.narx import NarxShape, network_states
 from hydrotwin.learned.symbolic import learn_symbolic
 from hydrotwin.learned.symbolic_data import prepare
-from hydrotwin.learned.symbolic_refit import FreeRun, laid_out
+from hydrotwin.learned.symbolic_refit import FreeRun, Series, laid_out
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation import simulate
@@ -174,6 +174,18 @@ def test_the_refit_finds_the_constants_that_made_the_recording(recordings):
     product = found.constants[1] * found.constants[2]
     assert found.constants[0] == pytest.approx(0.5, rel=1e-2) and product == pytest.approx(0.4, rel=1e-2)
     assert found.constants[3] == pytest.approx(0.1, rel=1e-2)
+
+
+def test_a_formula_whose_values_overflow_runs_at_its_bounds_and_survives_a_refit(recordings):
+    data = prepare(recordings[:1], [], (COMMAND,), (ANGLE,), PERIOD, (1, 3), False)
+    nothing = Formula((SUBTRACT, MULTIPLY, CONSTANT, VARIABLE, MULTIPLY, CONSTANT, VARIABLE), (1e308, 1e308))
+    huge = Formula((MULTIPLY, CONSTANT, *nothing.tokens), (1e308, *nothing.constants))
+    huge = Formula((SUBTRACT, *huge.tokens, *huge.tokens), huge.constants * 2)
+    run = FreeRun(huge, [0], data.shape, data.bounds)
+    runs = laid_out([Series(1e6 * s.z, s.y) for s in data.series], data.fit, [0], data.shape)
+    assert np.isfinite(run.outputs(huge.constants, runs)).all()
+    with np.errstate(all="ignore"):
+        assert run.error(run.refit(runs, 5).constants, runs) <= run.error(huge.constants, runs)
 
 
 def test_pyoperon_and_the_tokens_compute_the_same():

@@ -43,6 +43,12 @@ class SurroundedFmu(Model):
         return type(self.root).fmu_inside
 
     @property
+    def sites(self) -> tuple[str, ...]:
+        """Where effects may stand: the inputs and outputs, in words of the language."""
+        inside = type(self.root).names_inside
+        return (*inside["inputs"], *inside["outputs"])
+
+    @property
     def inputs(self):
         return self.flat.inputs
 

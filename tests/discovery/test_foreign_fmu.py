@@ -11,6 +11,7 @@ from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.surroundings import surrounded
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.export.repeated import runs_made
+from hydrotwin.identification import identify
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, UnitError
@@ -190,6 +191,15 @@ def test_sensitivities_through_an_fmu_are_differences_of_runs(two_sensors):
         )
         central = (high - low) / (2 * size)
         assert np.abs(dy[:, :, k] - central).max() < 0.03 * np.abs(central).max(), name
+
+
+def test_parameters_of_an_fmu_and_of_effects_around_it_are_identified_together(two_sensors):
+    runs = drive_records(2, other=lambda w, time: 1.05 * w)
+    model = add_effect(surrounded(two_sensors), "sensor_scale", "other").with_parameters({"time_constant": 0.2})
+    fit = identify(model, runs, free=["time_constant", "sensor_scale_other.error"])
+    assert fit.converged
+    assert fit.values["time_constant"] == pytest.approx(0.3, rel=1e-3)
+    assert fit.values["sensor_scale_other.error"] == pytest.approx(0.05, rel=1e-2)
 
 
 # -- what is refused --------------------------------------------------------------------------------------------------

@@ -60,6 +60,14 @@ def test_the_answer_names_the_sensor_behind_the_fmu_and_writes_everything(found)
     assert "RealInput puts_out_other" in text and "SensorScale sensor_scale_other" in text
 
 
+def test_the_effects_of_an_fmu_stand_at_its_inputs_and_outputs_only(here):
+    answer = hydrotwin("effects", "drive.fmu", "--json")
+    assert answer.code == 0, answer.err
+    places = {(r["effect"], r["site"]) for r in json.loads(answer.out)}
+    assert {site for _, site in places} == {"command", "rate", "other"}
+    assert {("dead_time", "command"), ("command_deadband", "command"), ("sensor_lag", "other")} <= places
+
+
 def test_its_model_file_simulates_and_compares_better_than_the_fmu(here):
     simulated = hydrotwin("simulate", "gap/model.toml", "--input", "v.csv", "--out", "s.csv")
     assert simulated.code == 0, simulated.err

@@ -61,8 +61,10 @@ def effects(
     if model is None:
         rows, show = catalogue_rows(), print_catalogue
     else:
-        thing = physical(model, "effects")
+        thing = surroundable(model) if model.endswith(".fmu") else physical(model, "effects")
         rows = fitting_rows(thing)
+        if thing.flat.black_box:  # its parameters are freed by name
+            rows = [row for row in rows if row["site"] in thing.sites]
 
         def show(rows: list[dict]) -> None:
             print_fitting(thing.name, rows)

@@ -12,6 +12,8 @@ from scipy.optimize import minimize_scalar
 
 from hydrotwin.export.reader import FmuBlock
 from hydrotwin.models.effects import Candidate, candidates
+from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.declarations import Parameter
 
 from .answering import answer
 from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner
@@ -27,6 +29,7 @@ from .search import Search, Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
 
 AMPLITUDES = 5  # of a candidate, over its usual range
+USUAL_PERIOD, MUCH_SLOWER = 0.01, 5.0  # s, times it
 SMALLEST = 0.1  # of the largest usual amplitude, where the usual range begins at or below zero
 ITS_OWN = 1.25  # times the noise: what an FMU whose parameters are held may leave
 CLOSER = 8  # further amplitudes around the best
@@ -62,7 +65,8 @@ def discover_around(
     pieces, said, seconds = ready(model, records, validate, free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
-    fitting = around_only(model, candidates(model, effects, exclude), seen)
+    period = min(float(np.median(np.diff(r.time))) for r in records)
+    fitting = [at_pace(c, period) for c in around_only(model, candidates(model, effects, exclude), seen)]
     data = split(model.flat, pieces, validate, outputs, noise)
     data = dataclasses.replace(data, findings=(*said, *data.findings))
     question = Question(data.fit, data.select, data.noise, initial_states, step)
@@ -74,9 +78,30 @@ def discover_around(
         job = RefitJob(bounded.flat, names, question, coarse=True, label=model.name)
         base = _only(run(refit, [job], "identify the base"))
         told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
-        search = AroundSearch(bounded, names, fitting, question, run, report, told)
+        search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
         found = searched(search, reconsidered(search, Structure((), base)), max_effects)
         return answer(search, dataclasses.replace(data, noise=search.sensors), found, model, began)
+
+
+def at_pace(candidate: Candidate, period: float) -> Candidate:
+    """The candidate with times that suit recordings with a sample every ``period`` s.
+
+    The catalogue's times are those of machines sampled every 10 ms; a plant that is sampled every minute has others.
+    """
+    factor = period / USUAL_PERIOD
+    times = {k: p for k, p in declarations(candidate.effect).items() if isinstance(p, Parameter) and p.unit == "s"}
+    times = {k: p for k, p in times.items() if p.free}
+    if factor <= MUCH_SLOWER or not times:
+        return candidate
+    slower = {
+        k: dataclasses.replace(p, bounds=(p.bounds[0], factor * p.bounds[1]), nominal=factor * (p.nominal or 1.0))
+        for k, p in times.items()
+    }
+    paths = {f"{candidate.name}.{k}" for k in times}
+    typical = {n: tuple(factor * v for v in t) if n in paths else t for n, t in candidate.typical.items()}
+    probes = tuple({n: factor * v if n in paths else v for n, v in probe.items()} for probe in candidate.probes)
+    effect = type(candidate.effect.__name__, (candidate.effect,), slower)
+    return dataclasses.replace(candidate, effect=effect, typical=typical, probes=probes)
 
 
 class AroundSearch(Search):

@@ -130,7 +130,7 @@ def gpytorchs_own(records) -> dict[str, float]:
         process.model.eval()  # drops the caches of the other way
         with torch.no_grad(), gpytorch.settings.max_cholesky_size(10**9), gpytorch.settings.fast_pred_var(how):
             times = []
-            for _ in range(30 if how else 3):
+            for _ in range(30 if how else 2):
                 began = time.perf_counter()
                 answer = process.model(place)
                 _ = answer.mean, answer.variance

@@ -14,6 +14,7 @@ crowd where samples do, and miss the few transients that a process of little noi
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -100,36 +101,40 @@ def compressed(
 
     places (m, d), known: where the exact mean and deviation (m,) are known, to compare with. The mean costs little per
     point and takes as many as it needs, in the end all rows where 5 MB of C allow it; the deviation costs the square of
-    its points and takes 200 at most.
+    its points and takes 200 at most. What they miss makes it too large, hardly ever too small.
     """
     X, at = exact.features / exact.lengths, places / exact.lengths
     fixed, small_enough = compress not in (None, "auto"), X.size * BYTES_OF_CONSTANT < 0.7 * LARGEST_C
-    sd_points, mean_points = ((compress,), (compress,)) if fixed else (SD_POINTS, MEAN_POINTS)
-    chosen = inducing_points(X, max(sd_points), exact.kernel)
-    for count in sd_points:
-        Z = chosen[:count]
+    for Z in _growing(X, (compress,) if fixed else SD_POINTS, exact.kernel):
         small = SmallPosterior(Z, np.zeros(len(Z)), Z, _factor(exact, X, Z), exact.constant, exact.prior_variance)
-        if np.abs(small.at(at, exact.kernel)[1] - known[1]).max() <= bound or len(chosen) <= count:
+        if np.abs(small.at(at, exact.kernel)[1] - known[1]).max() <= bound:
             break
-    for count in () if compress is None else mean_points:
-        if count > len(chosen) == max(sd_points):
-            chosen = inducing_points(X, max(mean_points), exact.kernel)
-        points, weights = _small_mean(exact, X, chosen[:count])
-        small = replace(small, points=points, weights=weights)
+    for Z in () if compress is None else _growing(X, (compress,) if fixed else MEAN_POINTS, exact.kernel):
+        small = replace(small, points=Z, weights=_weights(exact, X, Z))
         if fixed or np.abs(small.at(at, exact.kernel)[0] - known[0]).max() <= bound:
             return small
-        if len(chosen) <= count:
-            break
     if compress == "auto" and not small_enough:
         return small
     return replace(small, points=X, weights=exact.prior_variance * exact.weights)
 
 
-def _small_mean(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points and weights (M,) of the mean for correlations with ``Z``."""
+def _growing(X: np.ndarray, counts: tuple[int, ...], kernel: str) -> Iterator[np.ndarray]:
+    """The first ``counts`` inducing points in turn; ends where they explain all rows."""
+    first = min(counts[-1], SD_POINTS[-1])
+    chosen = inducing_points(X, first, kernel)
+    for count in counts:
+        if count > first == len(chosen):
+            chosen = inducing_points(X, counts[-1], kernel)
+        yield chosen[:count]
+        if len(chosen) < count:
+            return
+
+
+def _weights(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """Weights (M,) of the mean for correlations with ``Z``."""
     L, A, B = _whitened(exact, X, Z)
     alpha = cho_solve(cho_factor(B), A @ (exact.targets - exact.constant) / exact.noise_variance)
-    return Z, exact.prior_variance * solve_triangular(L.T, alpha)
+    return exact.prior_variance * solve_triangular(L.T, alpha)
 
 
 def _factor(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> np.ndarray:

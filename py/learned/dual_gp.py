@@ -19,6 +19,7 @@ from .gaussian_process import free_run_errors, recordings
 from .kernel_block import KERNELS
 from .process_training import (
     DeployedProcess,
+    apart,
     check_options,
     check_size,
     counts,
@@ -125,19 +126,19 @@ def certify(block: LearnedBlock, one: DeployedProcess, two: DeployedProcess, gri
     over ``grid``.
     """
     spool, spool_sd, v, _ = cascade(block, grid)
-    exact, exact_sd = one.on_grid
+    exact = one.on_grid[0]
     low, high = block.arrays["spool_range"]
     known = _rate_of(block)(np.linspace(low, high, PLACES), np.zeros(PLACES))
     in_cascade = two.exact_mean(np.clip(exact, low, high)[:, None])
-    deviation = {
-        "spool": float(np.abs(spool - exact).max() / one.scale),
-        "spool_sd": float(np.abs(spool_sd - exact_sd).max() / one.scale),
-        "slope": float(np.abs(known[0] - two.on_grid[0]).max() / two.scale),
-        "slope_sd": float(np.abs(known[1] - two.on_grid[1]).max() / two.scale),
-        "slope_in_cascade": float(np.abs(v - in_cascade).max() / two.scale),
+    parts = {
+        "spool": apart(spool, spool_sd, one.on_grid, one.scale),
+        "slope": apart(*known, two.on_grid, two.scale),
     }
-    worst = {sd: max(v for k, v in deviation.items() if k.endswith("_sd") is sd) for sd in (False, True)}
-    return deviation, Certificate(worst[False], bound, len(grid) + PLACES, reference_name(worst[True]))
+    deviation = {f"{name}_{part}": value for name, found in parts.items() for part, value in found.items()}
+    deviation["slope_in_cascade_mean"] = float(np.abs(v - in_cascade).max() / two.scale)
+    worst = {p: max(v for k, v in deviation.items() if k.endswith(p)) for p in ("mean", "sd_above", "sd_below")}
+    reference = reference_name(worst["sd_above"], worst["sd_below"])
+    return deviation, Certificate(worst["mean"], bound, len(grid) + PLACES, reference)
 
 
 def cascade(block: LearnedBlock, features: np.ndarray) -> tuple[np.ndarray, ...]:

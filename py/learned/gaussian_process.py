@@ -17,6 +17,7 @@ from .delay_lines import certification_grid, delayed_rows, even_period, input_sc
 from .kernel_block import GAUSSIAN_PROCESS, KERNELS, process_frame
 from .process_training import (
     DeployedProcess,
+    apart,
     check_options,
     check_size,
     counts,
@@ -116,12 +117,12 @@ def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.nd
     held = len(block.states) - (grid.shape[1] - nu)
     x = np.hstack([np.zeros((len(grid), held)), grid[:, nu:]])
     seen = block.step.map(len(grid))(x.T, grid[:, :nu].T, np.zeros((0, len(grid))))[1].full().T
-    deviation = {"mean": 0.0, "sd": 0.0}
+    deviation = {"mean": 0.0, "sd_above": 0.0, "sd_below": 0.0}
     for j, process in enumerate(trained):
-        deployed = seen[:, each * (j + 1) - 2 : each * (j + 1)]
-        for k, (part, exact) in enumerate(zip(deviation, process.on_grid, strict=True)):
-            deviation[part] = max(deviation[part], float(np.abs(deployed[:, k] - exact).max() / process.scale))
-    reference = reference_name(deviation["sd"])
+        mean, sd = seen[:, each * (j + 1) - 2], seen[:, each * (j + 1) - 1]
+        found = apart(mean, sd, process.on_grid, process.scale)
+        deviation = {part: max(value, found[part]) for part, value in deviation.items()}
+    reference = reference_name(deviation["sd_above"], deviation["sd_below"])
     return deviation, Certificate(deviation["mean"], bound, len(grid), reference)
 
 

@@ -122,10 +122,22 @@ def provenance(kind: str, records, seed: int, rows: Rows, trained: Sequence[Depl
     }
 
 
-def reference_name(sd: float) -> str:
-    """What the certificate compares with, and where; ``sd`` is how far the deviation is off, over the spread."""
-    version = metadata.version("gpytorch")
-    return f"gpytorch {version} float64: recorded rows, steady inputs, steps; standard deviation within {sd:.1e}"
+def apart(mean: np.ndarray, sd: np.ndarray, exact: tuple[np.ndarray, np.ndarray], scale: float) -> dict[str, float]:
+    """How far mean and deviation (n,) are from the exact ones, over ``scale``; of the deviation, to either side."""
+    off = (sd - exact[1]) / scale
+    return {
+        "mean": float(np.abs(mean - exact[0]).max() / scale),
+        "sd_above": max(float(off.max()), 0.0),
+        "sd_below": max(float(-off.min()), 0.0),
+    }
+
+
+def reference_name(above: float, below: float) -> str:
+    """What the certificate compares with, and where; ``above``, ``below``: of the deviation, over the spread."""
+    return (
+        f"gpytorch {metadata.version('gpytorch')} float64: recorded rows, steady inputs, steps; "
+        f"standard deviation at most {above:.1e} too large, {below:.1e} too small"
+    )
 
 
 def import_training(verb: str):

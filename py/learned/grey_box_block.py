@@ -27,6 +27,7 @@ import numpy as np
 from hydrotwin.models.language.flat import Signal, StateVariable
 
 from .block_file import LearnedKind, Shapes, register_kind
+from .piecewise_block import whole_and_share
 
 CONSTANTS = ("dead_time", "natural_frequency", "damping", "play", "lag", "period")
 
@@ -56,9 +57,7 @@ class Dynamics:
 
     def late(self, period: float) -> tuple[int, float]:
         """Whole periods of the dead time, and the share of a period that is left."""
-        steps = self.dead_time / period
-        whole = int(np.floor(steps + 1e-12))
-        return whole, max(steps - whole, 0.0)
+        return whole_and_share(self.dead_time, period)
 
 
 def grey_box_states(structure: Mapping[str, int], input_: Signal, output: Signal) -> tuple[StateVariable, ...]:

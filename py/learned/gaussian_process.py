@@ -63,8 +63,8 @@ def learn_gaussian_process(
         fit: "default", L-BFGS on the marginal likelihood; "paper", 100 Adam steps of 1e-2 from GPyTorch's defaults.
         points: random rows that the hyper-parameters are fitted on; None: all, as the paper did (minutes each step).
         samples: most rows to condition on; more are thinned at random.
-        compress: inducing points; "auto": the fewest from 100 up that keep ``bound``; None: every row, the exact mean.
-            The deviation has 200 at most, for it needs their square in constants.
+        compress: inducing points; "auto": the fewest from 100 up that keep ``bound``, every row where 800 do not;
+            None: every row, the exact mean. The deviation has 200 at most, for it needs their square in constants.
         bound: of the deployed mean against the exact one, over the output's spread; certified. The certificate also
             states how far the deviation is off.
         period: s between steps; None: see `even_period`.

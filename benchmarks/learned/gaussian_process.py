@@ -5,7 +5,8 @@
 The rig's valve with a dead time and a deadband, sampled unevenly at 10 Hz, its position to a millimetre. The dual
 process is trained as a user would, with its certificate. A step of the compiled block, mean and deviation, is timed
 against GPyTorch's own prediction of the same quantities from the same data in the same run, with and without its fast
-variances. Wall clock throughout; the load of the machine is printed, for on a busy one the figures are too high.
+variances; without them it factorizes anew for every prediction, so the ratio to the fast ones is the fair one. Wall
+clock throughout; the load of the machine is printed, for on a busy one the figures are too high.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ SITES = {
 
 def _option(name: str, factor: float = 1.0):
     """The rig's option itself, in other units."""
-    return lambda made, options: factor * options[name]
+    return lambda made, options: factor * options.get(name, math.nan)  # nan: not what this case sets
 
 
 def _times_usual(made: Made, options) -> float:

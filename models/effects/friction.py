@@ -7,9 +7,10 @@ import casadi as ca
 from hydrotwin.models.language import Flange, HydraulicPort, Input, Parameter, State, der
 from hydrotwin.models.language.places import Places
 
-from .effect import Effect, Site
+from .effect import Effect
 from .sites import flanges
-from .stepping import Lagged, stepped
+from .stepping import Lagged, SteppedSite, stepped
+from .sticking import Sticking
 
 OLSSON = "H. Olsson et al., Friction models and friction compensation, 1998"
 CANUDAS = "C. Canudas de Wit et al., A new model for control of systems with friction, 1995"
@@ -52,12 +53,12 @@ class ViscousFriction(Effect):
         yield self.flange.f == self.viscous * der(self.flange.s)
 
 
-class CoulombFriction(Effect):
+class CoulombFriction(Sticking):
     """Dry friction: one force against the motion, whatever the speed.
 
-        F = F_c sign(v),   sign smoothed as tanh(v / v_0)
+        F = F_c sign(v),   sign as in `Sticking`
 
-    Validity: sliding; at rest it creeps with v_0. Source: Olsson et al. 1998.
+    Source: Olsson et al. 1998.
     """
 
     id, title = "coulomb_friction", "Coulomb friction"
@@ -68,20 +69,17 @@ class CoulombFriction(Effect):
     confused_with = ("stribeck_friction", "command_deadband", "pressure_dependent_friction")
     experiment = "slow motion at several constant speeds in both directions, with pressures"
 
-    flange = Flange("where it rubs")
     force = dry()
-    smoothing_velocity = smoothing()
-
-    sites = staticmethod(flanges)
 
     def equations(self):
-        yield self.flange.f == self.force * ca.tanh(der(self.flange.s) / self.smoothing_velocity)
+        yield self.sticking()
+        yield self.flange.f == self.force * self.bristles
 
 
-class StribeckFriction(Effect):
+class StribeckFriction(Sticking):
     """Dry friction that is larger at very low speed.
 
-        F = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sign(v),   sign smoothed as tanh(v / v_0)
+        F = (F_c + (F_s - F_c) exp(-(v/v_s)^2)) sign(v),   sign as in `Sticking`
 
     Identified: F_c, the excess F_s - F_c, v_s. Source: Olsson et al. 1998.
     """
@@ -99,18 +97,15 @@ class StribeckFriction(Effect):
     confused_with = ("coulomb_friction", "presliding_friction")
     experiment = "constant speeds from 1 mm/s up in both directions, each long enough to settle, with pressures"
 
-    flange = Flange("where it rubs")
     force = dry()
     excess = dry(0.0, "F_s - F_c, more at low speed")
     stribeck_velocity = Parameter(0.02, "m/s", "v_s", bounds=(2e-3, 0.3), nominal=0.02, source=OLSSON, free=True)
-    smoothing_velocity = smoothing()
-
-    sites = staticmethod(flanges)
 
     def equations(self):
+        yield self.sticking()
         v = der(self.flange.s)
         level = self.force + self.excess * ca.exp(-((v / self.stribeck_velocity) ** 2))
-        yield self.flange.f == level * ca.tanh(v / self.smoothing_velocity)
+        yield self.flange.f == level * self.bristles
 
 
 class PreslidingFriction(Lagged):
@@ -154,10 +149,10 @@ class PreslidingFriction(Lagged):
         yield self.flange.f == self.force * zeta
 
 
-class PositionDependentFriction(Effect):
+class PositionDependentFriction(Sticking):
     """Dry friction that changes along the way: a bent rod, a worn guide.
 
-        F = max(F_c + k s, 0) sign(v),   sign smoothed as tanh(v / v_0)
+        F = max(F_c + k s, 0) sign(v),   sign as in `Sticking`
 
     ``F_c`` is the friction at the model's position 0, ``k`` its slope; never a driving force.
     Source: Armstrong-Helouvry et al. 1994.
@@ -172,22 +167,19 @@ class PositionDependentFriction(Effect):
     confused_with = ("coulomb_friction", "pressure_dependent_friction")
     experiment = "the same slow to-and-fro motion in several positions, with pressures"
 
-    flange = Flange("where it rubs")
     force = dry(0.0, "F_c at s = 0", ARMSTRONG)
     slope = Parameter(0.0, "N/m", "k", bounds=(-1e6, 1e6), nominal=1000.0, source=ARMSTRONG, free=True)
-    smoothing_velocity = smoothing()
-
-    sites = staticmethod(flanges)
 
     def equations(self):
+        yield self.sticking()
         level = ca.fmax(self.force + self.slope * self.flange.s, 0)
-        yield self.flange.f == level * ca.tanh(der(self.flange.s) / self.smoothing_velocity)
+        yield self.flange.f == level * self.bristles
 
 
-class AsymmetricFriction(Effect):
+class AsymmetricFriction(Sticking):
     """Dry friction of another size in each direction, as of lip seals.
 
-        F = F_+ sign(v) for v > 0, F_- sign(v) for v < 0,   sign smoothed as tanh(v / v_0)
+        F = F_+ sign(v) for v > 0, F_- sign(v) for v < 0,   sign as in `Sticking`
 
     Source: Armstrong-Helouvry et al. 1994.
     """
@@ -201,16 +193,12 @@ class AsymmetricFriction(Effect):
     confused_with = ("coulomb_friction", "constant_load", "area_error")
     experiment = "slow motion in both directions and a stop in between: a constant load acts at rest too"
 
-    flange = Flange("where it rubs")
     out = dry(0.0, "F_+, towards larger s", ARMSTRONG)
     back = dry(0.0, "F_-, towards smaller s", ARMSTRONG)
-    smoothing_velocity = smoothing()
-
-    sites = staticmethod(flanges)
 
     def equations(self):
-        direction = ca.tanh(der(self.flange.s) / self.smoothing_velocity)
-        yield self.flange.f == self.out * ca.fmax(direction, 0) + self.back * ca.fmin(direction, 0)
+        yield self.sticking()
+        yield self.flange.f == self.out * ca.fmax(self.bristles, 0) + self.back * ca.fmin(self.bristles, 0)
 
 
 class AsymmetricViscousFriction(Effect):
@@ -241,10 +229,10 @@ class AsymmetricViscousFriction(Effect):
         yield self.flange.f == self.difference * v * ca.tanh(v / self.smoothing_velocity)
 
 
-class PressureDependentFriction(Effect):
+class PressureDependentFriction(Sticking):
     """Seals that are pressed on by the oil rub more.
 
-        F = (F_c + a |p_a - p_b| + r p_b) sign(v),   sign smoothed as tanh(v / v_0)
+        F = (F_c + a |p_a - p_b| + r p_b) sign(v),   sign as in `Sticking`
 
     with the pressures on both sides of a piston: its own seal is pressed on by their difference, that of the rod by the
     pressure on the rod's side. ``a`` and ``r`` are areas: those of the seals times their coefficients of friction.
@@ -264,13 +252,11 @@ class PressureDependentFriction(Effect):
     confused_with = ("coulomb_friction", "asymmetric_friction", "area_error")
     experiment = "the same slow motion under two loads, with pressures"
 
-    flange = Flange("where it rubs")
     p_a = Input("Pa", "pressure on one side", nominal=1e6)
     p_b = Input("Pa", "pressure on the side of the rod", nominal=1e6)
     force = dry(source=BONCHIS)
     piston_seal = Parameter(0.0, "N/Pa", "a", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
     rod_seal = Parameter(0.0, "N/Pa", "r", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
-    smoothing_velocity = smoothing()
 
     @classmethod
     def sites(cls, places: Places):
@@ -278,8 +264,10 @@ class PressureDependentFriction(Effect):
             moving, oil = part.ports_of(Flange), part.ports_of(HydraulicPort)
             if moving and len(oil) == 2 and places.node_at(f"{part.path}.{moving[0]}"):
                 a, b = (f"{part.path}.{port}.p" for port in oil)
-                yield Site(part.path, ties={"flange": f"{part.path}.{moving[0]}"}, reads={"p_a": a, "p_b": b})
+                ties, reads = {"flange": f"{part.path}.{moving[0]}"}, {"p_a": a, "p_b": b}
+                yield SteppedSite(part.path, ties, reads, step=places.model.step)
 
     def equations(self):
+        yield self.sticking()
         level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b
-        yield self.flange.f == level * ca.tanh(der(self.flange.s) / self.smoothing_velocity)
+        yield self.flange.f == level * self.bristles

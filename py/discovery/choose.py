@@ -13,6 +13,8 @@ from .search import Tried
 
 TEMPERATURE = 4.0  # by which BIC differences are divided: chosen on the tuning seeds of the benchmark
 HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
+EQUAL = 0.05  # of the gap: effects that close it alike, and neither better on held-out recordings, are not told apart
+PARALLEL, SAME = 0.98, 0.01  # cosine of what two effects do to the outputs; share of the gap by which they then differ
 REFINEMENT = 0.3  # of what the simple effect leaves: what its refinement must close to be preferred
 
 
@@ -79,8 +81,22 @@ def _contains(tried: Tried, best: Tried) -> bool:
 
 
 def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
+    """Whether the recordings cannot tell it from the best.
+
+    No equation is exactly the machine's, so likelihoods that differ by less than a share of the gap decide nothing:
+    held-out recordings must, and not between effects that do the same to every output once the base has adapted.
+    """
     over = compared(best.structure.fitted, tried.structure.fitted, q)
-    return abs(over.bic_gain) < TOGETHER and not abs(over.paired_t) > T_NEEDED
+    apart = best.evidence.closed - tried.evidence.closed
+    alike = apart < SAME and _cosine(tried, best) > PARALLEL
+    return alike or (not abs(over.paired_t) > T_NEEDED and (abs(over.bic_gain) < TOGETHER or apart < EQUAL))
+
+
+def _cosine(one: Tried, other: Tried) -> float:
+    """Of what two single effects do to the outputs, beyond what the base parameters do."""
+    if one.screened is None or other.screened is None:
+        return 0.0
+    return float(abs(one.screened.column @ other.screened.column))
 
 
 def _weight(tried: Tried, best: Tried, q: Question) -> float:

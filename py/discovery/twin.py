@@ -1,7 +1,8 @@
-"""Twin: what the smoothed signs of a named effect leave by themselves, so that no second effect is invented for it.
+"""Twin: what the softened signs of a named effect leave by themselves, so that no second effect is invented for it.
 
-A smoothed sign creeps where the machine sticks. The structure is run once with signs as good as exact, on an adaptive
-L-stable method, and the smooth structure is fitted to that run: its RMSE is a floor that a further effect must beat,
+A smoothed sign creeps where the machine sticks, and bristles give a little. The structure is run once with signs as
+good as exact, on an adaptive L-stable method, and the soft structure is fitted to that run: its RMSE is a floor that a
+further effect must beat,
 
     s_j^2 <- s_j^2 + floor_j^2.
 
@@ -24,7 +25,8 @@ from hydrotwin.simulation import prepare
 
 from .refit import Question, RefitJob, Refitted, refit
 
-EXACT = {"smoothing_velocity": 1e-6}  # last word of a path -> value at which its sign is as good as exact, SI
+# Last word of a path -> the value at which its sign is as good as exact, SI; the lag only of what gives.
+EXACT = {"smoothing_velocity": 1e-6, "give": 1e-7, "resolution": 1e-5}
 MATTERS = 0.1  # of the noise: a smaller floor changes nothing
 
 
@@ -43,8 +45,12 @@ class TwinJob:
 def smoothed_signs(flat: FlatModel, members: Sequence[Candidate]) -> tuple[str, ...]:
     """Paths of the parameters that smooth a sign in the effects that were added."""
     own = {c.name for c in members if c.name}
-    names = [p.name.rpartition(".") for p in flat.parameters]
-    return tuple(f"{part}.{word}" for part, _, word in names if part in own and word in EXACT)
+    words: dict[str, list[str]] = {part: [] for part in own}
+    for p in flat.parameters:
+        part, _, word = p.name.rpartition(".")
+        if part in own and word in EXACT:
+            words[part].append(word)
+    return tuple(f"{part}.{w}" for part, found in words.items() for w in found if w != "resolution" or "give" in found)
 
 
 def floor_of(job: TwinJob) -> np.ndarray | str:

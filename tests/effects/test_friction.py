@@ -15,6 +15,7 @@ from hydrotwin.models.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
+from hydrotwin.models.effects.sticking import Sticking
 from tests.components.bench import at, bench, run
 from tests.effects import benches
 
@@ -33,6 +34,9 @@ ALL = (
 def force(part, speed, place=0.0, **inputs):
     """Force on a flange that moves at a speed [m/s], at a place [m]."""
     states = {"flange_end.place": place, "flange_end.speed": speed}
+    if isinstance(part, Sticking):
+        states["part.bristles"] = float(np.sign(speed))  # where they stand once it slides
+        assert at(bench(part, flange="potential"), states, **inputs)["der(part.bristles)"] == 0.0
     return at(bench(part, flange="potential"), states, **inputs)["flange_f"]
 
 
@@ -95,8 +99,9 @@ def test_friction_takes_energy_on_any_motion(part):
     y = run(bench(part, flange="potential"), time, flange=motion, **inputs)
     power = y["flange_f"] * np.gradient(y["flange_s"], time)
     assert np.trapezoid(power, time) > 0
-    if not isinstance(part, PreslidingFriction):  # bristles give back what they stored
-        assert np.all(power > -1e-3 * power.max())
+    assert np.all(
+        power > -(0.1 if isinstance(part, (PreslidingFriction, Sticking)) else 1e-3) * power.max()
+    )  # bristles spring back
 
 
 def test_a_coasting_mass_loses_speed_in_proportion_to_time():
@@ -105,7 +110,7 @@ def test_a_coasting_mass_loses_speed_in_proportion_to_time():
     )
     time = np.linspace(0, 3, 31)
     y = run(model, time, start={"carriage.velocity": 0.4})
-    assert np.allclose(y["velocity"], 0.4 - 50.0 / 500.0 * time, atol=1e-4)
+    assert np.allclose(y["velocity"], 0.4 - 50.0 / 500.0 * time, atol=2e-4)  # the bristles bend first, for 1 ms
 
 
 def test_bristles_are_a_spring_before_they_slide():
@@ -124,15 +129,15 @@ def test_sliding_bristles_rub_with_the_stribeck_force(v):
     assert y["flange_f"][-1] == pytest.approx(50.0 * (1 + 0.4 * np.exp(-((v / 0.02) ** 2))) * np.sign(v), rel=1e-4)
 
 
-def test_bristles_hold_a_mass_that_a_smoothed_sign_lets_creep():
+@pytest.mark.parametrize("effect", ["presliding", "coulomb"])
+def test_friction_holds_a_mass_that_is_pushed_less_than_it_takes(effect):
     time = np.linspace(0, 20, 4001)
     push = 40.0 * np.minimum(time / 5, 1.0)
     damped = benches.axis().with_parameters({"carriage.friction.viscous": 3000.0})
-    models = (add_effect(damped, f"{word}_friction", values={"force": 50.0}) for word in ("presliding", "coulomb"))
-    held, creeping = (run(model, time, force=push)["position"] for model in models)
-    assert held[-1] == pytest.approx(1e-4 * np.log(50.0 / (50.0 - 40.0)), rel=0.1)  # Dahl: F = F_c (1 - exp(-s/delta))
+    held = run(add_effect(damped, f"{effect}_friction", values={"force": 50.0}), time, force=push)["position"]
+    give = 1e-4 if effect == "presliding" else 2e-6
+    assert held[-1] == pytest.approx(give * np.log(50.0 / (50.0 - 40.0)), rel=0.1)  # Dahl: F = F_c (1 - exp(-s/delta))
     assert held[-1] - held[2000] < 1e-6
-    assert creeping[-1] - creeping[2000] > 5e-3
 
 
 @pytest.mark.parametrize("v", (0.05, 0.5, 5.0, 50.0))

@@ -14,9 +14,25 @@ from hydrotwin.learned.block_file import LearnedKind, register_kind
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
+from tests.learned import test_grey_box, test_piecewise, test_symbolic
+from tests.learned.test_compensator import small_compensator
+from tests.learned.test_dual_gp import random_dual_gp
+from tests.learned.test_gaussian_process import random_gaussian_process
+from tests.learned.test_inverse import small_network, small_table
 from tests.learned.toy_machine import toy_record, untrained_block
 
-EXAMPLES = {"network": untrained_block, "published_formula": published_formula}
+EXAMPLES = {
+    "network": untrained_block,
+    "published_formula": published_formula,
+    "gaussian_process": random_gaussian_process,
+    "dual_gaussian_process": random_dual_gp,
+    "piecewise": test_piecewise.written_block,
+    "grey_box": test_grey_box.written_block,
+    "symbolic": lambda: test_symbolic.formula_block(test_symbolic.PLAIN),
+    "inverse_table": small_table,
+    "inverse_network": small_network,
+    "compensator": small_compensator,
+}
 
 
 @pytest.fixture

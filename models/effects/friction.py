@@ -73,7 +73,7 @@ class CoulombFriction(Sticking):
 
     def equations(self):
         yield self.sticking()
-        yield self.flange.f == self.force * self.bristles
+        yield self.flange.f == self.force * self.sign()
 
 
 class StribeckFriction(Sticking):
@@ -105,7 +105,7 @@ class StribeckFriction(Sticking):
         yield self.sticking()
         v = der(self.flange.s)
         level = self.force + self.excess * ca.exp(-((v / self.stribeck_velocity) ** 2))
-        yield self.flange.f == level * self.bristles
+        yield self.flange.f == level * self.sign()
 
 
 class PreslidingFriction(Lagged):
@@ -173,7 +173,7 @@ class PositionDependentFriction(Sticking):
     def equations(self):
         yield self.sticking()
         level = ca.fmax(self.force + self.slope * self.flange.s, 0)
-        yield self.flange.f == level * self.bristles
+        yield self.flange.f == level * self.sign()
 
 
 class AsymmetricFriction(Sticking):
@@ -198,7 +198,7 @@ class AsymmetricFriction(Sticking):
 
     def equations(self):
         yield self.sticking()
-        yield self.flange.f == self.out * ca.fmax(self.bristles, 0) + self.back * ca.fmin(self.bristles, 0)
+        yield self.flange.f == self.out * ca.fmax(self.sign(), 0) + self.back * ca.fmin(self.sign(), 0)
 
 
 class AsymmetricViscousFriction(Effect):
@@ -270,4 +270,4 @@ class PressureDependentFriction(Sticking):
     def equations(self):
         yield self.sticking()
         level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b
-        yield self.flange.f == level * self.bristles
+        yield self.flange.f == level * self.sign()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
+from typing import ClassVar
 
 from hydrotwin.models.language.places import Places
 
@@ -28,7 +29,12 @@ def stepped(sites: Callable[[Places], Iterator[Site]]):
 
 
 class Lagged(Effect):
-    """An effect with a fixed parameter ``resolution`` [s], a numerical lag that is at least the step of the model."""
+    """An effect with a fixed parameter ``resolution`` [s], a numerical lag that is at least the step of the model.
+
+    shortest : in steps; half a step is what an explicit Runge-Kutta method of order 4 still follows without overshoot.
+    """
+
+    shortest: ClassVar[float] = 1.0
 
     @classmethod
     def at(cls, site: Site):
@@ -36,7 +42,7 @@ class Lagged(Effect):
         part = super().at(site)
         if part is None:
             return None
-        declared, shortest = part.declared("resolution"), getattr(site, "step", 0.0)
+        declared, shortest = part.declared("resolution"), cls.shortest * getattr(site, "step", 0.0)
         if declared.value >= shortest:
             return part
         low, high = declared.bounds

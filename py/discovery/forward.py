@@ -9,7 +9,7 @@ import numpy as np
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import choose
+from .choose import choose, worth_refining
 from .decide import T_NEEDED, closed, compared
 from .look_back import pruned, settled
 from .recordings import quanta
@@ -67,10 +67,15 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
     screens = []
     if not now.members and search.explained(now):
         search.screened(now)  # nothing is missing; what could not have been seen is told
-    while len(now.members) < most and not search.explained(now):
+    while len(now.members) < most:
+        explained = search.explained(now)
+        if explained and not search.refinable(now):
+            break
         screen, ranked = search.screened(now)
-        tried = search.singles(now, search.shortlist(ranked))
+        tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
         screens.append((screen if not screens else None, ranked, tried))
+        if explained:  # what is left asks for no reason, but the form of a named effect may be put right
+            tried = [t for t in tried if t.evidence and worth_refining(t.evidence)]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             break

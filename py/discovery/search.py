@@ -277,10 +277,24 @@ class Search:
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
         return not has_gap(residuals, self.question.noise, CLEARLY if now.members else MEASURABLE).any()
 
+    def refinable(self, now: Structure) -> bool:
+        """Whether a trace is left that a refinement of a named effect may explain."""
+        residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
+        known = any(_refines(c, now) for c in self.candidates if c.label not in now.key)
+        return known and bool(has_gap(residuals, self.question.noise, MEASURABLE).any())
+
+    def refinements(self, now: Structure, ranked: Sequence[Screened]) -> list[Screened]:
+        """The candidates that refine a member of the structure and promise something."""
+        return [s for s in ranked if _refines(s.candidate, now) and s.evidence > LEAST_EVIDENCE]
+
     @property
     def needed(self) -> float:
         """BIC that a name must gain."""
         return bic_needed(len(self.candidates))
+
+
+def _refines(candidate: Candidate, now: Structure) -> bool:
+    return any(m.id in candidate.effect.refines for m in now.members)
 
 
 def label_of(members: Sequence[Candidate]) -> str:

@@ -81,6 +81,10 @@ def _load_base(spec: str):
 def _from_toml(path: Path):
     """A model file or a learned block; the file says which."""
     content = read_toml(path)
+    if content.get("kind") == "hybrid":
+        from hydrotwin.learned import read_hybrid
+
+        return read_hybrid(path, load)
     if "model" not in content and content.get("kind", "model") != "model":
         from hydrotwin.learned import read_block
 

@@ -5,6 +5,8 @@ from .compensator import learn_compensator
 from .dual_gp import learn_dual_gp
 from .gaussian_process import learn_gaussian_process
 from .grey_box import learn_grey_box
+from .hybrid import HybridBlock, read_hybrid, write_hybrid
+from .hybrid_training import learn_hybrid
 from .inverse import learn_inverse
 from .inverse_data import Characteristic, characteristic
 from .network import train_network
@@ -17,6 +19,7 @@ __all__ = [
     "Certificate",
     "Characteristic",
     "DomainShare",
+    "HybridBlock",
     "LearnedBlock",
     "LearnedKind",
     "characteristic",
@@ -25,13 +28,16 @@ __all__ = [
     "learn_dual_gp",
     "learn_gaussian_process",
     "learn_grey_box",
+    "learn_hybrid",
     "learn_inverse",
     "learn_piecewise",
     "learn_symbolic",
     "learned_kinds",
     "published_formula",
     "read_block",
+    "read_hybrid",
     "register_kind",
     "train_network",
     "write_block",
+    "write_hybrid",
 ]

@@ -75,9 +75,22 @@ def test_a_compensated_command_follows_the_desired_curve():
     assert rate(ht.simulate(block, asked)["current"]) == pytest.approx([-0.15, -0.06, 0.06, 0.15], abs=0.005)
 
 
+def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
+    train = recordings / "train_1.csv"
+    line = f"learn hybrid {train} --model cehA --output arm_angle --hidden 0 --budget 2 --json --out {tmp_path}/h.toml"
+    answer = hydrotwin(*line.split())
+    assert answer.code == 0, answer.err
+    block, measured = ht.load(f"{tmp_path}/h.toml"), ht.read_record(train)
+    before, after = json.loads(answer.out)["errors"]["arm_angle"].values()
+    corrected = ht.simulate(block, measured)["arm_angle"] - measured["arm_angle"]
+    assert after < before and np.sqrt(np.mean(corrected**2)) == pytest.approx(after, rel=0.05)
+
+
 @pytest.mark.parametrize(
     ("line", "says"),
     [
+        (f"learn hybrid ramp_1.csv {SIGNALS} --out a.toml", ["--model goes with hybrid"]),
+        (f"learn gp ramp_1.csv {SIGNALS} --model cehA --out a.toml", ["--model goes with hybrid"]),
         (f"learn gp ramp_1.csv {SIGNALS} --set lagz=3 --out a.toml", ["learn gp: has no option 'lagz'", "'lags'"]),
         (f"learn piecewise ramp_1.csv {SIGNALS} --hidden 3 --out a.toml", ["has no option 'hidden'", "dead_time"]),
         (f"learn gp ramp_1.csv {SIGNALS} --set lags --out a.toml", ["--set takes NAME=VALUE"]),

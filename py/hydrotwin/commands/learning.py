@@ -13,7 +13,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..loading import load
+from ..loading import load, origin
 from .shared import (
     JsonOption,
     RecordsArgument,
@@ -28,6 +28,7 @@ from .shared import (
     read_all,
     require_columns,
 )
+from .showing import physical
 
 KINDS = {
     "nn": ("train_network", "a small network, selected on its free-run error"),
@@ -36,6 +37,7 @@ KINDS = {
     "piecewise": ("learn_piecewise", "a characteristic of straight lines"),
     "grey_box": ("learn_grey_box", "dead time, hidden spool, play and a monotone characteristic; no spool sensor"),
     "symbolic": ("learn_symbolic", "a formula found by genetic programming"),
+    "hybrid": ("learn_hybrid", "an identified model (--model) and a network for what it lacks"),
 }
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
 RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
@@ -74,6 +76,7 @@ def learn(
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="NAME", help="input columns")] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="output columns")] = None,
     validate: ValidateOption = None,
+    model: Annotated[str | None, typer.Option("--model", metavar="MODEL", help="hybrid: the identified model")] = None,
     fit: Annotated[str | None, typer.Option(help="paper: the published procedure; default: the better one")] = None,
     hidden: Annotated[int | None, typer.Option(min=0, help="nn: hidden units; 0: the best linear model")] = None,
     budget: Annotated[float | None, typer.Option(min=0.1, help="s of training, then the best so far is taken")] = None,
@@ -89,16 +92,24 @@ def learn(
     if kind not in KINDS:
         raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
     check_file(output, ".toml")
+    if (kind == "hybrid") != bool(model):
+        raise DeclarationError(
+            f"learn {kind}: --model goes with hybrid (got {model}). Write learn hybrid --model m.toml."
+        )
     trainer = getattr(hydrotwin.learned, KINDS[kind][0])
     flags = {"fit": fit, "hidden": hidden, "budget": budget}
-    options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None})
+    more = (hydrotwin.learned.train_network,) if kind == "hybrid" else ()
+    options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None}, *more)
     train, judged = read_all(records, scale), read_all(validate, scale)
-    signals_in, signals_out = learned_signals([*train, *judged], inputs, outputs)
+    if kind == "hybrid":
+        arguments = (physical(model, "learn hybrid"), train, outputs)
+    else:
+        arguments = (train, *learned_signals([*train, *judged], inputs, outputs))
     block = _trained(
-        f"learn {kind}", trainer, (train, signals_in, signals_out), as_json,
+        f"learn {kind}", trainer, arguments, as_json,
         **options, **_named(name), validate=judged, seed=seed,
     )  # fmt: skip
-    _written(block, output, as_json)
+    _written(block, output, as_json, origin(model) if model else None)
 
 
 def invert(
@@ -145,10 +156,7 @@ def compensate(
     check_file(output, ".toml")
     options = _options("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
     points = [_waypoint(text) for text in waypoints]
-    block = _trained(
-        "compensate", learn_compensator, (_source(source, scale), command, answer, points), True,
-        **options, **_named(name),
-    )  # fmt: skip
+    block = learn_compensator(_source(source, scale), command, answer, points, **options, **_named(name))
     _written(block, output, as_json)
 
 
@@ -225,7 +233,8 @@ def _source(source: Sequence[str], scale):
 
 def _trained(what: str, trainer: Callable, arguments: tuple, silent: bool, **options):
     """The trained block, with a bar that says how good the best so far is."""
-    if "progress" not in inspect.signature(trainer).parameters or silent:
+    taken = inspect.signature(trainer).parameters.values()
+    if silent or not any(p.name == "progress" or p.kind is p.VAR_KEYWORD for p in taken):
         return trainer(*arguments, **options)
     with progress_bar() as bar:
         row = bar.add_task(what, total=None)
@@ -243,11 +252,12 @@ def _where(step) -> str:
     return f"{', '.join(words)}, " if words else ""
 
 
-def _written(block, output: Path, as_json: bool) -> None:
-    from hydrotwin.learned import write_block
+def _written(block, output: Path, as_json: bool, model: str | None = None) -> None:
+    """The block's files; a hybrid keeps the name of its model."""
+    from hydrotwin.learned import write_block, write_hybrid
 
     output.parent.mkdir(parents=True, exist_ok=True)
-    files = write_block(block, output)
+    files = write_hybrid(block, output, model) if model else write_block(block, output)
     if as_json:
         print_json({"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance})
         return

@@ -114,7 +114,8 @@ def network_functions(
     d = ca.fmin(ca.fmax(d, -a["increment_limit"]), a["increment_limit"]) * a["increment_scale"]
     y_next = ca.fmin(ca.fmax(y + d, a["output_lower"]), a["output_upper"])
 
-    x_next = ca.vertcat(y_next, ca.vertcat(d, increments)[: shape.fed_back - ny], u_line[: nu * (shape.input_lags - 1)])
+    kept_increments = ca.vertcat(d, increments)[: shape.fed_back - ny, :]  # two indices: [:0] of a scalar is (1, 0)
+    x_next = ca.vertcat(y_next, kept_increments, u_line[: nu * (shape.input_lags - 1), :])
     step = ca.Function("step", [x, u, p], [x_next, y], ["x", "u", "p"], ["x_next", "y"])
     y_first = ca.SX.sym("y", ny)
     at_rest = ca.vertcat(y_first, ca.SX.zeros(shape.fed_back - ny), ca.repmat(u, shape.input_lags - 1, 1))

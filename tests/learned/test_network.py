@@ -253,3 +253,9 @@ def test_the_speed_signal_keeps_its_own_unit_when_named_as_a_signal(recordings):
     pytest.importorskip("torch")
     block = train_network(recordings[:1], [COMMAND], [SPEED], **BRIEF | {"hidden": 0})
     assert block.outputs == (SPEED,) and block.states[0].unit == "rad/s"
+
+
+def test_a_network_without_past_increments_steps_like_any():
+    block = untrained_block(outputs=(ANGLE,), output_lags=0)
+    x, y = block.step(np.zeros(len(block.states)), 0.5, [])
+    assert x.shape == (len(block.states), 1) and y.shape == (1, 1)

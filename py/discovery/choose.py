@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .decide import T_NEEDED, TOGETHER, Evidence, bic_gain, compared
+from .decide import CLEARLY, T_NEEDED, TOGETHER, Evidence, bic_gain, compared, has_gap
 from .refit import Question
 from .search import Tried
 
@@ -83,13 +83,18 @@ def _contains(tried: Tried, best: Tried) -> bool:
 def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
     """Whether the recordings cannot tell it from the best.
 
-    No equation is exactly the machine's, so likelihoods that differ by less than a share of the gap decide nothing:
-    held-out recordings must, and not between effects that do the same to every output once the base has adapted.
+    Where the best leaves only noise, the likelihood tells. Where it leaves more, its equation is not exactly the
+    machine's, and likelihoods that differ by less than a share of the gap decide nothing: held-out recordings must, and
+    not between effects that do the same to every output once the base has adapted.
     """
     over = compared(best.structure.fitted, tried.structure.fitted, q)
+    untold = not abs(over.paired_t) > T_NEEDED
+    fitted = best.structure.fitted
+    if not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any():
+        return untold and abs(over.bic_gain) < TOGETHER
     apart = best.evidence.closed - tried.evidence.closed
     alike = apart < SAME and _cosine(tried, best) > PARALLEL
-    return alike or (not abs(over.paired_t) > T_NEEDED and (abs(over.bic_gain) < TOGETHER or apart < EQUAL))
+    return alike or (untold and (abs(over.bic_gain) < TOGETHER or apart < EQUAL))
 
 
 def _cosine(one: Tried, other: Tried) -> float:

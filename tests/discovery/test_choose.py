@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.choose import TEMPERATURE, choose, label, worth_refining
-from hydrotwin.discovery.decide import Evidence, compared
+from hydrotwin.discovery.choose import EQUAL, TEMPERATURE, choose, label, worth_refining
+from hydrotwin.discovery.decide import TOGETHER, Evidence, compared
 from hydrotwin.discovery.refit import Question, Refitted, likelihood
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.identification.problem import Recording
@@ -115,3 +115,10 @@ def test_a_refinement_needs_evidence_held_out_blocks_and_a_share(short):
 
 def test_a_pair_is_labelled_by_both():
     assert label(tried("drift", "null_bias")) == "drift at force + null_bias at force"
+
+
+def test_where_the_best_leaves_only_noise_the_likelihood_tells_it_from_another_that_closes_nearly_as_much():
+    best, other = tried("drift", fit=1.0), tried("null_bias", fit=1.02)
+    over = compared(best.structure.fitted, other.structure.fitted, ASKED)
+    assert over.bic_gain > TOGETHER and best.evidence.closed - other.evidence.closed < EQUAL
+    assert choose([best, other], 30, ASKED).members == (best,)

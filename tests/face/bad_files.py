@@ -52,7 +52,7 @@ RECORDINGS = {
 
 MODEL_FILES = {
     "starts_code.toml": 'model = "rig.py:f"\n',
-    "starts_fmu.toml": 'model = "old.fmu"\n',
+    "fmu_gone.toml": 'model = "absent.fmu"\n',
     "unknown_model.toml": 'model = "cehB"\n',
     "unknown_key.toml": 'model = "cehA"\n\n[run]\ncode = "import os"\n',
     "yaml.toml": '!!python/object/apply:os.system ["touch pwned"]\n',

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import shlex
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.learned import train_network
 from tests.face.bad_files import make
 from tests.face.command_line import contents, hydrotwin
 
@@ -61,7 +63,7 @@ MODELS = {
     "cehA@": ["no file after '@'", "Write cehA@model.toml"],
     "eq17@old.toml": ["old.toml: only a physical model takes the values of a model file"],
     "starts_code.toml": ["starts_code.toml: its model is Python code ('rig.py:f')", "rig.py:f@starts_code.toml"],
-    "starts_fmu.toml": ["starts_fmu.toml: its model is none of hydrotwin's (got 'old.fmu')", "Known: cehA"],
+    "fmu_gone.toml": ["fmu_gone.toml: its FMU is not there (got 'absent.fmu')", "Put it where the file says"],
     "unknown_model.toml": ["unknown_model.toml: its model is none of", "Did you mean 'cehA'?"],
     "unknown_key.toml": ["unknown_key.toml: unknown key 'run'", "A model file holds data only"],
     "yaml.toml": ["yaml.toml: this is not TOML", "line 1", "Correct that place"],
@@ -315,7 +317,8 @@ def test_a_write_that_fails_leaves_the_old_file_whole(here, monkeypatch, line):
         replace(source, target, **options)
 
     if line.startswith("learn"):
-        monkeypatch.setattr("hydrotwin.learned.train_network", lambda *_, **__: ht.published_formula())
+        instant = functools.wraps(train_network)(lambda *_, **__: ht.published_formula())
+        monkeypatch.setattr("hydrotwin.learned.train_network", instant)
     monkeypatch.setattr(os, "replace", full)
     answer = hydrotwin(*shlex.split(line))
     assert answer.code == 2, answer.said

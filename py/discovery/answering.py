@@ -67,6 +67,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     if verdict == "unknown" or has_gap(residual, data.noise, CLEARLY).any():
         unknown = describe_unknown(flat, data.train, residual, shown, _seen(after, data), data.noise)
     last = found.screens[-1] if found.screens else (None, (), ())
+    named = any(c in kept.members for t in last[2] for c in t.members)  # what was looked at last was not in vain
     final = model.plus(search.model(kept.members).additions) if kept.members else model
     return Discovery(
         name=search.base.name,
@@ -85,7 +86,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         overlays=view.overlays(),
         shifts=_shifts(search, before, after),
         waterfall=_waterfall(search, found, steps),
-        last_ranked=_ranked(last[1], last[2], None) if not steps or len(found.screens) > len(steps) else (),
+        last_ranked=() if named else _ranked(last[1], last[2], None),
         unknown=tuple(unknown),
         experiment=experiment,
         findings=(

@@ -122,10 +122,11 @@ def closed(better: Refitted, other: Refitted, q: Question) -> float:
     """Share of the reducible gap on held-out recordings (on the fit ones without any), outputs pooled.
 
     Outputs count by their share of the gap in units of what ``other`` leaves, so that the best sensor does not rule.
+    No noise is larger than what the better one leaves, whatever was estimated.
     """
-    after = better.residuals_select or better.residuals_fit
-    before = other.residuals_select or other.residuals_fit
-    return gap_closed(pooled_rmse(before), pooled_rmse(after), q.noise)
+    after = pooled_rmse(better.residuals_select or better.residuals_fit)
+    before = pooled_rmse(other.residuals_select or other.residuals_fit)
+    return gap_closed(before, after, np.where(np.isfinite(q.noise), np.fmin(q.noise, after), q.noise))
 
 
 def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import choose, worth_refining
+from .choose import choose, label, worth_refining
 from .decide import T_NEEDED, closed, compared
-from .look_back import pruned, settled
+from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
 from .search import CONVINCING, Search, Structure, label_of
@@ -22,7 +22,10 @@ PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must c
 
 
 def searched(search: Search, base: Structure, most: int) -> Found:
-    """Forward steps while something passes; pairs from the base when that does not explain most of the gap."""
+    """Forward steps while something passes; pairs from the base when that does not explain most of the gap.
+
+    When not even a pair does, candidates take part in the identification of the base.
+    """
     return _pruned(search, _best_of_singles_and_pairs(search, base, most))
 
 
@@ -32,11 +35,15 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
         return found
     screen, ranked, tried = found.screens[0]
     search.ask(search.sensors)
-    pairs = search.pairs(base, screen, ranked, tried)
-    choice = choose(pairs, len(search.candidates) ** 2 // 2, search.question)
+    others = search.pairs(base, screen, ranked, tried)
+    choice = choose(others, len(search.candidates) ** 2 // 2, search.question)
+    if choice is None and not found.steps:
+        others = from_the_beginning(search, base)
+        choice = choose(others, len(search.candidates), search.question)
     if choice is None:
         return found
-    step = Step(choice, tuple(ranked), (*tried, *pairs), base)
+    again = {label(t) for t in others}
+    step = Step(choice, tuple(ranked), (*(t for t in tried if label(t) not in again), *others), base)
     other = _forward(search, base, reconsidered(search, choice.best.structure), most, (step,))
     over = compared(other.last.fitted, found.last.fitted, search.question)
     clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH

@@ -6,8 +6,9 @@ import dataclasses
 
 from .decide import WORTH, compared
 from .refit import RefitJob, refit
-from .search import Search, Structure, Tried, label_of
+from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
 
+FROM_BEGINNING = 10  # candidates
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
 
@@ -37,6 +38,35 @@ def settled(search: Search, now: Structure, tried: Tried) -> tuple[Structure, Tr
     if not isinstance(larger, str) and larger.likelihood < fitted.likelihood:
         tried = dataclasses.replace(tried, structure=search.keep(Structure(members, larger)))
     return now, search.judged(tried, now)
+
+
+def from_the_beginning(search: Search, base: Structure) -> list[Tried]:
+    """Candidates fitted together with the base from where that began, as the answer to a gap that nothing explains.
+
+    The base identified without the effect may have bent until the screen no longer sees it: less volume for air. So
+    candidates are screened where the base has hardly moved, and the most promising take part in an identification.
+    """
+    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
+    job = RefitJob(search.base.flat, search.free, search.question, (first,), iterations=1, label=search.base.name)
+    near = search.run(refit, [job], "look back")[0]
+    if isinstance(near, str):
+        return []
+    _, ranked = search.screened(Structure((), near))
+    jobs, chosen = [], []
+    for s in sorted(ranked, key=lambda s: -s.gain):
+        same = sum(k.candidate.id == s.candidate.id for k in chosen)
+        if len(chosen) < FROM_BEGINNING and same < PER_EFFECT and s.gain > LEAST_EVIDENCE:
+            chosen.append(s)
+            start = {**first, **dict(s.candidate.probes[-1])}
+            flat, names = search.model((s.candidate,)).flat, search.names((s.candidate,))
+            label = s.candidate.label
+            jobs.append(RefitJob(flat, names, search.question, (start,), coarse=True, iterations=40, label=label))
+    tried = []
+    for s, fitted in zip(chosen, search.run(refit, jobs, "look back"), strict=True):
+        if not isinstance(fitted, str):
+            structure = search.keep(Structure((s.candidate,), fitted))
+            tried.append(search.judged(Tried((s.candidate,), s, structure), base))
+    return tried
 
 
 def pruned(search: Search, now: Structure) -> Structure:

@@ -206,7 +206,12 @@ def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np
 
 
 def _settled(task: Task, q: Question, found: Minimum, most: int):
-    """Weights and minimum in turns until they agree: ``(task, minimum, likelihood)``."""
+    """Weights and minimum in turns until they agree: ``(task, minimum, likelihood)``.
+
+    What was integrated with ease at the start may be stiff at the minimum: how is decided again.
+    """
+    if not task.flat.black_box:
+        task = dataclasses.replace(task, propagator=task.propagator.undecided())
     size = _sizes(task, q, found)
     for number in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))

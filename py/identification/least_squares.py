@@ -24,7 +24,7 @@ from hydrotwin.models.language.errors import SolveError
 
 from .shooting import Linearisation, Shooting
 
-LONGEST_STEP = 0.5  # in q: a factor 1.6 or half a unit
+LONGEST_STEP = 0.5  # in q: a factor 1.6, or half a unit, or half of what is more than a unit
 STALLED = 1e9
 SLOW_STEPS = 6
 
@@ -71,6 +71,7 @@ def minimise(
     and shortened. ``hold`` keeps q and moves the start states alone.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
+    logarithmic = shooting.free.logarithmic
     at = shooting.linearise(q, z)
     if at.diverged.all():
         raise SolveError(
@@ -82,7 +83,8 @@ def minimise(
         size = np.maximum(size, _diagonal(at))
         inside = _without_blocked(at, shooting, z)
         step = DampedStep(inside, len(q), size, damping)
-        dq, dz = step.towards(inside.gradient, lower - q, upper - q)
+        longest = LONGEST_STEP * np.where(logarithmic, 1.0, np.maximum(np.abs(q), 1.0))
+        dq, dz = step.towards(inside.gradient, np.maximum(lower - q, -longest), np.minimum(upper - q, longest))
         dz = shooting.clip(z + dz) - z if shooting.locals else dz
         promise = step.promise(dq, dz)
         dispersion = max(1.0, 2 * at.cost / shooting.count)
@@ -159,7 +161,7 @@ class DampedStep:
         return -float(np.einsum("sk,sk->", self._at.gradient, d) + 0.5 * bend)
 
     def _inside(self, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        return _bounded(self.matrix, g, np.maximum(low, -LONGEST_STEP), np.minimum(high, LONGEST_STEP))
+        return _bounded(self.matrix, g, low, high)
 
 
 def _floored(diagonal: np.ndarray) -> np.ndarray:

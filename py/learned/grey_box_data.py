@@ -106,13 +106,10 @@ def one_in_one_out(verb: str, records, inputs, outputs, validate) -> tuple:
     records, validate = list(records), list(validate)
     if not records:
         raise DataError(f"{verb}: no recordings (got an empty list). Give at least one Record.")
-    try:
-        inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
-        _only_one(verb, inputs, outputs)
-        records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
-        check_excitation(records, (*inputs, *outputs))
-    except DataError as error:  # the checks are shared, and name the elder trainer
-        raise DataError(str(error).replace("train_network: ", f"{verb}: ", 1)) from None
+    inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
+    _only_one(verb, inputs, outputs)
+    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
+    check_excitation(records, (*inputs, *outputs))
     for record in (*records, *validate):
         if len(record) < 3:
             raise DataError(f"{record.source or record.name}: too few samples (got {len(record)}). Leave it out.")

@@ -70,7 +70,7 @@ def training_box(records: Sequence[Record], signals: Sequence[Signal]) -> Traini
 def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tuple[Signal, ...]:
     """Signals by name or as they are; a bare name takes the unit it has in the recording."""
     if isinstance(wanted, (str, Signal)) or not wanted:
-        raise DataError(f"train_network: {role} must be a list of signals (got {wanted!r}). Name at least one.")
+        raise DataError(f"learn: {role} must be a list of signals (got {wanted!r}). Name at least one.")
     named = []
     for item in wanted:
         if isinstance(item, str):
@@ -81,13 +81,13 @@ def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tup
 
 
 def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]:
-    """The recordings with just these columns; raises `DataError` for what no network can learn from."""
+    """The recordings with just these columns; raises `DataError` for what nothing can be learnt from."""
     if not records:
-        raise DataError("train_network: no recordings (got an empty list). Give at least one Record.")
+        raise DataError("learn: no recordings (got an empty list). Give at least one Record.")
     checked = []
     for record in records:
         where = record.source or record.name
-        wanted = require(record, signals, "the network")
+        wanted = require(record, signals, "the block")
         for name in wanted.names:
             bad = np.flatnonzero(~np.isfinite(wanted[name]))
             if len(bad):
@@ -109,8 +109,8 @@ def check_excitation(records: Sequence[Record], signals: Sequence[Signal]) -> No
     for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
         if high - low <= 1e-12 * max(abs(low), abs(high), 1e-300):
             raise DataError(
-                f"train_network: '{name}' never changes in the training recordings (got {low:g} throughout). "
-                "A network learns only from signals that move. Leave it out or add a recording that moves it."
+                f"learn: '{name}' never changes in the training recordings (got {low:g} throughout). "
+                "Only signals that move can be learnt. Leave it out or add a recording that moves it."
             )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import warnings
 from collections import OrderedDict
@@ -65,7 +66,7 @@ class Propagator:
     """
 
     def __init__(self, flat: FlatModel, free_parameters, free_states, step: float, method: str):
-        self.flat, self.step = flat, step
+        self.flat, self.step, self._asked = flat, step, (step, method)
         self.free_parameters, self.free_states = free_parameters, free_states
         self.method = "explicit" if method == "vm" else method
         self._interpreted = method == "vm"
@@ -73,6 +74,13 @@ class Propagator:
         self._deciding = threading.Lock()
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
         self._engines = {False: explicit}
+
+    def undecided(self) -> Propagator:
+        """The same with step and method as they were asked for: "auto" is decided again, at other parameters."""
+        other = copy.copy(self)
+        other.step, other.method = self._asked[0], "explicit" if self._asked[1] == "vm" else self._asked[1]
+        other._deciding, other._engines = threading.Lock(), dict(self._engines)
+        return other
 
     @property
     def engine(self) -> str:

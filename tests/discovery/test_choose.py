@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.choose import EQUAL, TEMPERATURE, choose, label, worth_refining
+from hydrotwin.discovery.choose import EQUAL, TEMPERATURE, _late_somewhere, choose, label, worth_refining
 from hydrotwin.discovery.decide import TOGETHER, Evidence, compared
 from hydrotwin.discovery.refit import Question, Refitted, likelihood
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
@@ -122,3 +122,13 @@ def test_where_the_best_leaves_only_noise_the_likelihood_tells_it_from_another_t
     over = compared(best.structure.fitted, other.structure.fitted, ASKED)
     assert over.bic_gain > TOGETHER and best.evidence.closed - other.evidence.closed < EQUAL
     assert choose([best, other], 30, ASKED).members == (best,)
+
+
+@pytest.mark.parametrize(("outputs", "members"), [(1, 2), (2, 1)])
+def test_a_delay_of_the_only_input_or_of_the_only_output_is_a_class(outputs, members):
+    u = np.linspace(0, 1, N)[:, None]
+    y = np.zeros((N, 2))
+    y[:, outputs:] = np.nan
+    asked = Question((Recording("run", None, np.arange(N) * 0.01, u, y),), (), np.array([1.0, 1.0]))
+    late = [tried("dead_time"), tried("sensor_delay", fit=1.3)]
+    assert [_late_somewhere(t, asked) for t in late] == [members == 2] * 2

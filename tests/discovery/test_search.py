@@ -9,7 +9,7 @@ import pytest
 
 from hydrotwin.discovery.choose import choose, label
 from hydrotwin.discovery.decide import bic_needed
-from hydrotwin.discovery.look_back import pruned, settled
+from hydrotwin.discovery.look_back import from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.models.effects import candidates
@@ -112,6 +112,14 @@ def test_the_look_back_leaves_a_base_that_was_at_rest_alone(rubbing):
     (tried,) = search.singles(base, [coulomb])
     now, judged = settled(search, base, tried)
     assert now is base and judged.evidence.passes(5)
+
+
+def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):
+    search, base, *_ = rubbing
+    tried = from_the_beginning(search, base)
+    best = max(tried, key=lambda t: t.evidence.bic_gain)
+    assert label(best).startswith("coulomb_friction") and best.evidence.passes(5)
+    assert best.structure.fitted.values["coulomb_friction.force"] == pytest.approx(30.0, rel=0.05)
 
 
 def test_an_idle_member_is_dropped_and_the_one_that_works_stays(rubbing):

@@ -78,12 +78,14 @@ def test_a_compensated_command_follows_the_desired_curve():
 def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
     train = recordings / "train_1.csv"
     line = f"learn hybrid {train} --model cehA --output arm_angle --hidden 0 --budget 2 --json --out {tmp_path}/h.toml"
-    answer = hydrotwin(*line.split())
+    answer = hydrotwin(*line.split(), "--set", "lags=1,3", "--set", "features=arm_angle,")
     assert answer.code == 0, answer.err
     block, measured = ht.load(f"{tmp_path}/h.toml"), ht.read_record(train)
     before, after = json.loads(answer.out)["errors"]["arm_angle"].values()
     corrected = ht.simulate(block, measured)["arm_angle"] - measured["arm_angle"]
     assert after < before and np.sqrt(np.mean(corrected**2)) == pytest.approx(after, rel=0.05)
+    assert block.residual.structure["input_lags"] == 3
+    assert [s.name for s in block.residual.inputs] == ["command", "simulated.arm_angle"]
 
 
 @pytest.mark.parametrize(

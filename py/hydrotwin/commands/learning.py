@@ -42,7 +42,7 @@ KINDS = {
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
 RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind, such as lags=5")
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
 OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
 
@@ -197,7 +197,9 @@ def _options(what: str, function: Callable, settings, flags: dict, *more: Callab
 
 
 def _value(text: str):
-    """A number, true, false, none, or a word."""
+    """A number, true, false, none, or a word; with commas several: ``2,6``, or ``arm_angle,`` for one."""
+    if "," in text:
+        return tuple(_value(part.strip()) for part in text.split(",") if part.strip())
     words = {"true": True, "false": False, "none": None}
     if text.lower() in words:
         return words[text.lower()]

@@ -102,7 +102,8 @@ def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
 def _late_somewhere(tried: Tried, q: Question) -> bool:
     """A delay of the only input that moves or of the only output: time-invariant equations cannot tell which."""
     moving = np.any([np.ptp(r.u, axis=0) > 0 for r in q.fit], axis=0)
-    return [c.id for c in tried.members] in (["dead_time"], ["sensor_delay"]) and moving.sum() == 1 == (q.counts > 0).sum()
+    only = moving.sum() == 1 and (q.counts > 0).sum() == 1
+    return only and [c.id for c in tried.members] in (["dead_time"], ["sensor_delay"])
 
 
 def _cosine(one: Tried, other: Tried) -> float:

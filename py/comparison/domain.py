@@ -7,11 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.records import Record
-from hydrotwin.simulation.block import TrainingDomain
+from hydrotwin.simulation.block import ON_THE_EDGE, TrainingDomain
 
 from .comparison import FREE_RUN, DomainShare, Trajectory
-
-MARGIN = 1e-9  # of the box width: samples on the edge are inside
 
 
 def domain_shares(
@@ -65,12 +63,12 @@ def _share(model: str, record: str, box: TrainingDomain, values: np.ndarray, sou
     beyond = tuple(
         name
         for name, low, high, column in zip(box.names, box.lower, box.upper, values.T, strict=True)
-        if ((column < low - MARGIN * (high - low)) | (column > high + MARGIN * (high - low))).any()
+        if ((column < low - ON_THE_EDGE * (high - low)) | (column > high + ON_THE_EDGE * (high - low))).any()
     )
     return DomainShare(
         model=model,
         record=record,
-        inside_percent=100.0 * float(np.mean(distance <= MARGIN)),
+        inside_percent=100.0 * float(np.mean(distance <= ON_THE_EDGE)),
         farthest=float(distance.max()),
         beyond=beyond,
         source=source,

@@ -10,9 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable
-from hydrotwin.simulation.block import Block, TrainingDomain
-
-TRAINING_DISTANCE = "training_distance"
+from hydrotwin.simulation.block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block, TrainingDomain
 
 
 @dataclass(frozen=True)
@@ -195,13 +193,14 @@ def _start_of_block(block: Block) -> ca.Function:
 
 
 def _with_training_distance(block: Block) -> tuple[ca.Function, tuple[Signal, ...]]:
-    """The step with one more output: how far the block is outside the box of its training data."""
+    """The step with two more outputs: how far the block is outside the box of its training data, and whether it is."""
     x, u, p = _arguments(block.step)
     after, y = block.step(x, u, p)
     distance = _distance_from(block.domain, [s.name for s in block.inputs], [s.name for s in block.outputs], u, y)
-    step = ca.Function("step", [x, u, p], [after, ca.vertcat(y, distance)], ["x", "u", "p"], ["x_next", "y"])
-    meaning = "distance outside the box of the training data, in box widths; 0 inside"
-    return step, (*block.outputs, Signal(TRAINING_DISTANCE, "1", meaning))
+    inside = ca.if_else(distance <= ON_THE_EDGE, 1.0, 0.0)
+    step = ca.Function("step", [x, u, p], [after, ca.vertcat(y, distance, inside)], ["x", "u", "p"], ["x_next", "y"])
+    far = Signal(TRAINING_DISTANCE, "1", "distance outside the box of the training data, in box widths; 0 inside")
+    return step, (*block.outputs, far, Signal(INSIDE_TRAINING, "1", "1 inside the box of the training data, else 0"))
 
 
 def _distance_from(domain: TrainingDomain, inputs: list[str], outputs: list[str], u, y):

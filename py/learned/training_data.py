@@ -10,9 +10,8 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, noise_floor, require
-from hydrotwin.simulation.block import Block, TrainingDomain
+from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
-MARGIN = 1e-9  # of the box width: samples on the edge are inside
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
 
 
@@ -48,8 +47,8 @@ def domain_share(block: Block, record: Record) -> DomainShare:
         raise DataError(f"{record.source or record.name}: no sample is finite in {', '.join(box.names)}.")
     apart = {name: _one(box, k).distance(values[:, [k]]) for k, name in enumerate(box.names)}
     distance = box.distance(values)
-    beyond = tuple(name for name, d in apart.items() if d.max() > MARGIN)
-    return DomainShare(float(np.mean(distance <= MARGIN)), float(distance.max()), beyond)
+    beyond = tuple(name for name, d in apart.items() if d.max() > ON_THE_EDGE)
+    return DomainShare(float(np.mean(distance <= ON_THE_EDGE)), float(distance.max()), beyond)
 
 
 def _parts(box: TrainingDomain):

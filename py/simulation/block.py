@@ -12,6 +12,9 @@ import numpy as np
 
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 
+TRAINING_DISTANCE, INSIDE_TRAINING = "training_distance", "inside_training_domain"
+ON_THE_EDGE = 1e-9  # of the box width: samples on the edge are inside
+
 
 @dataclass(frozen=True)
 class TrainingDomain:

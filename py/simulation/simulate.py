@@ -12,7 +12,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Record, require
 
 from . import sampled
-from .block import Block
+from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
 from .propagator import prepare
 
 
@@ -29,7 +29,8 @@ def simulate(
 
     States start from ``start`` (SI, by name), else from the first sample of the output that measures them, else from
     the model's own initialisation. A Block runs at its own period: inputs are held or linear between the samples of
-    the record, outputs are linear between those of the block.
+    the record, outputs are linear between those of the block. A Block that knows its training domain also gives
+    ``training_distance`` (box widths outside, 0 inside) and ``inside_training_domain`` (1 or 0).
 
     parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
 
@@ -38,7 +39,8 @@ def simulate(
     _filled(record, model)
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
-        return _answer(record, model, sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0], run.grid)
+        y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
+        return _with_domain(_answer(record, model, y, run.grid), model, run, y)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     return _answer(record, flat, prepare(flat, step=step, method=method).run(record.time, u, p, x0)[0])
@@ -142,6 +144,17 @@ def _corrected(system: FlatModel | Block, record: Record, x: np.ndarray, grid: n
         measured = measured if grid is record.time else np.interp(grid, record.time, measured)
         corrected[:, j] = np.where(np.isfinite(measured), measured, x[:, j])
     return corrected
+
+
+def _with_domain(answer: Record, block: Block, run: _BlockRun, y: np.ndarray) -> Record:
+    """With the distance from the training data and whether that is nil, where the block knows its domain."""
+    if block.domain is None:
+        return answer
+    columns = dict(zip([s.name for s in (*block.inputs, *block.outputs)], np.hstack([run.u, y]).T, strict=True))
+    distance = block.domain.distance(np.column_stack([columns[name] for name in block.domain.names]))
+    distance = np.interp(answer.time, run.grid, distance)
+    told = {TRAINING_DISTANCE: distance, INSIDE_TRAINING: (distance <= ON_THE_EDGE).astype(float)}
+    return answer.with_signals(told, dict.fromkeys(told, "1"))
 
 
 def _answer(record: Record, system: FlatModel | Block, y: np.ndarray, grid: np.ndarray | None = None) -> Record:

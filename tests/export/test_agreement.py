@@ -250,3 +250,11 @@ def test_given_names_the_states_that_can_be_set(tmp_path, systems):
     instance = library.instance().initialise(**starts)
     assert instance.get(*(s.name for s in flat.states)) == list(starts.values())
     instance.free()
+
+
+def test_inside_and_outside_of_the_training_data_are_told_alike_in_python_and_in_the_fmu(fmus, systems):
+    record = command_record()
+    found, expected = read_fmu(fmus["lag with domain"]).free_run(record), simulate(systems["lag with domain"], record)
+    assert set(np.unique(expected["inside_training_domain"])) == {0.0, 1.0}
+    for name in ("training_distance", "inside_training_domain"):
+        np.testing.assert_allclose(found[name], expected[name], atol=1e-12)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,20 +14,20 @@ from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
 from .decide import CLEARLY, closed, has_gap, output_gap_closed
-from .discovery import Discovery, EffectParameter, OutputGap, Overlay, Ranked, RecordingGap, Rung, Shift
+from .discovery import Discovery, EffectParameter, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
 from .locate import locations
+from .ranking import ranking, untestable
 from .recordings import Split
 from .refit import Concluded, Question, RefitJob, conclude, pooled_rmse
 from .regions import regions
-from .screen import TESTABLE, Screened
+from .screen import Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
 
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 NAMED = 0.75  # of the gap on held-out recordings: less than that explained is not an explanation
-SHOWN = 12  # candidates of a step in the answer that were not refitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     shown = data.report or data.select
     view = View(flat, data, before, after, shown)
     share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
-    members = [named for step in steps for named in _named(step, after, share)]
+    known = {p.name: p for p in search.big.parameters} if found.screens else {}
+    members = [named for step in steps for named in _named(step, after, share, known)]
     experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit
     unknown = ()
@@ -86,7 +87,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         overlays=view.overlays(),
         shifts=_shifts(search, before, after),
         waterfall=_waterfall(search, found, steps),
-        last_ranked=() if named else _ranked(last[1], last[2], None),
+        last_ranked=() if named else ranking(last[1], last[2], None, known),
         unknown=tuple(unknown),
         experiment=experiment,
         findings=(
@@ -94,7 +95,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
             *_findings(search, found, verdict),
             *_of_fit(after),
         ),
-        not_testable=tuple(_untestable(s) for s in search.not_testable.values()),
+        not_testable=tuple(untestable(s) for s in search.not_testable.values()),
         seconds=time.perf_counter() - began,
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
@@ -181,7 +182,7 @@ def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
-def _named(step: Step, after: Concluded, explained: float) -> list[NamedStep]:
+def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> list[NamedStep]:
     """The named effect of a step; two for a pair, the one that explains more alone first."""
     best = step.choice.best
     alone = {t.members[0].label: t for t in step.tried if len(t.members) == 1 and t.structure}
@@ -207,7 +208,7 @@ def _named(step: Step, after: Concluded, explained: float) -> list[NamedStep]:
                 probability=step.choice.probability[label(best)] * explained,
                 parameters=_parameters(c, after),
                 gap_closed=closed_alone,
-                ranked=_ranked(step.ranked, step.tried, step.choice),
+                ranked=ranking(step.ranked, step.tried, step.choice, known),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
             )
@@ -228,81 +229,6 @@ def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
             typical = candidate.typical.get(name)
             found.append(EffectParameter(name, p.value, p.unit, p.sigma, float(low), float(high), text, typical))
     return tuple(found)
-
-
-def _ranked(ranked: Sequence[Screened], tried: Sequence[Tried], choice: Choice | None) -> tuple[Ranked, ...]:
-    members = [] if choice is None else list(choice.members)
-    rows, done = [], set()
-    for t in sorted(tried, key=lambda t: -(t.evidence.bic_gain if t.evidence else -np.inf)):
-        rows.append(_ranked_tried(t, choice, members))
-        done.add(label(t))
-    for s in [s for s in ranked if s.candidate.label not in done][:SHOWN]:
-        rows.append(
-            Ranked(
-                s.candidate.id, s.candidate.site.name, s.candidate.effect.title, s.candidate.effect.equation, s.share,
-                np.nan, np.nan, np.nan, 0.0, "not refitted",
-                _held_back(s, [r.effect for r in rows]),
-            )
-        )  # fmt: skip
-    order = {"named": 0, "in class": 1}
-    return tuple(sorted(rows, key=lambda r: (order.get(r.fate, 2), -np.nan_to_num(r.bic_gain, nan=-np.inf))))
-
-
-def _held_back(s: Screened, tried: Sequence[str]) -> str:
-    """Why a candidate was not refitted."""
-    if not s.testable:
-        return "it would not show in these recordings"
-    simple = [name for name in s.candidate.effect.refines if name in tried]
-    if simple:
-        return f"it refines {simple[0]} and waits until that is named"
-    return "the screen promises too little"
-
-
-def _ranked_tried(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> Ranked:
-    first = t.members[0]
-    share = t.screened.share if t.screened else 0.0
-    title = " and ".join(c.effect.title for c in t.members)
-    equation = "; ".join(c.effect.equation for c in t.members)
-    site = " + ".join(c.site.name for c in t.members) if len(t.members) == 1 else first.site.name
-    name = " + ".join(c.id for c in t.members)
-    if t.evidence is None:
-        return Ranked(name, site, title, equation, share, np.nan, np.nan, np.nan, 0.0, "cannot be added", t.reason)
-    probability = choice.probability.get(label(t), 0.0) if choice else 0.0
-    fate, reason = _fate(t, choice, members)
-    e = t.evidence
-    values = tuple(
-        EffectParameter(n, t.structure.fitted.values[n], "", np.nan, np.nan, np.nan, "", c.typical.get(n))
-        for c in t.members
-        for n in c.free
-    )
-    return Ranked(
-        name, site, title, equation, share, e.bic_gain, e.paired_t, e.closed, probability, fate, reason, values
-    )
-
-
-def _fate(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> tuple[str, str]:
-    if choice is not None and label(t) == label(choice.best):
-        return "named", ""
-    if label(t) in [label(m) for m in members]:
-        return "in class", "explains the recordings as well"
-    if t.implausible:
-        return "implausible", t.implausible
-    e = t.evidence
-    if choice is not None and label(t) in choice.probability:
-        return "rejected", "passes alone, but another explains more, or the same more simply"
-    if not e.bic_gain > 0:
-        return "rejected", "explains no more than its parameters cost"
-    if not e.paired_t > 2:
-        return "rejected", "no better on held-out recordings"
-    return "rejected", "too little evidence, or too small a part of the gap"
-
-
-def _untestable(s: Screened) -> Ranked:
-    c = s.candidate
-    reason = f"at its largest usual size it would show with |t| = {s.visible:.1f} (needed {TESTABLE:g})"
-    return Ranked(
-        c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, np.nan, np.nan, np.nan, 0.0, "not testable", reason
-    )
 
 
 def _experiment(search: Search, data: Split, steps: Sequence[Step]):

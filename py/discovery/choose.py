@@ -114,7 +114,7 @@ def _cosine(one: Tried, other: Tried) -> float:
 
 
 def _weight(tried: Tried, best: Tried, q: Question) -> float:
-    if tried is best:
+    if tried is best or (_late_somewhere(tried, q) and _late_somewhere(best, q)):
         return 1.0
     behind = max(bic_gain(best.structure.fitted, tried.structure.fitted, q), 0.0)
     return float(np.exp(-behind / (2 * TEMPERATURE)))

@@ -1,0 +1,98 @@
+"""Ranking: every candidate of a step with the evidence for and against it, and why it was not named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hydrotwin.models.language.flat import ParameterValue
+
+from .choose import Choice, label
+from .discovery import EffectParameter, Ranked
+from .screen import TESTABLE, Screened
+from .search import Tried
+
+SHOWN = 12  # candidates of a step in the answer that were not refitted
+
+
+def ranking(
+    ranked: Sequence[Screened], tried: Sequence[Tried], choice: Choice | None, known: Mapping[str, ParameterValue]
+) -> tuple[Ranked, ...]:
+    """Every candidate of a step, the named first; ``known`` are the declarations of their parameters by path."""
+    members = [] if choice is None else list(choice.members)
+    rows, done = [], set()
+    for t in sorted(tried, key=lambda t: -(t.evidence.bic_gain if t.evidence else -np.inf)):
+        rows.append(_ranked_tried(t, choice, members, known))
+        done.add(label(t))
+    for s in [s for s in ranked if s.candidate.label not in done][:SHOWN]:
+        rows.append(
+            Ranked(
+                s.candidate.id, s.candidate.site.name, s.candidate.effect.title, s.candidate.effect.equation, s.share,
+                np.nan, np.nan, np.nan, 0.0, "not refitted",
+                _held_back(s, [r.effect for r in rows]),
+            )
+        )  # fmt: skip
+    order = {"named": 0, "in class": 1}
+    return tuple(sorted(rows, key=lambda r: (order.get(r.fate, 2), -np.nan_to_num(r.bic_gain, nan=-np.inf))))
+
+
+def _held_back(s: Screened, tried: Sequence[str]) -> str:
+    """Why a candidate was not refitted."""
+    if not s.testable:
+        return "it would not show in these recordings"
+    simple = [name for name in s.candidate.effect.refines if name in tried]
+    if simple:
+        return f"it refines {simple[0]} and waits until that is named"
+    return "the screen promises too little"
+
+
+def _ranked_tried(t: Tried, choice: Choice | None, members: Sequence[Tried], known: Mapping) -> Ranked:
+    first = t.members[0]
+    share = t.screened.share if t.screened else 0.0
+    title = " and ".join(c.effect.title for c in t.members)
+    equation = "; ".join(c.effect.equation for c in t.members)
+    site = " + ".join(c.site.name for c in t.members) if len(t.members) == 1 else first.site.name
+    name = " + ".join(c.id for c in t.members)
+    if t.evidence is None:
+        return Ranked(name, site, title, equation, share, np.nan, np.nan, np.nan, 0.0, "cannot be added", t.reason)
+    probability = choice.probability.get(label(t), 0.0) if choice else 0.0
+    fate, reason = _fate(t, choice, members)
+    e = t.evidence
+    values = tuple(
+        EffectParameter(
+            n, t.structure.fitted.values[n], known[n].unit, np.nan, np.nan, np.nan, known[n].description,
+            c.typical.get(n),
+        )
+        for c in t.members
+        for n in c.free
+    )  # fmt: skip
+    return Ranked(
+        name, site, title, equation, share, e.bic_gain, e.paired_t, e.closed, probability, fate, reason, values
+    )
+
+
+def _fate(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> tuple[str, str]:
+    if choice is not None and label(t) == label(choice.best):
+        return "named", ""
+    if label(t) in [label(m) for m in members]:
+        return "in class", "explains the recordings as well"
+    if t.implausible:
+        return "implausible", t.implausible
+    e = t.evidence
+    if choice is not None and label(t) in choice.probability:
+        return "rejected", "passes alone, but another explains more, or the same more simply"
+    if not e.bic_gain > 0:
+        return "rejected", "explains no more than its parameters cost"
+    if not e.paired_t > 2:
+        return "rejected", "no better on held-out recordings"
+    return "rejected", "too little evidence, or too small a part of the gap"
+
+
+def untestable(s: Screened) -> Ranked:
+    """A candidate that would not show in these recordings."""
+    c = s.candidate
+    reason = f"at its largest usual size it would show with |t| = {s.visible:.1f} (needed {TESTABLE:g})"
+    return Ranked(
+        c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, np.nan, np.nan, np.nan, 0.0, "not testable", reason
+    )

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.models.effects import CATALOGUE
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -33,11 +35,12 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
     controls, outside = ([r for r in done if r["kind"] == kind] for kind in ("none", "out_of_library"))
     pairs = [r for r in done if r["kind"] == "pairs" and r["seen"]]
     found = [r for r in seen if all(r["in_class"])]
-    parameters = [p for r in done for p in r["parameters"]]
+    parameters = [p for r in done for p in r["parameters"] if p["true"] is not None]  # what a case does not set
     return [
         _share("single, gap seen: exact or right class", ">= 95 %", seen, _named_or_class, 0.95),
         _share("single, named something: truth inside the stated class", ">= 99 %", _named(seen), _inside, 0.99),
         _share("single, gap seen: top-1", "(%)", seen, lambda r: r["exact"][0]),
+        _share("single, gap seen: the simpler effect that it refines, alone", "(%)", seen, _simpler),
         _share("single, gap seen: further effects invented", "(%)", seen, lambda r: r["extra"] > 0),
         _share("single, gap seen: abstained", "(%)", seen, _abstained),
         _share("single, right effect at another place", "(%)", seen, lambda r: r["wrong_place"]),
@@ -58,6 +61,11 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
 
 def _inside(r) -> bool:
     return all(r["in_class"])
+
+
+def _simpler(r) -> bool:
+    """Coulomb friction where its dependence on the position was hidden: short of the truth, and not beside it."""
+    return len(r["named"]) == 1 and r["named"][0][0] in CATALOGUE[r["hidden"][0][0]].refines
 
 
 def _abstained_or_inside(r) -> bool:

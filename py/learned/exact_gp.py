@@ -57,8 +57,8 @@ class TrainedProcess:
     def predict(self, features: np.ndarray, deviation: bool = True) -> tuple[np.ndarray, np.ndarray | None]:
         """GPyTorch's own mean and latent standard deviation (when asked) at ``features`` (n, d), each (n,)."""
         with torch.no_grad(), _exact():
-            answer = self.model(torch.tensor(features))
-            return answer.mean.numpy(), answer.variance.clamp_min(0.0).sqrt().numpy() if deviation else None
+            answer = self.model(_tensor(features))
+            return _array(answer.mean), _array(answer.variance.clamp_min(0.0).sqrt()) if deviation else None
 
 
 class _Exact(gpytorch.models.ExactGP):
@@ -91,7 +91,7 @@ def train(
     """
     began = time.perf_counter()
     chosen = np.arange(len(X)) if points is None or points >= len(X) else np.sort(rng.permutation(len(X))[:points])
-    model = _model(torch.tensor(X[chosen]), torch.tensor(y[chosen]), kernel, softplus=fit == "paper")
+    model = _model(_tensor(X[chosen]), _tensor(y[chosen]), kernel, softplus=fit == "paper")
     search = _Search(model, process, progress)
     with _exact():
         try:
@@ -122,7 +122,7 @@ def _model(X, y, kernel: str, softplus: bool) -> _Exact:
     likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=noise)
     model = _Exact(X, y, likelihood, part)
     model.covar_module.raw_outputscale_constraint = positive()
-    model = model.double()
+    model = model.to(X)
     if not softplus:
         model.initialize(**{"covar_module.outputscale": 1.0, "likelihood.noise": 0.1})
         part.lengthscale = 2.0
@@ -174,7 +174,7 @@ class _Search:
             loss = self._backward()
         except (RuntimeError, ValueError):  # not positive definite; the line search steps back
             return 1e10, np.zeros(len(values))
-        return loss, np.concatenate([p.grad.numpy().ravel() for _, p in self.parameters])
+        return loss, np.concatenate([_array(p.grad).ravel() for _, p in self.parameters])
 
     def _backward(self) -> float:
         at = self._values()
@@ -189,7 +189,7 @@ class _Search:
         return value
 
     def _values(self) -> np.ndarray:
-        return np.concatenate([p.detach().numpy().ravel() for _, p in self.parameters])
+        return np.concatenate([_array(p.detach()).ravel() for _, p in self.parameters])
 
     def _set(self, values: np.ndarray) -> None:
         with torch.no_grad():
@@ -207,21 +207,34 @@ def _bounds(name: str) -> tuple[float, float]:
 
 def _condition(model: _Exact, X: np.ndarray, y: np.ndarray, kernel: str) -> Posterior:
     """GPyTorch's posterior of all the data: K^-1 (y - constant) is its own ``mean_cache``."""
-    model.set_train_data(torch.tensor(X), torch.tensor(y), strict=False)
+    model.set_train_data(_tensor(X), _tensor(y), strict=False)
     model.eval()
     with torch.no_grad():
-        model(torch.tensor(X[:1]))  # builds the prediction strategy
-        weights = model.prediction_strategy.mean_cache.numpy().ravel()
+        model(_tensor(X[:1]))  # builds the prediction strategy
+        weights = _array(model.prediction_strategy.mean_cache).ravel()
         return Posterior(
             kernel,
             X,
             y,
             weights,
-            lengths=model.covar_module.base_kernel.lengthscale.numpy().ravel().copy(),
+            lengths=_array(model.covar_module.base_kernel.lengthscale).ravel().copy(),
             prior_variance=float(model.covar_module.outputscale),
             noise_variance=float(model.likelihood.noise),
             constant=float(model.mean_module.constant),
         )
+
+
+def training_device() -> torch.device:
+    """The GPU when torch sees one, else the CPU. Cholesky factors of thousands of points are what gains by it."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _tensor(a: np.ndarray) -> torch.Tensor:
+    return torch.tensor(a, dtype=torch.float64, device=training_device())
+
+
+def _array(t: torch.Tensor) -> np.ndarray:
+    return t.cpu().numpy()
 
 
 @contextlib.contextmanager

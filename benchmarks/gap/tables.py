@@ -38,6 +38,7 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
     parameters = [p for r in done for p in r["parameters"] if p["true"] is not None]  # what a case does not set
     return [
         _share("single, gap seen: exact or right class", ">= 95 %", seen, _named_or_class, 0.95),
+        _share("the same where the true structure, refitted, closes half", "(%)", _closable(seen), _named_or_class),
         _share("single, named something: truth inside the stated class", ">= 99 %", _named(seen), _inside, 0.99),
         _share("single, gap seen: top-1", "(%)", seen, lambda r: r["exact"][0]),
         _share("single, gap seen: the simpler effect that it refines, alone", "(%)", seen, _simpler),
@@ -74,6 +75,11 @@ def _abstained_or_inside(r) -> bool:
 
 def _named_or_class(r) -> bool:
     return r["verdict"] in ("named", "class", "unknown") and _inside(r)
+
+
+def _closable(rows):
+    """Those whose gap the oracle closes by half at least. A chaotic stick-slip it cannot follow, or it is stuck."""
+    return [r for r in rows if r["oracle"] is None or r["oracle"] ** 2 - 1 < 0.5 * (r["before"] ** 2 - 1)]
 
 
 def _named(rows):

@@ -8,7 +8,7 @@ import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +19,7 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
 
 from .child_process import start_child
+from .fmu_process.gates import applicable
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
 from .foreign import Description, describe_fmu, unit_name
 from .reader import FmuBlock, read_fmu
@@ -26,6 +27,8 @@ from .writer import REFERENCE_FILE
 
 AGREEMENT = 1e-6
 """Largest difference to the reference, relative to the range of the signal, that passes."""
+OTHER_SOLVER = 1e-2
+"""The same for Model Exchange in an FMU with both: the reference is of the solver inside, not of the importer's."""
 
 PROBES = (
     "runs", "reset", "second instance", "state", "dependencies", "directional derivatives",
@@ -33,7 +36,8 @@ PROBES = (
 )  # fmt: skip
 
 
-EXCHANGE_PROBES = ("order of setting", "reset", "directional derivatives")
+EXCHANGE_PROBES = ("order of setting", "reset", "state", "directional derivatives", "NaN input")
+SECOND = " (Model Exchange)"  # after the name of a row: of the other half of an FMU that offers both
 
 
 @dataclass(frozen=True)
@@ -82,9 +86,11 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
     ``time_limit`` [s]: a short run, reset, a second instance, saving the state, declared dependencies against
     perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
     Of Model Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, reset,
-    and directional derivatives.
+    saving the state, directional derivatives and NaN. An FMU with both is tried as both.
+    Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer
+    (FMI 3 Model Exchange), where they are installed.
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared; they agree
-    when they differ by less than 1e-6 of each signal's range.
+    when they differ by less than 1e-6 of each signal's range (1e-2 in Model Exchange where there is both).
 
     A row fails only where the standard is broken or the numbers are wrong. Raises DataError when there is no file.
     """
@@ -98,7 +104,8 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
     rows = [
         CheckRow("readable", True, _summary(description)), _validation(path), _files(path), _platforms(path),
         _units(description), *_probes(path, description, time_limit),
-        _reference(path, reference, time_limit),
+        *_in_child(path, applicable(description.source), "gates", time_limit),
+        *_references(path, description, reference, time_limit),
     ]  # fmt: skip
     return Check(str(path), tuple(rows))
 
@@ -106,7 +113,12 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
 def _summary(description: Description) -> str:
     md = description.source
     counts = f"{len(inputs_of(md))} inputs, {len(outputs_of(md))} real outputs, {len(md.modelVariables)} variables"
-    return f"{md.modelName}, FMI {md.fmiVersion} {description.interface}, {counts}, by {md.generationTool or 'unknown'}"
+    kinds = f"{description.interface}{' and ModelExchange' if _offers_both(description) else ''}"
+    return f"{md.modelName}, FMI {md.fmiVersion} {kinds}, {counts}, by {md.generationTool or 'unknown'}"
+
+
+def _offers_both(description: Description) -> bool:
+    return description.source.coSimulation is not None and description.source.modelExchange is not None
 
 
 def _validation(path: Path) -> CheckRow:
@@ -150,13 +162,12 @@ def _units(description: Description) -> CheckRow:
 
 
 def _probes(path: Path, description: Description, limit: float) -> list[CheckRow]:
-    """Each probe's row, of Co-Simulation where that is offered. After a crash the rest goes on in a new process."""
-    if description.interface != "CoSimulation":
-        return [
-            _model_exchange_run(path, description, limit),
-            *_in_child(path, EXCHANGE_PROBES, "ModelExchange", limit),
-        ]
-    return _in_child(path, PROBES, "CoSimulation", limit)
+    """Each probe's row, of both kinds where both are offered. After a crash the rest goes on in a new process."""
+    rows = _in_child(path, PROBES, "CoSimulation", limit) if description.interface == "CoSimulation" else []
+    if description.source.modelExchange is None:
+        return rows
+    own = [_model_exchange_run(path, description, limit), *_in_child(path, EXCHANGE_PROBES, "ModelExchange", limit)]
+    return [*rows, *(replace(row, name=row.name + SECOND) for row in own)] if rows else own
 
 
 def _in_child(path: Path, probes: Sequence[str], interface: str, limit: float) -> list[CheckRow]:
@@ -191,7 +202,7 @@ def _read_rows(path: Path) -> tuple[list[CheckRow], str | None]:
 def _model_exchange_run(path: Path, description: Description, limit: float) -> CheckRow:
     """A second of simulation at rest, with FMPy's solver."""
     time = np.linspace(0.0, 1.0, 51)
-    block = read_fmu(path, time_limit=limit)
+    block = _exchanging(read_fmu(path, time_limit=limit))
     at_rest = {s.name: np.full(51, _start_of(description, s.name, block)) for s in block.inputs}
     record = Record(time, at_rest, {s.name: s.unit for s in block.inputs}, "at rest")
     return _tried("runs", lambda: _all_finite(block, record))
@@ -210,11 +221,22 @@ def _all_finite(block: FmuBlock, record: Record) -> tuple[bool, str]:
     return finite, f"{record.duration:g} s simulated, {count}"
 
 
-def _reference(path: Path, reference: Record | None, limit: float) -> CheckRow:
+def _exchanging(block: FmuBlock) -> FmuBlock:
+    """The FMU as Model Exchange, also where it offers Co-Simulation."""
+    return replace(block, description=replace(block.description, interface="ModelExchange", any_step=True))
+
+
+def _references(path: Path, description: Description, reference: Record | None, limit: float) -> list[CheckRow]:
     record = reference if reference is not None else _embedded_reference(path)
     if record is None:
-        return CheckRow("reference", None, "no reference record was given and none is inside")
-    return _tried("reference", lambda: _replay(read_fmu(path, time_limit=limit), record))
+        return [CheckRow("reference", None, "no reference record was given and none is inside")]
+    rows = [_tried("reference", lambda: _replay(read_fmu(path, time_limit=limit), record, AGREEMENT))]
+    if _offers_both(description):
+        other = _tried(
+            "reference" + SECOND, lambda: _replay(_exchanging(read_fmu(path, time_limit=limit)), record, OTHER_SOLVER)
+        )
+        rows.append(other)
+    return rows
 
 
 def _embedded_reference(path: Path) -> Record | None:
@@ -227,7 +249,7 @@ def _embedded_reference(path: Path) -> Record | None:
         return read_record(archive.extract(REFERENCE_FILE, folder))
 
 
-def _replay(block: FmuBlock, record: Record) -> tuple[bool, str]:
+def _replay(block: FmuBlock, record: Record, limit: float) -> tuple[bool, str]:
     found = block.free_run(record)
     shared = [s.name for s in block.outputs if s.name in record]
     if not shared:
@@ -235,7 +257,7 @@ def _replay(block: FmuBlock, record: Record) -> tuple[bool, str]:
     errors = {n: _relative_difference(found[n], record[n]) for n in shared}
     worst = max(errors, key=errors.__getitem__)
     detail = f"{len(shared)} outputs, largest difference {errors[worst]:.2g} of the range at {worst}"
-    return errors[worst] <= AGREEMENT, detail
+    return errors[worst] <= limit, detail
 
 
 def _relative_difference(found: np.ndarray, expected: np.ndarray) -> float:

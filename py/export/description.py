@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydrotwin.models.language.units import display_units
 
+from .type_definitions import type_definitions, type_names
 from .unit_definitions import unit_definitions
 from .variables import Variable
 
@@ -57,13 +58,13 @@ def description_of_fmi2(header: Header, variables: Sequence[Variable]) -> str:
     )  # fmt: skip
     for interface in header.interfaces:
         root.append(_interface(header, interface))
-    root.append(unit_definitions(v.unit for v in variables))
+    root.extend(units_and_types(variables, 2))
     root.extend(categories_and_experiment(header))
     own = ET.SubElement(ET.SubElement(root, "VendorAnnotations"), "Tool", name=ANNOTATION)
     own.append(starts_annotation(variables, header))
-    listed = ET.SubElement(root, "ModelVariables")
+    listed, types = ET.SubElement(root, "ModelVariables"), type_names(variables)
     for reference, variable in enumerate(variables):
-        listed.append(_scalar_variable(reference, variable, header.sampled))
+        listed.append(_scalar_variable(reference, variable, header.sampled, types))
     root.append(_model_structure(variables))
     return as_text(root)
 
@@ -130,13 +131,19 @@ def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Eleme
     return starts
 
 
-def _scalar_variable(reference: int, variable: Variable, sampled: bool) -> ET.Element:
+def units_and_types(variables: Sequence[Variable], fmi: int) -> list[ET.Element]:
+    """``UnitDefinitions`` and, where a variable has a type, ``TypeDefinitions``."""
+    types = type_definitions(variables, fmi)
+    return [unit_definitions(v.unit for v in variables), *([] if types is None else [types])]
+
+
+def _scalar_variable(reference: int, variable: Variable, sampled: bool, types: Mapping[str, str]) -> ET.Element:
     attributes = {"name": variable.name, "valueReference": str(reference)}
     if variable.description:
         attributes["description"] = variable.description
     element = ET.Element("ScalarVariable", attributes | roles(variable.kind, sampled))
     derivative = {} if variable.of is None else {"derivative": str(variable.of + 1)}
-    ET.SubElement(element, "Real", real_attributes(variable) | derivative)
+    ET.SubElement(element, "Real", real_attributes(variable, types) | derivative)
     return element
 
 
@@ -156,9 +163,10 @@ def _variability(kind: str, sampled: bool) -> str:
     return "discrete" if sampled and kind in ("output", "state") else "continuous"
 
 
-def real_attributes(variable: Variable) -> dict[str, str]:
-    """Unit, bounds, nominal and start value."""
-    attributes = {"unit": variable.unit}
+def real_attributes(variable: Variable, types: Mapping[str, str]) -> dict[str, str]:
+    """Type, unit, bounds, nominal and start value; importers that skip types find all but the quantity here."""
+    typed = variable.unit in types and variable.kind != "time"
+    attributes = ({"declaredType": types[variable.unit]} if typed else {}) | {"unit": variable.unit}
     best = display_units(variable.unit)[0]
     if best != variable.unit:
         attributes["displayUnit"] = best

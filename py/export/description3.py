@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from .description import (
     ANNOTATION,
@@ -14,9 +14,10 @@ from .description import (
     roles,
     root_attributes,
     starts_annotation,
+    units_and_types,
     unknowns,
 )
-from .unit_definitions import unit_definitions
+from .type_definitions import type_names
 from .variables import Variable
 
 _ABILITIES = (
@@ -30,11 +31,11 @@ def description_of_fmi3(header: Header, variables: Sequence[Variable]) -> str:
     root = ET.Element("fmiModelDescription", own | root_attributes(header, variables))
     for interface in header.interfaces:
         root.append(_interface(header, interface))
-    root.append(unit_definitions(v.unit for v in variables))
+    root.extend(units_and_types(variables, 3))
     root.extend(categories_and_experiment(header))
-    listed = ET.SubElement(root, "ModelVariables")
+    listed, types = ET.SubElement(root, "ModelVariables"), type_names(variables)
     for reference, variable in enumerate(variables):
-        listed.append(_variable(reference, variable, header.sampled))
+        listed.append(_variable(reference, variable, header.sampled, types))
     root.append(_model_structure(variables))
     annotation = ET.SubElement(ET.SubElement(root, "Annotations"), "Annotation", type=ANNOTATION)
     annotation.append(starts_annotation(variables, header))
@@ -64,12 +65,13 @@ def _interface(header: Header, interface: str) -> ET.Element:
     return element
 
 
-def _variable(reference: int, variable: Variable, sampled: bool) -> ET.Element:
+def _variable(reference: int, variable: Variable, sampled: bool, types: Mapping[str, str]) -> ET.Element:
     attributes = {"name": variable.name, "valueReference": str(reference)}
     if variable.description:
         attributes["description"] = variable.description
     derivative = {} if variable.of is None else {"derivative": str(variable.of)}
-    return ET.Element("Float64", attributes | roles(variable.kind, sampled) | real_attributes(variable) | derivative)
+    real = real_attributes(variable, types)
+    return ET.Element("Float64", attributes | roles(variable.kind, sampled) | real | derivative)
 
 
 def _model_structure(variables: Sequence[Variable]) -> ET.Element:

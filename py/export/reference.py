@@ -14,13 +14,14 @@ SHARE = 0.2  # of nominal: the size of the inputs' movement
 REFINED = 8
 
 
-def reference_run(model, *, fine: bool = False) -> Record:
+def reference_run(model, *, fine: bool = False, step: float | None = None) -> Record:
     """Inputs that move a fifth of nominal around their defaults, and the outputs that `simulate` gives.
 
     Inputs change at the samples only (held in between). It starts where the model starts by itself; a block starts with
     its measured outputs at zero, or at the middle of its training domain.
 
     fine : with an eighth of the model's step, for Model Exchange: the importer's solver meets the exact solution.
+    step : internal step [s] instead; not for blocks.
     """
     system = getattr(model, "flat", model)
     period = system.period if isinstance(system, Block) else DURATION / SAMPLES
@@ -35,7 +36,9 @@ def reference_run(model, *, fine: bool = False) -> Record:
             signals.setdefault(signal.name, np.full(len(time), _middle(system, signal.name, 0.0)))
             units[signal.name] = signal.unit
     inputs = Record(time, signals, units, "reference")
-    outputs = simulate(model, inputs, step=system.step / REFINED) if fine else simulate(model, inputs)
+    if fine and step is None:
+        step = system.step / REFINED
+    outputs = simulate(model, inputs) if step is None else simulate(model, inputs, step=step)
     answers = {s.name: outputs[s.name] for s in system.outputs}
     return inputs.with_signals(answers, units={s.name: s.unit for s in system.outputs})
 

@@ -51,7 +51,13 @@ def display_factor(unit: str, shown: str) -> tuple[float, float]:
     (1e-05, 0.0)
     """
     from_, to = parse_unit(unit), parse_unit(shown)
-    return from_.factor / to.factor, (from_.offset - to.offset) / to.factor
+    return _plain(from_.factor / to.factor), _plain((from_.offset - to.offset) / to.factor)
+
+
+def _plain(number: float) -> float:
+    """The short number that differs from this one by rounding only: 1000 for 999.9999999999998."""
+    short = float(f"{number:.14g}")
+    return short if abs(short - number) <= 4e-16 * abs(number) else number
 
 
 def _angle_exponent(unit: str) -> int:

@@ -20,9 +20,14 @@ from .build import FMI3_FOLDERS, compile_for, platforms_named
 from .description import Header, description_of_fmi2
 from .description3 import build_description, description_of_fmi3
 from .documentation import documentation
+from .equations import equations_of
+from .icon import icon
+from .licences import licence_text, licences_of
 from .lower import Lowered, lower_block, lower_model
 from .method import choose_method
 from .sources import INTERFACES, source_files
+from .terminals import terminals_and_icons
+from .undelayed import without_idle_delays
 from .variables import Variable, variables_of
 
 REFERENCE_FILE = "documentation/reference.csv"
@@ -52,6 +57,7 @@ def export_fmu(
     history: int = 1024,
     reference: Record | None = None,
     provenance: Mapping | None = None,
+    equations: str = "",
     author: str = "",
     licence: str = "",
 ) -> Path:
@@ -75,12 +81,13 @@ def export_fmu(
     history : pieces remembered of each input with a dead time.
     reference : a record whose inputs, replayed, gave its outputs; `check_fmu` replays it.
     provenance : shown in the documentation, on top of what the model brings along.
+    equations : what a block computes, in words; of a Model the documentation has its Modelica text.
 
     The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
     SolveError when no compiler works.
     """
     _refuse_unknown(fmi, kind)
-    lowered, solver = _lowered(model, given, method, step, tolerance)
+    lowered, solver = _lowered(model, given, method, step, tolerance, delays=kind == "cs")
     if kind != "cs":
         _refuse_exchange(lowered, kind)
         solver = _EXCHANGE if kind == "me" else f"{_EXCHANGE} Co-Simulation: {solver}"
@@ -97,11 +104,19 @@ def export_fmu(
     guid = _guid_of(xml, sources)
     xml = xml.replace(_PENDING_GUID, guid)
     sources["model.c"] = sources["model.c"].replace(_PENDING_GUID, guid)
-    page = documentation(lowered, variables, solver, _facts(header, guid), {**lowered.provenance, **(provenance or {})})
-    files: dict[str, str | bytes] = {"modelDescription.xml": xml, "documentation/index.html": page}
+    page = documentation(
+        lowered, variables, solver, _facts(header, guid), equations_of(model, equations),
+        {**lowered.provenance, **getattr(model, "provenance", {}), **(provenance or {})}, licences_of(licence),
+    )  # fmt: skip
+    files: dict[str, str | bytes] = {
+        "modelDescription.xml": xml, "documentation/index.html": page,
+        "documentation/licenses/license.txt": licence_text(licence),
+    }  # fmt: skip
     files |= {f"sources/{name}": text for name, text in sources.items()}
     if fmi == 3:
         files["sources/buildDescription.xml"] = build_description(header)
+        files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons(variables)
+    files["terminalsAndIcons/icon.png" if fmi == 3 else "model.png"] = icon(lowered.sampled)
     for name in platforms_named(platforms):
         library, content = compile_for(name, header.identifier, sources)
         files[f"binaries/{FMI3_FOLDERS[name] if fmi == 3 else name}/{library}"] = content
@@ -137,8 +152,10 @@ def _refuse_exchange(lowered: Lowered, kind: str):
         )
 
 
-def _lowered(model, given, method: str, step: float | None, tolerance: float) -> tuple[Lowered, str]:
-    """The system to write and the sentence that says how it computes."""
+def _lowered(
+    model, given, method: str, step: float | None, tolerance: float, delays: bool
+) -> tuple[Lowered, str]:
+    """The system to write and how it computes; without ``delays``, dead times of zero are left out."""
     if isinstance(model, Block):
         lowered = lower_block(model, model.name)
         return lowered, _SOLVERS["sampled"].format(step=lowered.step)
@@ -148,9 +165,11 @@ def _lowered(model, given, method: str, step: float | None, tolerance: float) ->
             f"export: a {type(model).__name__} cannot become an FMU. It must be a Model, a FlatModel or a Block. "
             "A Fit has its model as fit.flat."
         )
+    flat, idle = (flat, ()) if delays else without_idle_delays(flat)
     method, step, reason = choose_method(flat, method, float(step or flat.step))
     lowered = lower_model(flat, given, method, step, tolerance, flat.name)
-    return lowered, f"{_SOLVERS[method].format(step=step, tolerance=tolerance)} Chosen because: {reason}."
+    left_out = f" Left out, because Model Exchange knows no dead time: {', '.join(idle)} = 0 s." if idle else ""
+    return lowered, f"{_SOLVERS[method].format(step=step, tolerance=tolerance)} Chosen because: {reason}.{left_out}"
 
 
 def _identifier(name: str) -> str:

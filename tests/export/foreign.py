@@ -57,6 +57,8 @@ SPREAD = "    memset(dx, 0, ht_scratch_doubles(m) * sizeof(double));\n"
 WRONG_DIRECTION = {SPREAD: SPREAD + "    dx[0] = 0.1;\n"}
 SET_TIME = "    ht_values(s, HT_TIME)[0] = time;\n"
 STALE_AFTER_TIME = {SET_TIME + "    ht_book(s)[STALE] = 1.0;\n": SET_TIME}
+LOAD = "ht_load(&((component *)c)->core, state)) : fmi2Error;"
+KEEPS_NO_STATE = {LOAD: "HT_OK) : fmi2Error;"}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}
 
 

@@ -52,7 +52,7 @@ def test_a_failing_step_names_the_reason_of_the_fmu(fmus):
 
 def test_units_of_the_fmu_are_converted(fmus, tmp_path):
     degrees = {
-        '<Real unit="rad" displayUnit="deg"': '<Real unit="deg"',
+        '<Real declaredType="Angle" unit="rad" displayUnit="deg"': '<Real unit="deg"',
         '<Unit name="rad">': '<Unit name="deg"/><Unit name="rad">',
     }
     fmu = rewritten(fmus["lag"], tmp_path / "degrees.fmu", xml=degrees)
@@ -67,7 +67,7 @@ def test_units_of_the_fmu_are_converted(fmus, tmp_path):
 
 def test_a_unit_only_the_fmu_defines_is_read_from_its_exponents(fmus, tmp_path):
     inches = {
-        '<Real unit="V"': '<Real unit="zoll"',
+        '<Real declaredType="ElectricPotential" unit="V"': '<Real unit="zoll"',
         '<Unit name="V">': '<Unit name="zoll"><BaseUnit m="1" factor="0.0254"/></Unit><Unit name="V">',
     }
     block = read_fmu(rewritten(fmus["lag"], tmp_path / "zoll.fmu", xml=inches))

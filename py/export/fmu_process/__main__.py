@@ -13,6 +13,7 @@ import numpy as np
 from fmpy import extract, read_model_description, simulate_fmu
 
 from .exchange_probes import EXCHANGE_PROBES
+from .gates import gates_for
 from .master import Slave, run_steps
 from .probes import PROBES, run_probes
 
@@ -77,8 +78,8 @@ def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray
 
 
 def _probe(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
-    probes = EXCHANGE_PROBES if job["interface"] == "ModelExchange" else PROBES
-    run_probes(job["probes"], description, unzipped, folder / "rows.jsonl", probes)
+    probes = {"CoSimulation": PROBES, "ModelExchange": EXCHANGE_PROBES, "gates": gates_for(job["path"])}
+    run_probes(job["probes"], description, unzipped, folder / "rows.jsonl", probes[job["interface"]])
     return {}
 
 

@@ -6,6 +6,7 @@ import itertools
 from ctypes import c_double
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
 from fmpy.simulation import instantiate_fmu
 
@@ -156,4 +157,48 @@ def _directional(description: ModelDescription, unzipped: str):
     return worst < 1e-3, f"largest difference to finite differences {worst:.2g}{where}, at t = {time:g} s"
 
 
-EXCHANGE_PROBES = {"order of setting": _order_of_setting, "reset": _reset, "directional derivatives": _directional}
+def _state(description: ModelDescription, unzipped: str):
+    """A saved state brings back time, states, inputs and what follows from them, after answers elsewhere."""
+    if not description.modelExchange.canGetAndSetFMUstate:
+        return None, "the FMU says that it cannot save its state"
+    exchanger = Exchanger(description, unzipped)
+    start, other = exchanger.points()
+    exchanger.move(*other)
+    first = np.r_[exchanger.states(), exchanger.answers()]
+    state = exchanger.fmu.getFMUState()
+    exchanger.move(*start)
+    exchanger.answers()
+    exchanger.fmu.setFMUState(state)
+    again = np.r_[exchanger.states(), exchanger.answers()]
+    exchanger.close()
+    if np.array_equal(first, again):
+        return True, f"a state saved at t = {LATER:g} s comes back with derivatives and outputs, bit by bit"
+    return False, f"a state saved at t = {LATER:g} s comes back different (by {np.abs(first - again).max():.3g})"
+
+
+def _nan_input(description: ModelDescription, unzipped: str):
+    """NaN at an input, or at a state where there is no input."""
+    exchanger = Exchanger(description, unzipped)
+    time, x, u = exchanger.points()[0]
+    what, name = ("inputs", exchanger.inputs[0].name) if exchanger.inputs else ("states", "the first state")
+    if not len(u) and not len(x):
+        return None, "no real input and no state"
+    (u if len(u) else x)[0] = np.nan
+    try:
+        exchanger.set(what, time, x, u)
+        found = exchanger.answers()
+    except FMICallException as refused:
+        return True, f"NaN at '{name}' is refused (status {refused.status})"
+    exchanger.close()
+    if np.isfinite(found).all():
+        return None, f"NaN at '{name}' is taken without a word, derivatives and outputs stay finite"
+    return False, f"NaN at '{name}' is taken as a value and reaches derivatives or outputs"
+
+
+EXCHANGE_PROBES = {
+    "order of setting": _order_of_setting,
+    "reset": _reset,
+    "state": _state,
+    "directional derivatives": _directional,
+    "NaN input": _nan_input,
+}

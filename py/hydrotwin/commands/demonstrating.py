@@ -16,7 +16,7 @@ from hydrotwin.records import Record
 from ..loading import load
 from .comparing import print_comparison
 from .discovering import gap_provenance, print_discovery, telling, write_discovery
-from .exporting import given_starts
+from .exporting import equations_told, given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .shared import check_folder, examples, mark, out, progress_bar, read_all
 
@@ -118,7 +118,8 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
     answers = []
     for name, thing in (("identified", identified), ("network", network)):
         path = folder / f"{machine}_{name}.fmu"
-        export_fmu(thing, path, given=given_starts(thing, "measured"), reference=reference_run(thing))
+        given, told = given_starts(thing, "measured"), equations_told(thing)
+        export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told)
         answer = check_fmu(path)
         failed = ", ".join(r.name for r in answer.rows if r.passed is False)
         verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"

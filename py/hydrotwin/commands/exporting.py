@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -66,6 +67,7 @@ def export(
         given=given_starts(thing, start),
         platforms=platform or None,
         reference=reference_run(thing, fine=_exchanges(thing, kind)),
+        equations=equations_told(thing),
     )
     size = output.stat().st_size
     if as_json:
@@ -81,6 +83,17 @@ def given_starts(thing, start: str) -> list[str] | None:
     if start == "positions" or not hasattr(thing, "flat"):
         return None  # what export_fmu does by itself; a block starts from its measured outputs in any case
     return [s.name for s in thing.flat.states if s.measured_by]
+
+
+def equations_told(thing) -> str:
+    """The words with which the code of a learned block's kind explains its recursion; "" for anything else."""
+    name = getattr(thing, "kind", "")
+    if not name:
+        return ""
+    from hydrotwin.learned.block_file import learned_kinds
+
+    kind = {kind.name: kind for kind in learned_kinds()}.get(name)
+    return (inspect.getdoc(inspect.getmodule(kind.functions)) or "") if kind else ""
 
 
 def _exchanges(thing, kind: str) -> bool:

@@ -22,10 +22,10 @@ import numpy as np
 import torch
 
 from hydrotwin.export import export_fmu
-from hydrotwin.learned import exact_gp
-from hydrotwin.learned.delay_lines import input_scales, normalised, training_rows
-from hydrotwin.learned.dual_gp import learn_dual_gp
-from hydrotwin.learned.gaussian_process import learn_gaussian_process
+from hydrotwin.learned.gaussian import exact as exact_gp
+from hydrotwin.learned.gaussian.delay_lines import input_scales, normalised, training_rows
+from hydrotwin.learned.gaussian.dual import learn_dual_gp
+from hydrotwin.learned.gaussian.single import learn_gaussian_process
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation.compiler import compile_library

@@ -17,11 +17,11 @@ from functools import partial
 import numpy as np
 
 from examples.table_1.make_recordings import record
-from hydrotwin.learned.grey_box import learn_grey_box
-from hydrotwin.learned.grey_box_block import Dynamics
-from hydrotwin.learned.grey_box_data import run_of
-from hydrotwin.learned.grey_box_fit import Problem, bent_knots, evaluate, opening, responses
-from hydrotwin.learned.piecewise import learn_piecewise
+from hydrotwin.learned.grey_box.block import Dynamics
+from hydrotwin.learned.grey_box.data import run_of
+from hydrotwin.learned.grey_box.fit import Problem, bent_knots, evaluate, opening, responses
+from hydrotwin.learned.grey_box.learn import learn_grey_box
+from hydrotwin.learned.piecewise.learn import learn_piecewise
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, savitzky_golay
 from hydrotwin.simulation import simulate
@@ -126,9 +126,9 @@ def oracle(train: Record) -> Predict:
 def gaussian_process(train: Record, fit: str, dual: bool) -> Predict:
     """A (dual) Gaussian process on raw rates; "paper": 100 Adam steps, "default": to the end."""
     if dual:
-        from hydrotwin.learned.dual_gp import learn_dual_gp as learn
+        from hydrotwin.learned.gaussian.dual import learn_dual_gp as learn
     else:
-        from hydrotwin.learned.gaussian_process import learn_gaussian_process
+        from hydrotwin.learned.gaussian.single import learn_gaussian_process
 
         learn = partial(learn_gaussian_process, rate=True)
     return partial(line_by_line, learn([train], [CURRENT], [POSITION], fit=fit, lags=LAGS, period=0.1))

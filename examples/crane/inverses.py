@@ -13,11 +13,11 @@ from scipy.optimize import isotonic_regression, minimize_scalar
 
 from hydrotwin.identification import identify
 from hydrotwin.learned.block_file import LearnedBlock
-from hydrotwin.learned.dual_gp import learn_dual_gp
-from hydrotwin.learned.grey_box import learn_grey_box
-from hydrotwin.learned.inverse import learn_inverse
-from hydrotwin.learned.inverse_curve import static_answer
-from hydrotwin.learned.inverse_data import Characteristic
+from hydrotwin.learned.gaussian.dual import learn_dual_gp
+from hydrotwin.learned.grey_box.learn import learn_grey_box
+from hydrotwin.learned.inverse.curve import static_answer
+from hydrotwin.learned.inverse.data import Characteristic
+from hydrotwin.learned.inverse.learn import learn_inverse
 from hydrotwin.models.effects import add_effect
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError

@@ -16,10 +16,10 @@ if str(ROOT) not in sys.path:
 
 from examples.table_1.make_recordings import make  # noqa: E402
 from hydrotwin.learned import LearnedBlock, write_block  # noqa: E402
-from hydrotwin.learned.dual_gp import learn_dual_gp  # noqa: E402
-from hydrotwin.learned.gaussian_process import learn_gaussian_process  # noqa: E402
-from hydrotwin.learned.grey_box import learn_grey_box  # noqa: E402
-from hydrotwin.learned.piecewise import learn_piecewise  # noqa: E402
+from hydrotwin.learned.gaussian.dual import learn_dual_gp  # noqa: E402
+from hydrotwin.learned.gaussian.single import learn_gaussian_process  # noqa: E402
+from hydrotwin.learned.grey_box.learn import learn_grey_box  # noqa: E402
+from hydrotwin.learned.piecewise.learn import learn_piecewise  # noqa: E402
 from hydrotwin.records import read_record  # noqa: E402
 
 LEARN: dict[str, tuple[Callable[..., LearnedBlock], dict]] = {

@@ -1,18 +1,18 @@
 """Learned surrogates: trained from recordings, deployed as Blocks that need numpy and CasADi only."""
 
 from .block_file import Certificate, LearnedBlock, LearnedKind, learned_kinds, read_block, register_kind, write_block
-from .compensator import learn_compensator
-from .dual_gp import learn_dual_gp
-from .gaussian_process import learn_gaussian_process
-from .grey_box import learn_grey_box
-from .hybrid import HybridBlock, read_hybrid, write_hybrid
-from .hybrid_training import learn_hybrid
-from .inverse import learn_inverse
-from .inverse_data import Characteristic, characteristic
-from .network import train_network
-from .piecewise import learn_piecewise
+from .gaussian.dual import learn_dual_gp
+from .gaussian.single import learn_gaussian_process
+from .grey_box.learn import learn_grey_box
+from .hybrid.block import HybridBlock, read_hybrid, write_hybrid
+from .hybrid.learn import learn_hybrid
+from .inverse.compensator import learn_compensator
+from .inverse.data import Characteristic, characteristic
+from .inverse.learn import learn_inverse
+from .network.learn import train_network
+from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
-from .symbolic import learn_symbolic
+from .symbolic.learn import learn_symbolic
 from .training_data import DomainShare, domain_share
 
 __all__ = [

@@ -11,7 +11,7 @@ from examples.crane import inverses, kinematics, track
 from examples.crane.model import Crane, TwoLinks, crane, plant
 from examples.crane.rehearsal import AXES, holding_forces, recordings, steady_points
 from hydrotwin.learned import write_block
-from hydrotwin.learned.inverse import learn_inverse
+from hydrotwin.learned.inverse.learn import learn_inverse
 from hydrotwin.models.components import Freewheel
 from hydrotwin.models.language import Component, Model, Output, connect
 from hydrotwin.models.language.errors import DataError

@@ -10,7 +10,7 @@ import pytest
 
 import hydrotwin
 
-SKIPPED = ("hydrotwin.__main__", "hydrotwin.examples", "hydrotwin.learned.free_run_training")
+SKIPPED = ("hydrotwin.__main__", "hydrotwin.examples", "hydrotwin.learned.network.free_run")
 
 
 def modules(package=hydrotwin, prefix="hydrotwin."):

@@ -7,9 +7,9 @@ import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned.block_file import read_block, write_block
-from hydrotwin.learned.compensator import desired_curve, learn_compensator
-from hydrotwin.learned.inverse_curve import least_slope, static_answer
-from hydrotwin.learned.inverse_data import Characteristic
+from hydrotwin.learned.inverse.compensator import desired_curve, learn_compensator
+from hydrotwin.learned.inverse.curve import least_slope, static_answer
+from hydrotwin.learned.inverse.data import Characteristic
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record

@@ -11,10 +11,10 @@ from scipy.interpolate import BSpline
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import read_block, write_block
 from hydrotwin.learned.block_file import LearnedBlock, assemble
-from hydrotwin.learned.compression import spline_coefficients, spline_knots
-from hydrotwin.learned.delay_lines import certification_grid, delayed_rows, input_scales, training_rows
-from hydrotwin.learned.dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, spline
-from hydrotwin.learned.dual_gp import certify, learn_dual_gp
+from hydrotwin.learned.gaussian.compression import spline_coefficients, spline_knots
+from hydrotwin.learned.gaussian.delay_lines import certification_grid, delayed_rows, input_scales, training_rows
+from hydrotwin.learned.gaussian.dual import certify, learn_dual_gp
+from hydrotwin.learned.gaussian.dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, spline
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
@@ -139,8 +139,8 @@ def test_the_errors_of_each_process_and_of_the_cascade_are_told_apart(dual, vali
 
 def test_the_certificate_is_of_the_whole_cascade_and_catches_a_changed_spline(dual, recordings, validation):
     pytest.importorskip("gpytorch")
-    from hydrotwin.learned import exact_gp
-    from hydrotwin.learned.process_training import train_process
+    from hydrotwin.learned.gaussian import exact as exact_gp
+    from hydrotwin.learned.gaussian.training import train_process
 
     rng, both = np.random.default_rng(0), (SPOOL, POSITION)
     rows = training_rows(recordings, PERIOD, [CURRENT], both, 5, 6000, rng)

@@ -12,9 +12,9 @@ import pytest
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import LearnedBlock, assemble
-from hydrotwin.learned.delay_lines import delayed_rows, even_period, input_scales, normalised
-from hydrotwin.learned.gaussian_process import learn_gaussian_process
-from hydrotwin.learned.kernel_block import GAUSSIAN_PROCESS, KERNELS, array_shapes, process_frame
+from hydrotwin.learned.gaussian.delay_lines import delayed_rows, even_period, input_scales, normalised
+from hydrotwin.learned.gaussian.kernel_block import GAUSSIAN_PROCESS, KERNELS, array_shapes, process_frame
+from hydrotwin.learned.gaussian.single import learn_gaussian_process
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -153,7 +153,7 @@ def test_the_deployed_process_is_gpytorchs_own_prediction_within_the_certified_b
     recordings, validation, spool_block
 ):
     pytest.importorskip("gpytorch")
-    from hydrotwin.learned import exact_gp
+    from hydrotwin.learned.gaussian import exact as exact_gp
 
     parts = [delayed_rows(r, PERIOD, [CURRENT], [SPOOL], 5) for r in (*recordings, validation)]
     X, y = (np.concatenate([getattr(p, key) for p in parts[:2]]) for key in ("features", "levels"))
@@ -247,7 +247,7 @@ def test_a_process_comes_back_from_its_file_and_runs_without_torch(spool_block, 
             sys.modules[heavy] = None
         import numpy as np
         from hydrotwin.learned import read_block
-        from hydrotwin.learned.gaussian_process import learn_gaussian_process
+        from hydrotwin.learned.gaussian.single import learn_gaussian_process
         from hydrotwin.models.language.errors import DeclarationError
         block = read_block({str(path)!r})
         print(repr(float(block.step([0.1, 0.2, 0.3, 0.4], 0.5, [])[1][0])))

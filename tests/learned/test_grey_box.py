@@ -12,11 +12,11 @@ import pytest
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.grey_box import learn_grey_box
-from hydrotwin.learned.grey_box_block import CONSTANTS, GREY_BOX, Dynamics, grey_box_states
-from hydrotwin.learned.grey_box_data import Run, Whitening, best_ratio, coarser, run_of
-from hydrotwin.learned.grey_box_fit import bent_knots, follow, monotone, opening, responses, shares
-from hydrotwin.learned.piecewise import learn_piecewise
+from hydrotwin.learned.grey_box.block import CONSTANTS, GREY_BOX, Dynamics, grey_box_states
+from hydrotwin.learned.grey_box.data import Run, Whitening, best_ratio, coarser, run_of
+from hydrotwin.learned.grey_box.fit import bent_knots, follow, monotone, opening, responses, shares
+from hydrotwin.learned.grey_box.learn import learn_grey_box
+from hydrotwin.learned.piecewise.learn import learn_piecewise
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -180,7 +180,7 @@ def test_it_comes_back_from_its_file_where_no_training_library_is(learned, train
         for heavy in ("torch", "gpytorch", "pyoperon"):
             sys.modules[heavy] = None
         import numpy as np
-        import hydrotwin.learned.grey_box_block
+        import hydrotwin.learned.grey_box.block
         from hydrotwin.learned import read_block
         block = read_block({str(path)!r})
         x = block.start(0.0, 0.2, [])

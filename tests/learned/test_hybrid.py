@@ -11,9 +11,9 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.identification import identify
 from hydrotwin.learned import domain_share
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.hybrid import join, read_hybrid, residual_signal, simulated_signal, write_hybrid
-from hydrotwin.learned.hybrid_training import learn_hybrid
-from hydrotwin.learned.narx import NETWORK, NarxShape, array_shapes, network_states
+from hydrotwin.learned.hybrid.block import join, read_hybrid, residual_signal, simulated_signal, write_hybrid
+from hydrotwin.learned.hybrid.learn import learn_hybrid
+from hydrotwin.learned.network.narx import NETWORK, NarxShape, array_shapes, network_states
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import lower, predict_one_step, simulate
@@ -231,7 +231,7 @@ def test_a_model_that_leaves_nothing_is_refused(actuator, lopsided):
 
 
 def test_held_inputs_keep_the_period_short_enough_for_the_model(actuator, lopsided):
-    from hydrotwin.learned.hybrid_training import _period
+    from hydrotwin.learned.hybrid.learn import _period
 
     outputs = [s for s in actuator.flat.outputs if s.name == "arm_angle"]
     period = _period(actuator, lopsided[0], outputs)

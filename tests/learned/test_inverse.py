@@ -8,8 +8,7 @@ import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned.block_file import assemble, read_block, write_block
-from hydrotwin.learned.inverse import learn_inverse, round_trip
-from hydrotwin.learned.inverse_curve import (
+from hydrotwin.learned.inverse.curve import (
     INVERSE_NETWORK,
     INVERSE_TABLE,
     least_slope,
@@ -17,7 +16,8 @@ from hydrotwin.learned.inverse_curve import (
     refuse_falling,
     static_answer,
 )
-from hydrotwin.learned.inverse_data import Characteristic, characteristic
+from hydrotwin.learned.inverse.data import Characteristic, characteristic
+from hydrotwin.learned.inverse.learn import learn_inverse, round_trip
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.models.language.flat import Signal, StateVariable
 from hydrotwin.models.spool_valve import quasi_static
@@ -162,7 +162,7 @@ def test_the_stated_round_trip_is_that_of_the_block(table):
 
 
 def test_the_certificate_holds_and_catches_a_changed_knot(table, monotone):
-    from hydrotwin.learned.inverse import _certify
+    from hydrotwin.learned.inverse.learn import _certify
 
     assert table.certificate.holds and monotone.certificate.holds
     rates, commands = table.arrays["rates"], table.arrays["commands"]

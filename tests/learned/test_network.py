@@ -81,8 +81,8 @@ def test_states_name_the_outputs_that_measure_them():
 
 def test_the_derivatives_carried_along_agree_with_automatic_differentiation():
     torch = pytest.importorskip("torch")
-    from hydrotwin.learned import free_run_training as training
-    from hydrotwin.learned.narx import NarxShape
+    from hydrotwin.learned.network import free_run as training
+    from hydrotwin.learned.network.narx import NarxShape
 
     shape = NarxShape(1, 2, 2, 3, 3)
     bounds = [0.2, 0.3], [2, 2], [-1, -1], [1, 1], [-1.5] * 9, [1.2] * 9
@@ -124,9 +124,9 @@ def test_one_step_ahead_the_error_is_near_the_sensor_noise(trained, validation):
 
 def test_the_certificate_holds_and_catches_a_changed_weight(trained):
     torch = pytest.importorskip("torch")
-    from hydrotwin.learned import free_run_training as training
-    from hydrotwin.learned.narx import NarxShape
-    from hydrotwin.learned.network import _training_scales, certify
+    from hydrotwin.learned.network import free_run as training
+    from hydrotwin.learned.network.learn import _training_scales, certify
+    from hydrotwin.learned.network.narx import NarxShape
 
     assert trained.certificate.holds and 0 < trained.certificate.difference <= 1e-12
     shape = NarxShape(1, 1, **trained.structure)

@@ -8,8 +8,8 @@ import pytest
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import read_block, write_block
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.piecewise import learn_piecewise
-from hydrotwin.learned.piecewise_block import PIECEWISE, piecewise_states
+from hydrotwin.learned.piecewise.block import PIECEWISE, piecewise_states
+from hydrotwin.learned.piecewise.learn import learn_piecewise
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record

@@ -13,7 +13,8 @@ import pytest
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.formula_block import (
+from hydrotwin.learned.network.narx import NarxShape, network_states
+from hydrotwin.learned.symbolic.block import (
     ADD,
     CONSTANT,
     COSINE,
@@ -26,10 +27,9 @@ from hydrotwin.learned.formula_block import (
     Formula,
     evaluate,
 )
-from hydrotwin.learned.narx import NarxShape, network_states
-from hydrotwin.learned.symbolic import learn_symbolic
-from hydrotwin.learned.symbolic_data import prepare
-from hydrotwin.learned.symbolic_refit import FreeRun, Series, laid_out
+from hydrotwin.learned.symbolic.data import prepare
+from hydrotwin.learned.symbolic.learn import learn_symbolic
+from hydrotwin.learned.symbolic.refit import FreeRun, Series, laid_out
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation import simulate
@@ -190,7 +190,7 @@ def test_a_formula_whose_values_overflow_runs_at_its_bounds_and_survives_a_refit
 
 def test_pyoperon_and_the_tokens_compute_the_same():
     op = pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic_search import Rules, _Population
+    from hydrotwin.learned.symbolic.search import Rules, _Population
 
     x = np.random.default_rng(0).normal(size=(50, 3))
     population = _Population(x, x[:, 0], False, Rules(), 1)
@@ -209,7 +209,7 @@ def test_pyoperon_and_the_tokens_compute_the_same():
 
 def test_a_quarter_of_the_population_survives_and_nothing_grows_beyond_twenty_nodes():
     op = pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic_search import NODES, Rules, _Population
+    from hydrotwin.learned.symbolic.search import NODES, Rules, _Population
 
     x = np.random.default_rng(0).normal(size=(200, 3))
     population = _Population(x, np.tanh(x[:, 0] * x[:, 1]), False, Rules(population=200), 1)
@@ -247,7 +247,7 @@ def test_the_formula_can_be_read_with_its_units(learned):
 
 def test_a_pure_number_is_printed_without_a_unit_and_a_centre_with_its_own():
     pytest.importorskip("sympy")
-    from hydrotwin.learned.symbolic_text import equation_text
+    from hydrotwin.learned.symbolic.text import equation_text
 
     valve, formula = Signal("valve", "1"), Formula((MULTIPLY, CONSTANT, VARIABLE + 1), (0.25,))
     scales = {"input_centre": [0.5], "input_scale": [0.2], "output_centre": [0.0], "output_scale": [0.3]}
@@ -276,7 +276,7 @@ def test_the_printed_formula_is_the_deployed_one(learned):
 
 
 def test_the_certificate_holds_and_catches_a_changed_constant(learned):
-    from hydrotwin.learned.symbolic import certify
+    from hydrotwin.learned.symbolic.learn import certify
 
     assert learned.certificate.holds and learned.certificate.difference <= 1e-12
     tokens, constants = (learned.arrays[name].tolist() for name in ("tokens", "constants"))
@@ -299,7 +299,7 @@ def test_the_fmu_of_a_formula_runs_as_the_block_does(learned, validation, tmp_pa
 
 
 def test_a_formula_runs_without_what_trained_it():
-    lines = "import sys, hydrotwin.learned.formula_block, hydrotwin.learned.symbolic\n"
+    lines = "import sys, hydrotwin.learned.symbolic.block, hydrotwin.learned.symbolic.learn\n"
     lines += "assert not {'pyoperon', 'sympy', 'torch'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", lines], check=True)
 
@@ -315,7 +315,7 @@ def test_the_same_seed_gives_the_same_formula_in_another_process(brief_recording
 
 def test_another_seed_searches_elsewhere():
     pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic_search import Archive, Rules, search
+    from hydrotwin.learned.symbolic.search import Archive, Rules, search
 
     x, found = np.random.default_rng(0).normal(size=(200, 2)), []
     for seed in (1, 1, 2):
@@ -370,7 +370,7 @@ def test_progress_reports_every_generation_with_a_falling_error(brief_recording)
 
 def test_the_three_criteria_end_a_search():
     pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic_search import Archive, Rules, search
+    from hydrotwin.learned.symbolic.search import Archive, Rules, search
 
     x = np.random.default_rng(0).normal(size=(200, 2))
     ends = {}
@@ -402,7 +402,7 @@ def test_the_domain_is_the_training_range(learned, recordings):
 
 def test_a_formula_is_simplified_without_changing_it():
     pytest.importorskip("sympy")
-    from hydrotwin.learned.symbolic_text import simplified
+    from hydrotwin.learned.symbolic.text import simplified
 
     nested = Formula(
         (MULTIPLY, CONSTANT, MULTIPLY, CONSTANT, ADD, TANH, VARIABLE, ADD, TANH, VARIABLE, COSINE, CONSTANT),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydrotwin.learned.block_file import Certificate, LearnedBlock, assemble
-from hydrotwin.learned.narx import NETWORK, NarxShape, array_shapes, network_states
+from hydrotwin.learned.network.narx import NETWORK, NarxShape, array_shapes, network_states
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation.block import TrainingDomain

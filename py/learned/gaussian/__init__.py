@@ -1,0 +1,1 @@
+"""Gaussian processes: one, or two in a row; trained exactly, deployed compressed."""

@@ -1,0 +1,1 @@
+"""Dead time, hidden spool, play and a monotone characteristic, without a spool sensor."""

@@ -1,0 +1,1 @@
+"""An identified model and a network for what it lacks."""

@@ -1,0 +1,1 @@
+"""A characteristic turned round: inverse and compensator."""

@@ -1,0 +1,1 @@
+"""A characteristic of straight lines."""

@@ -1,0 +1,1 @@
+"""Formulas found by genetic programming, chosen and refitted on their free run."""

@@ -1,0 +1,189 @@
+"""Which formula it shall be: candidates refitted and judged in free runs, the shortest of the good ones, pruned."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
+from .data import Prepared
+from .refit import FreeRun, cut, laid_out
+from .text import simplified
+
+STRETCH = 100  # samples of the short free runs in which all candidates are refitted
+FEW_STRETCHES = 60  # of these, drawn at random
+FEW_SAMPLES = 20_000  # of the whole runs in which all candidates are judged
+SHORT, LONG = 8, 30  # evaluations of a refit on stretches and on whole runs
+FINALISTS = 8
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A formula of one output with its free-run error (RMS, in output scales) where it was judged."""
+
+    formula: Formula
+    error: float
+
+    @property
+    def size(self) -> int:
+        """Tokens: operators, functions, variables and constants."""
+        return len(self.formula.tokens)
+
+
+@dataclass(frozen=True)
+class SelectionProgress:
+    """After one refit of a candidate: how many are done, and the best free-run error so far, in output scales."""
+
+    output: str
+    done: int
+    candidates: int
+    best: float
+
+
+class Selection:
+    """The choice of one formula per output; ``stopped`` says what ended it early, empty when nothing did."""
+
+    def __init__(self, data: Prepared, names: Sequence[str], *, tolerance: float, until: float, seed: int, progress):
+        self.data, self.brief = data, _brief(data, seed)
+        self.names, self.tolerance, self.until, self.progress = names, tolerance, until, progress
+        self.stopped = ""
+
+    def choose(self, found: Sequence[Sequence[Formula]]) -> Formula:
+        """The expressions of all outputs, from the formulas ``found`` for each and linear ones beside them.
+
+        Every output is chosen with the others as measured; then all constants are refitted together.
+        """
+        whole = Formula((), ())
+        for i, formulas in enumerate(found):
+            judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
+            bound = (1 + self.tolerance) * min(c.error for c in judged)
+            shortest = min((c for c in judged if c.error <= bound), key=lambda c: (c.size, c.error))
+            whole += self._pruned(shortest, i, bound).formula
+        if len(self.names) == 1 or self.stopped:
+            return whole
+        try:
+            joint = _refit(self.data, whole, range(len(self.names)), LONG)
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+            return whole
+        return min(whole, joint, key=lambda f: free_run_error(self.data, f))
+
+    def _refitted(self, formulas: Sequence[Formula], i: int) -> list[Candidate]:
+        """The best candidates after the refit on whole runs; those after the refit on stretches if time ends."""
+        short: list[Candidate] = []
+        final: list[Candidate] = []
+        try:
+            for formula in formulas:
+                if short and self._late():
+                    break
+                short.append(self._candidate(formula, i, brief=True))
+                self._tell(i, len(short), len(formulas) + FINALISTS, short)
+            for candidate in _finalists(sorted(short, key=lambda c: (c.error, c.size))):
+                if self._late():
+                    break
+                final.append(self._candidate(candidate.formula, i, brief=False))
+                self._tell(i, len(formulas) + len(final), len(formulas) + FINALISTS, final)
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+        return final or short or [Candidate(formulas[0], np.inf)]  # short ones are judged on less
+
+    def _pruned(self, candidate: Candidate, i: int, bound: float) -> Candidate:
+        """The candidate without the constants it can do without: set to zero, one after the other, and refitted."""
+        try:
+            while not self._late():
+                tried = [self._candidate(f, i, brief=True) for f in _with_one_zero(candidate.formula, self.data)]
+                if not tried:
+                    break
+                best = self._candidate(min(tried, key=lambda c: (c.error, c.size)).formula, i, brief=False)
+                if not best.error <= bound:
+                    break
+                candidate = best
+        except KeyboardInterrupt:
+            self.stopped = "interrupted"
+        return candidate
+
+    def _candidate(self, formula: Formula, i: int, brief: bool) -> Candidate:
+        """The formula before or after the refit, whichever runs better where it is judged."""
+        data = self.brief if brief else self.data
+        after = _refit(data, formula, [i], SHORT if brief else LONG)
+        pair = [Candidate(f, free_run_error(data, f, [i])) for f in (formula, after)]
+        return min(pair, key=lambda c: c.error)
+
+    def _late(self) -> bool:
+        if not self.stopped and time.monotonic() > self.until:
+            self.stopped = "time budget of the selection"
+        return bool(self.stopped)
+
+    def _tell(self, i: int, done: int, count: int, candidates: Sequence[Candidate]) -> None:
+        if self.progress is not None:
+            self.progress(SelectionProgress(self.names[i], done, count, min(c.error for c in candidates)))
+
+
+def distinct(formulas: Sequence[Formula], data: Prepared) -> list[Formula]:
+    """The formulas simplified, without those of the same form; the shortest first."""
+    forms: dict[tuple, Formula] = {}
+    for formula in formulas:
+        short = simplified(formula, data.shape.features)
+        if np.all(np.isfinite(short.constants)):
+            forms.setdefault(short.tokens, short)
+    return sorted(forms.values(), key=lambda f: (len(f.tokens), f.tokens))
+
+
+def _with_one_zero(formula: Formula, data: Prepared) -> list[Formula]:
+    """The shorter formulas that are left when one constant is zero."""
+    left = []
+    for k in range(len(formula.constants)):
+        constants = (*formula.constants[:k], 0.0, *formula.constants[k + 1 :])
+        left.append(Formula(formula.tokens, constants))
+    return [f for f in distinct(left, data) if len(f.tokens) < len(formula.tokens)]
+
+
+def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
+    """The best, and among them for every size only the best two."""
+    kept: list[Candidate] = []
+    for c in ranked:
+        if sum(k.size == c.size for k in kept) < 2:
+            kept.append(c)
+    return kept[:FINALISTS]
+
+
+def linear_formulas(data: Prepared, i: int, terms: int = 4) -> list[Formula]:
+    """Linear formulas of the increment of output ``i`` with one to ``terms`` features, added greedily, and a shift."""
+    z, d = data.pairs()
+    chosen: list[int] = []
+    answer = []
+    for _ in range(min(terms, z.shape[1])):
+        errors = {}
+        for j in (j for j in range(z.shape[1]) if j not in chosen):
+            A = np.column_stack([np.ones(len(z)), z[:, [*chosen, j]]])
+            errors[j] = float(np.sum((A @ np.linalg.lstsq(A, d[:, i], rcond=None)[0] - d[:, i]) ** 2))
+        chosen.append(min(errors, key=errors.get))
+        A = np.column_stack([np.ones(len(z)), z[:, chosen]])
+        shift, *factors = np.linalg.lstsq(A, d[:, i], rcond=None)[0].tolist()
+        products = [t for j in chosen for t in (MULTIPLY, CONSTANT, VARIABLE + j)]
+        answer.append(Formula((ADD,) * len(chosen) + (CONSTANT, *products), (shift, *factors)))
+    return answer
+
+
+def _brief(data: Prepared, seed: int) -> Prepared:
+    """The same recordings with a few short stretches to fit, and the beginnings of the runs to judge on."""
+    stretches = cut(data.fit, STRETCH)
+    drawn = np.sort(np.random.default_rng(seed).permutation(len(stretches))[:FEW_STRETCHES])
+    each = max(FEW_SAMPLES // len(data.judged), STRETCH)
+    begun = [replace(p, last=min(p.last, p.first + each)) for p in data.judged]
+    return replace(data, fit=[stretches[k] for k in drawn], judged=begun)
+
+
+def _refit(data: Prepared, formula: Formula, own: Sequence[int], evaluations: int) -> Formula:
+    run = FreeRun(formula, own, data.shape, data.bounds)
+    return run.refit(laid_out(data.series, data.fit, own, data.shape), evaluations)
+
+
+def free_run_error(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> float:
+    """Free-run error where formulas are judged, in output scales; by default of all outputs together."""
+    own = range(data.shape.outputs) if own is None else own
+    run = FreeRun(formula, own, data.shape, data.bounds)
+    return run.error(formula.constants, laid_out(data.series, data.judged, own, data.shape))

@@ -3,6 +3,18 @@
 from .check import Check, CheckRow, check_fmu
 from .reader import FmuBlock, read_fmu
 from .reference import reference_run
+from .ssp import SystemArchive, SystemPart, export_ssp
 from .writer import export_fmu
 
-__all__ = ["Check", "CheckRow", "FmuBlock", "check_fmu", "export_fmu", "read_fmu", "reference_run"]
+__all__ = [
+    "Check",
+    "CheckRow",
+    "FmuBlock",
+    "SystemArchive",
+    "SystemPart",
+    "check_fmu",
+    "export_fmu",
+    "export_ssp",
+    "read_fmu",
+    "reference_run",
+]

@@ -85,19 +85,23 @@ class FmuBlock:
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
+    def starts_of(self, record: Record) -> dict[str, float]:
+        """What a run of ``record`` sets before initialization, in the FMU's own units."""
+        first = {p: float(self._to_fmu(p, record[o][:1])[0]) for p, o in self.starts.items() if o in record}
+        return {**first, **self.values}
+
     def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
             raise DataError(f"{record.name}: an FMU needs two samples or more (got {len(record)}).")
         self._check_time_axis(record)
         require(record, self.inputs, self.name)
         of = self.description.fmu_names
-        starts = {p: float(self._to_fmu(p, first[o][:1])[0]) for p, o in self.starts.items() if o in first}
         columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
         job = {
             "task": task,
             "path": self.path,
             "interface": self.description.interface,
-            "starts": {**starts, **self.values},
+            "starts": self.starts_of(first),
             "inputs": [of[s.name] for s in self.inputs],
             "outputs": [of[s.name] for s in self.outputs],
             "linear": [of[s.name] for s in self.inputs if s.interpolation == "linear"],

@@ -95,7 +95,7 @@ def export_fmu(
     size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
     sources = source_files(lowered, variables, _PENDING_GUID, history, fmi, kind)
     header = Header(
-        lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), _tool(),
+        lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), tool_name(),
         lowered.sampled, float(stop_time), float(size), float(tolerance),
         tuple(sorted(n for n in sources if n.endswith(".c"))), lowered.restarts, float(lowered.step), author, licence,
         interfaces=INTERFACES[kind], fmi=fmi,
@@ -182,7 +182,8 @@ def _first_sentence(text: str) -> str:
     return " ".join(text.split("\n\n")[0].split())
 
 
-def _tool() -> str:
+def tool_name() -> str:
+    """What files say they were made by."""
     try:
         return f"hydrotwin {importlib.metadata.version('hydrotwin')}"
     except importlib.metadata.PackageNotFoundError:

@@ -10,12 +10,15 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.records import require
 
-from ..loading import load
+from ..loading import load, origin
+from .exporting import equations_told
 from .shared import (
     JsonOption,
     ScaleOption,
     ValidateOption,
+    check_file,
     check_folder,
+    err,
     examples,
     mark,
     out,
@@ -30,7 +33,7 @@ def register(app: typer.Typer) -> None:
     app.command(
         epilog=examples(
             "hydrotwin compare scenario.toml --out report",
-            "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report",
+            "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report --ssp models.ssp",
         )
     )(compare)
 
@@ -54,6 +57,9 @@ def compare(
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     scale: ScaleOption = None,
+    ssp: Annotated[
+        Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
@@ -61,6 +67,8 @@ def compare(
     from hydrotwin.report import write_report
 
     check_folder(output)
+    if ssp is not None:
+        check_file(ssp, ".ssp")
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
@@ -91,15 +99,57 @@ def compare(
         def told(done: int, total: int, what: str) -> None:
             bar.update(row, completed=done, total=total, description=f"compare: {what}")
 
-        comparison = run_scenario(described, load, progress=None if as_json else told)
+        loaded = Loaded()
+        comparison = run_scenario(described, loaded, progress=None if as_json else told)
     if not comparison.scores:
         refuse_unscored(comparison)
     paths = write_report(comparison, output)
+    if ssp is not None:
+        paths |= {"ssp": pack(described, loaded, comparison, ssp)}
     if as_json:
         typer.echo(paths["json"].read_text(encoding="utf-8"))
     else:
         print_comparison(comparison)
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
+
+
+class Loaded(dict):
+    """MODEL -> what it stands for, read once."""
+
+    def __call__(self, spec: str):
+        if spec not in self:
+            self[spec] = load(spec)
+        return self[spec]
+
+
+def pack(scenario, loaded: Loaded, comparison, path: Path) -> Path:
+    """The models of a comparison as an SSP archive; those that cannot be in it are named."""
+    from hydrotwin.comparison.scenario import load_contenders
+    from hydrotwin.export import SystemPart, export_ssp
+
+    parts = []
+    for row, contender in zip(scenario.models, load_contenders(scenario, loaded), strict=True):
+        thing = loaded.get(row.model, contender)
+        if scenario.loop:
+            thing = getattr(contender, "block", contender)  # the model under the controller
+        parts.append(SystemPart(contender.name, thing, shipped_values(row.model, thing), equations_told(thing)))
+    archive = export_ssp(parts, path, records=comparison.records, title=comparison.title)
+    for sentence in archive.left_out:
+        mark(err, "note", f"{path}: {sentence}")
+    return archive.path
+
+
+def shipped_values(spec: str, thing) -> dict[str, float]:
+    """Parameter -> value [SI] before identification, for a model with the values of a model file; else empty.
+
+    Parameters of effects that the file adds are neutral there.
+    """
+    if not hasattr(thing, "additions") or origin(spec) == spec:
+        return {}
+    base = load(origin(spec))
+    here = {a.name for a in base.additions}
+    base = base.plus([a for a in thing.additions if a.name not in here])
+    return {p.name: p.value for p in base.flat.parameters}
 
 
 def refuse_unscored(comparison) -> None:

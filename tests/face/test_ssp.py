@@ -1,0 +1,86 @@
+"""compare --ssp: a comparison packed as an SSP archive, from the command line."""
+
+from __future__ import annotations
+
+import zipfile
+
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd, read_ssv
+
+import hydrotwin as ht
+from hydrotwin.export import read_fmu
+from hydrotwin.models import cehA
+from hydrotwin.models.effects import add_effect
+from tests.face.command_line import SHIPPED, hydrotwin, short
+
+
+def values(archive, name: str) -> dict[str, float]:
+    return {p.name: float(p.value) for p in read_ssv(archive, resource=f"resources/{name}.ssv").parameters}
+
+
+@pytest.fixture(scope="module")
+def packed(recordings):
+    """A comparison of the shipped model, an identified one with an effect, the formula, an FMU and the yardstick."""
+    leaking = add_effect(cehA.model(), "internal_leakage", values={"conductance": 2e-14})
+    found = leaking.with_parameters({"motor.gain": 117.0})
+    ht.write_model_file(recordings / "model.toml", "cehA", found)
+    ht.export_fmu(ht.load("eq17"), recordings / "vendor.fmu")
+    (recordings / "scenario.toml").write_text(
+        'models = ["cehA", {model = "model.toml", name = "identified"}, "eq17", '
+        '{model = "vendor.fmu", name = "bought"}, "hold_last"]\nvalidate = ["validate_*.csv"]\nmodes = ["free run"]\n'
+    )
+    archive = recordings / "models.ssp"
+    return archive, hydrotwin("compare", recordings / "scenario.toml", "--out", recordings / "r", "--ssp", archive)
+
+
+def test_the_archive_holds_every_model_and_says_who_is_not_in_it(packed, recordings):
+    archive, answer = packed
+    assert answer.code == 0, answer.said
+    assert "hold last sample: left out, it is no system" in answer.said and f", {archive}" in answer.said
+    system = read_ssd(archive).system
+    assert [c.name for c in system.elements] == ["cehA", "identified", "published_formula", "bought"]
+    assert [c.name for c in system.connectors if c.kind == "input"] == ["command", "motor_speed"]
+    with zipfile.ZipFile(archive) as files:
+        assert {"resources/validate_1.csv", "resources/validate_2.csv"} <= set(files.namelist())
+        assert files.read("resources/bought.fmu") == (recordings / "vendor.fmu").read_bytes()
+
+
+def test_nominal_is_the_machine_as_shipped_without_the_effect(packed):
+    nominal, identified = values(packed[0], "nominal"), values(packed[0], "identified")
+    (leak,) = (n for n in identified if "leakage" in n)
+    shipped = {p.name: p.value for p in ht.load("cehA").flat.parameters}
+    assert {n: v for n, v in nominal.items() if n.startswith("cehA.")} == {f"cehA.{n}": v for n, v in shipped.items()}
+    assert (identified["identified.motor.gain"], nominal["identified.motor.gain"]) == (117.0, shipped["motor.gain"])
+    assert (identified[leak], nominal[leak]) == (pytest.approx(2e-14), 0.0)
+    assert next(b.source for b in read_ssd(packed[0]).system.parameterBindings) == "resources/identified.ssv"
+
+
+def test_each_recording_brings_its_start(packed, recordings):
+    for name in ("validate_1", "validate_2"):
+        angle = ht.read_record(recordings / f"{name}.csv")["arm_angle"][0]
+        starts = values(packed[0], f"start_{name}")
+        assert starts["identified.arm.angle.start"] == starts["bought.arm_angle.start"] == pytest.approx(angle)
+
+
+def test_models_in_a_loop_are_packed_with_their_controller(tmp_path):
+    source = SHIPPED / "cehA/closed_loop"
+    short(source / "measured.csv", tmp_path / "measured.csv", 3.0)
+    text = (source / "scenario.toml").read_text()
+    (tmp_path / "scenario.toml").write_text(text)
+    archive = tmp_path / "loop.ssp"
+    answer = hydrotwin("compare", tmp_path / "scenario.toml", "--out", tmp_path / "r", "--ssp", archive)
+    assert answer.code == 0, answer.said
+    assert [c.name for c in read_ssd(archive).system.connectors if c.kind == "input"] == ["reference"]
+    with zipfile.ZipFile(archive) as files:
+        files.extract("resources/cehA.fmu", tmp_path)
+    record = ht.read_record(tmp_path / "measured.csv")
+    angle = read_fmu(tmp_path / "resources/cehA.fmu").free_run(record)["arm_angle"]
+    assert np.abs(angle - record["arm_angle"]).max() < 0.05 * np.ptp(record["arm_angle"])  # it follows the reference
+
+
+def test_a_name_that_is_no_archive_is_refused_before_the_run(recordings):
+    words = ("--model", "cehA", "--validate", recordings / "validate_1.csv", "--ssp", recordings / "out.zip")
+    answer = hydrotwin("compare", *words, "--out", recordings / "never")
+    assert answer.code == 2 and "It must end in .ssp" in answer.said
+    assert not (recordings / "never").exists()

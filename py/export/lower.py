@@ -32,7 +32,7 @@ class Lowered:
 
     method : "explicit" (Runge-Kutta, fixed step), "adaptive" (Rosenbrock) or "sampled" (held between samples).
     step : longest internal step or sample period [s].
-    functions : the generated functions by role: start, start_forward, output, forward, derivative, advance.
+    functions : the generated functions by role: start, start_forward, output, present, forward, derivative, advance.
     """
 
     name: str
@@ -86,6 +86,7 @@ def lower_model(
         "start": _named("ht_start", start),
         "start_forward": _tangent("ht_start_forward", start, ["x"]),
         "output": _named("ht_output", flat.ode),
+        "present": _outputs(flat.ode),
         "forward": _tangent("ht_forward", flat.ode, ["xdot", "y"]),
         "derivative": _rate(flat.ode),
     }
@@ -221,6 +222,12 @@ def _sampled_output(step: ca.Function) -> ca.Function:
     x, u, p = _arguments(step)
     t = type(x).sym("t")
     return ca.Function("ht_output", [t, x, u, p], [step(x, u, p)[1]], ["t", "x", "u", "p"], ["y"])
+
+
+def _outputs(ode: ca.Function) -> ca.Function:
+    arguments = _arguments(ode)
+    y = ca.densify(ode(*arguments)[1])
+    return ca.Function("ht_present", arguments, [y], ["t", "x", "u", "p"], ["y"])
 
 
 def _rate(ode: ca.Function) -> ca.Function:

@@ -111,7 +111,7 @@ const ht_model ht_the_model = {{
 """
 
 
-_ROLES = ("start", "start_forward", "output", "forward", "derivative", "advance", "start_reverse", "reverse")
+_ROLES = ("start", "start_forward", "output", "present", "forward", "derivative", "advance", "start_reverse", "reverse")
 
 
 def _numbers(values: Sequence[float]) -> str:

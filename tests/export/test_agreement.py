@@ -258,3 +258,16 @@ def test_inside_and_outside_of_the_training_data_are_told_alike_in_python_and_in
     assert set(np.unique(expected["inside_training_domain"])) == {0.0, 1.0}
     for name in ("training_distance", "inside_training_domain"):
         np.testing.assert_allclose(found[name], expected[name], atol=1e-12)
+
+
+def test_derivatives_of_co_simulation_follow_the_step_though_only_outputs_were_read(libraries, systems):
+    flat = systems["cehA"]
+    instance = libraries["cehA"].instance().initialise()
+    names = [f"der({s.name})" for s in flat.states]
+    for k in range(3):
+        assert instance.step(0.01 * k, 0.01) == OK
+        instance.get(*(s.name for s in flat.outputs))
+    x, t = instance.get(*(s.name for s in flat.states)), 0.03
+    expected = flat.ode(t, x, [0.0] * len(flat.inputs), flat.parameter_vector())[0].full().ravel()
+    np.testing.assert_allclose(instance.get(*names), expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+    instance.free()

@@ -193,16 +193,18 @@ ht_status ht_set(ht_instance *s, const unsigned *reference, size_t n, const doub
 
 ht_status ht_get(ht_instance *s, const unsigned *reference, size_t n, double *value) {
     size_t k;
-    int follows = 0;
+    int follows = 0, rates = 0;
     if (ht_phase_of(s) == HT_INSTANTIATED)
         return ht_fail(s, HT_ERROR, "values cannot be read before initialization mode");
     for (k = 0; k < n; k++) {
         ht_kind kind = ht_kind_of(s->model, reference[k], NULL);
         if (kind == HT_UNKNOWN) return ht_fail(s, HT_ERROR, "no variable has the value reference %u", reference[k]);
         follows = follows || (kind >= HT_OUTPUT && kind <= HT_DERIVATIVE);
+        rates = rates || kind == HT_DERIVATIVE;
     }
     if (follows && ht_phase_of(s) != HT_TERMINATED) {
         ht_status status = ht_refresh(s);
+        if (status == HT_OK && rates) status = ht_refresh_rates(s);
         if (status != HT_OK) return status;
     }
     for (k = 0; k < n; k++) value[k] = s->data[reference[k]];

@@ -37,6 +37,7 @@ typedef struct {
     ht_function start;            /* (u, p, z) -> x */
     ht_function start_forward;    /* (u, p, z, du, dp, dz) -> dx */
     ht_function output;           /* (t, x, u, p) -> xdot, y   (sampled: y alone) */
+    ht_function present;          /* (t, x, u, p) -> y          (sampled: none) */
     ht_function forward;          /* (t, x, u, p, dt, dx, du, dp) -> dxdot, dy   (sampled: dy alone) */
     ht_function derivative;       /* (t, x, u, p) -> xdot */
     ht_function advance;          /* adaptive: (t, h, x, u, p) -> x; sampled: (x, u, p) -> x, y */

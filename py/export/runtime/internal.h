@@ -8,7 +8,7 @@
 #define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
 
 /* bookkeeping inside the flat state */
-enum { PHASE, STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, BOOKKEEPING };
+enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, BOOKKEEPING };
 
 /* core.c */
 size_t ht_place_of(const ht_model *model, ht_kind kind);
@@ -33,6 +33,7 @@ int ht_call(ht_instance *self, ht_function f, size_t args, const double *const *
 ht_status ht_integrate(ht_instance *self, double time, double size);
 ht_status ht_sample_through(ht_instance *self, double time, double size);
 double ht_sample_time(const ht_instance *self); /* of the sample that is due next */
-ht_status ht_refresh(ht_instance *self);        /* outputs and derivatives of the present state */
+ht_status ht_refresh(ht_instance *self);        /* outputs of the present state, in Model Exchange its derivatives too */
+ht_status ht_refresh_rates(ht_instance *self);  /* derivatives, where outputs alone were asked for so far */
 
 #endif

@@ -120,6 +120,7 @@ ht_status ht_start_states(ht_instance *s) {
 static ht_status present_outputs(ht_instance *s) {
     const ht_model *m = s->model;
     double t = ht_time(s), *u = s->scratch;
+    int exchanged = s->interface == HT_MODEL_EXCHANGE, failed;
     const double *arg[4];
     double *res[2];
     if (m->method == HT_SAMPLED)
@@ -127,8 +128,24 @@ static ht_status present_outputs(ht_instance *s) {
     ht_inputs_at(s, t, u, NULL);
     arg[0] = &t, arg[1] = ht_values(s, HT_STATE), arg[2] = u, arg[3] = ht_values(s, HT_PARAMETER);
     res[0] = ht_values(s, HT_DERIVATIVE), res[1] = ht_values(s, HT_OUTPUT);
-    if (ht_call(s, m->output, 4, arg, 2, res) || !ht_finite(res[1], m->outputs))
+    failed = exchanged ? ht_call(s, m->output, 4, arg, 2, res) : ht_call(s, m->present, 4, arg, 1, res + 1);
+    ht_book(s)[RATES_STALE] = exchanged ? 0.0 : 1.0;
+    if (failed || !ht_finite(res[1], m->outputs))
         return ht_fail(s, HT_DISCARD, "an output is not finite at t = %.9g s", t);
+    return HT_OK;
+}
+
+ht_status ht_refresh_rates(ht_instance *s) {
+    double t = ht_time(s), *u = s->scratch;
+    const double *arg[4];
+    double *res[1];
+    if (ht_book(s)[RATES_STALE] == 0.0) return HT_OK;
+    ht_inputs_at(s, t, u, NULL);
+    arg[0] = &t, arg[1] = ht_values(s, HT_STATE), arg[2] = u, arg[3] = ht_values(s, HT_PARAMETER);
+    res[0] = ht_values(s, HT_DERIVATIVE);
+    if (ht_call(s, s->model->derivative, 4, arg, 1, res))
+        return ht_fail(s, HT_DISCARD, "the derivatives cannot be computed at t = %.9g s", t);
+    ht_book(s)[RATES_STALE] = 0.0;
     return HT_OK;
 }
 

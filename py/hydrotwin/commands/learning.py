@@ -20,6 +20,7 @@ from .shared import (
     ScaleOption,
     ValidateOption,
     check_file,
+    check_folder,
     err,
     examples,
     out,
@@ -44,6 +45,7 @@ RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
+ReportOption = Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the curves")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
 
 
@@ -122,18 +124,23 @@ def invert(
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
     scale: ScaleOption = None,
+    report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Learn which command gives a wanted steady rate: the inverse of a characteristic, as a block."""
     from hydrotwin.learned import characteristic, learn_inverse
 
     check_file(output, ".toml")
+    if report:
+        check_folder(report)
     options = _options("invert", learn_inverse, settings, {"method": method}, characteristic)
+    machine = _source(source, scale)
     block = _trained(
-        "invert", learn_inverse, (_source(source, scale), command, answer), as_json,
-        **options, **_named(name), seed=seed,
+        "invert", learn_inverse, (machine, command, answer), as_json, **options, **_named(name), seed=seed,
     )  # fmt: skip
     _written(block, output, as_json)
+    if report:
+        _report_curves(report, machine, command, answer, options, as_json, inverse=block)
 
 
 def compensate(
@@ -148,16 +155,35 @@ def compensate(
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
     scale: ScaleOption = None,
+    report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Learn what to command instead, so that the machine follows a desired curve through waypoints."""
     from hydrotwin.learned import characteristic, learn_compensator, learn_inverse
+    from hydrotwin.learned.inverse.compensator import desired_curve
 
     check_file(output, ".toml")
+    if report:
+        check_folder(report)
     options = _options("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
     points = [_waypoint(text) for text in waypoints]
-    block = learn_compensator(_source(source, scale), command, answer, points, **options, **_named(name))
+    machine = _source(source, scale)
+    block = learn_compensator(machine, command, answer, points, **options, **_named(name))
     _written(block, output, as_json)
+    if report:
+        curve = desired_curve(points, degree)
+        _report_curves(report, machine, command, answer, options, as_json, compensator=block, desired=curve)
+
+
+def _report_curves(folder: Path, machine, command: str, answer: str, options: dict, silent: bool, **learnt) -> None:
+    """The page of the characteristic that was turned round."""
+    from hydrotwin.learned import characteristic
+    from hydrotwin.report.characteristic import write_characteristic
+
+    own = {k: v for k, v in options.items() if k in inspect.signature(characteristic).parameters}
+    files = write_characteristic(characteristic(machine, command, answer, **own), folder, machine=machine, **learnt)
+    if not silent:
+        out.print(f"written: {files['html']}")
 
 
 def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:

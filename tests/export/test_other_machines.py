@@ -19,8 +19,10 @@ from hydrotwin.export import export_fmu
 SOURCE = Path(__file__).with_name("replay.c")
 HEADERS = Path(fmpy.__file__).parent / "c-code"
 SYSROOT = Path("/usr/aarch64-linux-gnu")
-WINE = shutil.which("wine64") or shutil.which("wine") or next(
-    (str(p) for p in (Path("/usr/lib/wine/wine64"), Path("/usr/lib/wine/wine")) if p.exists()), None
+WINE = (
+    shutil.which("wine64")
+    or shutil.which("wine")
+    or next((str(p) for p in (Path("/usr/lib/wine/wine64"), Path("/usr/lib/wine/wine")) if p.exists()), None)
 )
 QEMU = shutil.which("qemu-aarch64") or shutil.which("qemu-aarch64-static")
 STEPS, STEP = 200, 0.01

@@ -50,4 +50,4 @@ def simulation():
 
 runs = [{"calls": calls, "simulate_fmu": simulation}[job["way"]]() for _ in range(job["rounds"])]
 np.save(job["found"], runs[0][1])
-print(min(spent for spent, _ in runs))
+print(min(spent for spent, _ in runs), flush=True)

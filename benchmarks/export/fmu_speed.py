@@ -176,7 +176,10 @@ def fmpy_run(fmu: Path, way: str, starts: dict, u, expected, folder: Path) -> Ca
 
     def run() -> float:
         line = [sys.executable, str(HERE / "_fmpy_loop.py"), str(file)]
-        said = subprocess.run(line, check=True, capture_output=True, text=True, timeout=300).stdout
+        ended = subprocess.run(line, capture_output=True, text=True, timeout=300)
+        said = ended.stdout  # all of it, even where unloading aborts the process: PythonFMU does that now and then
+        if not said.strip():
+            raise SystemExit(f"{label}: the run ended with {ended.returncode}. {ended.stderr[-300:]}")
         if expected is not None:
             same(np.load(folder / f"{label}.npy", allow_pickle=False), expected[:FMPY_STEPS], label)
         return float(said.split()[-1])

@@ -102,6 +102,20 @@ def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]
     return checked
 
 
+def checked_recordings(verb: str, records, inputs, outputs, validate) -> tuple:
+    """Inputs, outputs, recordings and validation recordings, checked; raises `DataError` with a sentence."""
+    records, validate = list(records), list(validate)
+    if not records:
+        raise DataError(f"{verb}: no recordings (got an empty list). Give at least one Record.")
+    inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
+    both = {s.name for s in inputs} & {s.name for s in outputs}
+    if both:
+        raise DataError(f"{verb}: {sorted(both)} named both as input and output. A signal is one of the two.")
+    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
+    check_excitation(records, (*inputs, *outputs))
+    return inputs, outputs, records, validate
+
+
 def check_excitation(records: Sequence[Record], signals: Sequence[Signal]) -> None:
     """Raise `DataError` for a signal that never moves in any of the recordings."""
     box = training_box(records, signals)

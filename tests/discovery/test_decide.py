@@ -217,3 +217,10 @@ def test_a_structure_that_fits_the_noise_of_the_fit_recordings_fails_on_the_othe
     fitted = structure([0.6 * white(0)], [1.1 * white(2)], parameters=12)
     plain = structure([white(0)], [white(2)])
     assert not compared(fitted, plain, asked()).passes(1)
+
+
+def test_a_noise_estimated_too_large_does_not_hide_what_a_better_structure_explains():
+    better, other = structure([0.7 * white(0)], [0.7 * white(1)]), structure([0.9 * white(0)], [0.9 * white(1)])
+    assert gap_closed(other.rmse_select, better.rmse_select, NOISE) == 0.0, "both lie under the estimate"
+    assert closed(better, other, asked()) == pytest.approx(1.0)
+    assert closed(other, better, asked()) <= 0.0

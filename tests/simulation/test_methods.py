@@ -113,3 +113,15 @@ def test_a_wrong_method_names_the_right_one(machine):
 def test_a_wrong_step_is_refused(machine):
     with pytest.raises(DeclarationError, match=r"positive \(got -1"):
         prepare(machine[0], step=-1)
+
+
+def test_what_was_decided_at_other_parameters_is_decided_again(machine):
+    model, p, x0 = machine
+    first = prepare(model)
+    first.run(TIME, COMMAND, p, x0)
+    stiff = p.copy()
+    stiff[model.index_of("motor.time_constant")] = 1e-6
+    again = first.undecided()
+    assert (first.method, again.method, again.step) == ("explicit", "auto", model.step)
+    again.run(TIME[:20], COMMAND[:20], stiff, x0)
+    assert (again.method, first.method) == ("rosenbrock", "explicit")

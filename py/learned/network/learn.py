@@ -14,15 +14,13 @@ from hydrotwin.records import Record, noise_floor
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..training_data import (
-    as_signals,
-    check_excitation,
+    checked_recordings,
     choose_input_lags,
     choose_period,
     on_period,
     smoothed,
     split_tail,
     training_box,
-    usable,
 )
 from .narx import NETWORK, NarxShape, network_states
 
@@ -86,7 +84,7 @@ def train_network(
     """
     training = _import_training()
     _check_options(lags, hidden, starts, effort, budget, period)
-    inputs, outputs, records, validate = _recordings(records, inputs, outputs, validate)
+    inputs, outputs, records, validate = checked_recordings("train_network", records, inputs, outputs, validate)
     period = float(period or choose_period(records))
     data = _normalise(records, validate, inputs, outputs, period)
     shape = _shape(data, lags, hidden)
@@ -175,19 +173,6 @@ def _check_options(lags, hidden, starts, effort, budget, period) -> None:
     for option, value in {"effort": effort, "budget": budget, "period": 1.0 if period is None else period}.items():
         if not value > 0:
             raise DeclarationError(f"train_network: {option} must be positive (got {value}).")
-
-
-def _recordings(records, inputs, outputs, validate):
-    records, validate = list(records), list(validate)
-    if not records:
-        raise DataError("train_network: no recordings (got an empty list). Give at least one Record.")
-    inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
-    both = {s.name for s in inputs} & {s.name for s in outputs}
-    if both:
-        raise DataError(f"train_network: {sorted(both)} named both as input and output. A signal is one of the two.")
-    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
-    check_excitation(records, (*inputs, *outputs))
-    return inputs, outputs, records, validate
 
 
 def _normalise(records, validate, inputs, outputs, period) -> _Normalised:

@@ -9,13 +9,13 @@ from importlib import metadata
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..network.narx import network_states
-from ..training_data import as_signals, check_excitation, choose_period, training_box, usable
+from ..training_data import checked_recordings, choose_period, training_box
 from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula, formula_shape
 from .data import HELD_OUT, Prepared, prepare
 
@@ -75,7 +75,7 @@ def learn_symbolic(
     """
     searching, selecting, printing = _import_training()
     _check_options(fit, lags, starts, population, generations, tolerance, budget, period)
-    inputs, outputs, records, validate = _recordings(records, inputs, outputs, validate)
+    inputs, outputs, records, validate = checked_recordings("learn_symbolic", records, inputs, outputs, validate)
     paper = fit == "paper"
     recorded = float(f"{max(r.period for r in records):.9g}")  # the median of printed times carries rounding
     period = float(period or (recorded if paper else choose_period(records)))
@@ -225,19 +225,6 @@ def _check_options(fit, lags, starts, population, generations, tolerance, budget
             raise DeclarationError(f"learn_symbolic: {option} must be positive (got {value}).")
     if not 0 <= tolerance < np.inf:
         raise DeclarationError(f"learn_symbolic: tolerance must be 0 or more (got {tolerance}). 0.05 is 5 %.")
-
-
-def _recordings(records, inputs, outputs, validate):
-    records, validate = list(records), list(validate)
-    if not records:
-        raise DataError("learn_symbolic: no recordings (got an empty list). Give at least one Record.")
-    inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
-    both = {s.name for s in inputs} & {s.name for s in outputs}
-    if both:
-        raise DataError(f"learn_symbolic: {sorted(both)} named both as input and output. A signal is one of the two.")
-    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
-    check_excitation(records, (*inputs, *outputs))
-    return inputs, outputs, records, validate
 
 
 def _provenance(fit: str, records, validate, seed: int, found: dict) -> dict:

@@ -35,7 +35,7 @@ def description_of_fmi3(header: Header, variables: Sequence[Variable]) -> str:
     root.extend(categories_and_experiment(header))
     listed, types = ET.SubElement(root, "ModelVariables"), type_names(variables)
     for reference, variable in enumerate(variables):
-        listed.append(_variable(reference, variable, header.sampled, types))
+        listed.append(_variable(reference, variable, header, types))
     root.append(_model_structure(variables))
     annotation = ET.SubElement(ET.SubElement(root, "Annotations"), "Annotation", type=ANNOTATION)
     annotation.append(starts_annotation(variables, header))
@@ -53,25 +53,32 @@ def build_description(header: Header) -> str:
 
 
 def _interface(header: Header, interface: str) -> ET.Element:
-    """What is not named is false: no event mode, no early return and no intermediate update in Co-Simulation."""
+    """What is not named is false: no event mode in Co-Simulation, and no early return that nobody asked for."""
     if interface == "me":
         element = ET.Element("ModelExchange", modelIdentifier=header.identifier)
     else:
         element = ET.Element(
-            "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true"
-        )
+            "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true",
+            providesIntermediateUpdate="true", canReturnEarlyAfterIntermediateUpdate="true",
+        )  # fmt: skip
     for ability in _ABILITIES:
         element.set(ability, "true")
     return element
 
 
-def _variable(reference: int, variable: Variable, sampled: bool, types: Mapping[str, str]) -> ET.Element:
+def _variable(reference: int, variable: Variable, header: Header, types: Mapping[str, str]) -> ET.Element:
     attributes = {"name": variable.name, "valueReference": str(reference)}
     if variable.description:
         attributes["description"] = variable.description
     derivative = {} if variable.of is None else {"derivative": str(variable.of)}
-    real = real_attributes(variable, types)
-    return ET.Element("Float64", attributes | roles(variable.kind, sampled) | real | derivative)
+    role, real = roles(variable.kind, header.sampled), real_attributes(variable, types)
+    between = {"intermediateUpdate": "true"} if "cs" in header.interfaces and _is_intermediate(role) else {}
+    return ET.Element("Float64", attributes | role | between | real | derivative)
+
+
+def _is_intermediate(role: Mapping[str, str]) -> bool:
+    """Inputs and outputs that are continuous, as in ht_between of the runtime; those of a sampled block are held."""
+    return role["causality"] in ("input", "output") and role["variability"] == "continuous"
 
 
 def _model_structure(variables: Sequence[Variable]) -> ET.Element:

@@ -30,7 +30,8 @@ class StartParameter:
 class Lowered:
     """A system ready to be written as C.
 
-    method : "explicit" (Runge-Kutta, fixed step), "adaptive" (Rosenbrock) or "sampled" (held between samples).
+    method : "explicit" (Runge-Kutta, fixed step), "implicit" (Rosenbrock, fixed step), "adaptive" (Rosenbrock) or
+        "sampled" (held between samples).
     step : longest internal step or sample period [s].
     functions : the generated functions by role: start, start_forward, output, present, forward, derivative, advance.
     """
@@ -90,8 +91,8 @@ def lower_model(
         "forward": _tangent("ht_forward", flat.ode, ["xdot", "y"]),
         "derivative": _rate(flat.ode),
     }
-    if method == "adaptive":
-        functions["advance"] = adaptive_advance(flat, tolerance)
+    if method in ("implicit", "adaptive"):
+        functions["advance"] = implicit_advance(flat) if method == "implicit" else adaptive_advance(flat, tolerance)
     return Lowered(
         name, method, step, flat.inputs, flat.outputs, flat.states, flat.parameters, starts, functions,
         flat.description, dict(getattr(flat, "provenance", None) or {}),
@@ -132,10 +133,19 @@ def with_adjoints(lowered: Lowered) -> Lowered:
 
 
 def adaptive_advance(flat: FlatModel, tolerance: float) -> ca.Function:
-    """``(t, h, x, u, p) -> x`` after h by CasADi's Rosenbrock method of order 5(4), inputs constant.
+    """``(t, h, x, u, p) -> x`` after h by CasADi's Rosenbrock method of order 5(4), inputs constant, steps adaptive."""
+    return _rosenbrock(flat, {"reltol": tolerance, "abstol": tolerance})
 
-    The unit interval is integrated with ``dz/dtau = h f(t + tau h, N z, u, p) / N``: one compiled function serves every
-    step size, and the nominal values N make the tolerance the same for Pa and rad.
+
+def implicit_advance(flat: FlatModel) -> ca.Function:
+    """The same in one step: one Jacobian, one factorization, eight stages, whatever the state: a bounded cost."""
+    return _rosenbrock(flat, {"step_size": 1.0})
+
+
+def _rosenbrock(flat: FlatModel, options: dict) -> ca.Function:
+    """The unit interval is integrated with ``dz/dtau = h f(t + tau h, N z, u, p) / N``.
+
+    So one compiled function serves every step size, and the nominal values N make tolerances the same for Pa and rad.
     """
     n = [np.array([abs(s.nominal) or 1.0 for s in flat.states])]
     sizes = [len(flat.states), len(flat.inputs), len(flat.parameters)]
@@ -143,10 +153,7 @@ def adaptive_advance(flat: FlatModel, tolerance: float) -> ca.Function:
     tau, z, q = sym.sym("tau"), sym.sym("z", sizes[0]), sym.sym("q", 2 + sizes[1] + sizes[2])
     t, h, u, p = ca.vertsplit(q, [0, 1, 2, 2 + sizes[1], q.shape[0]])
     rate = h * flat.ode(t + tau * h, z * n[0], u, p)[0] / n[0]
-    solver = ca.integrator(
-        "rosenbrock", "rosenbrock", {"x": z, "p": q, "t": tau, "ode": rate}, 0, 1,
-        {"reltol": tolerance, "abstol": tolerance},
-    )  # fmt: skip
+    solver = ca.integrator("rosenbrock", "rosenbrock", {"x": z, "p": q, "t": tau, "ode": rate}, 0, 1, options)
     t, h = ca.MX.sym("t"), ca.MX.sym("h")
     x, u, p = ca.MX.sym("x", sizes[0]), ca.MX.sym("u", sizes[1]), ca.MX.sym("p", sizes[2])
     after = solver(x0=x / n[0], p=ca.vertcat(t, h, u, p))["xf"] * n[0]

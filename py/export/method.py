@@ -1,4 +1,4 @@
-"""Which integrator an exported model gets: explicit with a fixed step, or adaptive for the stiff ones.
+"""Which integrator an exported model gets: explicit with a fixed step, or one for the stiff: adaptive, or fixed again.
 
 Decided by trial: a short run under a smooth excitation, fixed step against the adaptive method at a tight tolerance.
 """
@@ -17,7 +17,7 @@ STIFF = 1e-2
 """Difference of the two methods, relative to the range of a state, above which the fixed step is called unstable."""
 
 TRIAL_TIME, TRIAL_INTERVALS, TIGHT = 0.5, 25, 1e-11
-METHODS = ("auto", "explicit", "adaptive")
+METHODS = ("auto", "explicit", "implicit", "adaptive")
 
 
 def choose_method(flat: FlatModel, method: str, step: float) -> tuple[str, float, str]:
@@ -26,9 +26,10 @@ def choose_method(flat: FlatModel, method: str, step: float) -> tuple[str, float
     "auto" keeps the explicit method at the very step that `simulate` takes, so that FMU and simulation are the same
     numbers, unless that step is unstable: then "adaptive". The reason says how far the fixed step is from the adaptive
     method; a smaller ``step`` brings it nearer, in `simulate` as here.
+
+    Raises DeclarationError for a method that is none and a step that is not positive.
     """
-    if method not in METHODS:
-        raise DeclarationError(f"{flat.name}: no method '{method}'. {nearest(method, METHODS)}")
+    check_method(flat.name, method, step)
     if not flat.states:
         return "explicit", step, "the model has no states"
     if method != "auto":
@@ -40,6 +41,14 @@ def choose_method(flat: FlatModel, method: str, step: float) -> tuple[str, float
     if difference > STIFF:
         return "adaptive", step, f"Runge-Kutta at {step:g} s is {difference:.1e} of the range off: the model is stiff"
     return "explicit", step, f"Runge-Kutta at {step:g} s and Rosenbrock agree to {difference:.1e} of each state's range"
+
+
+def check_method(name: str, method: str, step: float | None = None) -> None:
+    """Raise DeclarationError for a method that is none and a step [s] that is not positive; ``name``: of the model."""
+    if method not in METHODS:
+        raise DeclarationError(f"{name}: no method '{method}'. {nearest(method, METHODS)}")
+    if step is not None and not step > 0:
+        raise DeclarationError(f"{name}: the internal step must be positive (got {step:g} s). Give seconds, as 1e-3.")
 
 
 def fixed_step_advance(flat: FlatModel, step: float) -> ca.Function:

@@ -20,11 +20,14 @@ FMI_HEADERS = {
 }
 INTERFACES = {"cs": ("cs",), "me": ("me",), "both": ("me", "cs")}
 _CORE = (
-    "core.c", "core.h", "internal.h", "inputs.c", "history.c", "history.h", "solve.c", "sensitivity.c", "store.c",
+    "categories.c", "categories.h", "core.c", "core.h", "internal.h", "inputs.c", "history.c", "history.h", "solve.c",
+    "sensitivity.c", "store.c",
 )  # fmt: skip
 _FACES_OF_FMI3 = ("fmi3.c", "fmi3_face.h", "fmi3_none.c", "fmi3_me.c", "fmi3_cs.c")
 _FLAGS = {"cs": "HT_CO_SIMULATION", "me": "HT_MODEL_EXCHANGE"}
-_METHODS = {"explicit": "HT_EXPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED"}
+_METHODS = {
+    "explicit": "HT_EXPLICIT", "implicit": "HT_IMPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED",
+}  # fmt: skip
 _WORK = ("sz_arg", "sz_res", "sz_iw", "sz_w")
 
 

@@ -36,6 +36,7 @@ _INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
 _EXCHANGE = "Model Exchange: the importer integrates; derivatives and outputs are computed when asked for."
 _SOLVERS = {
     "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
+    "implicit": "Rosenbrock method of order 5, internal steps of at most {step:g} s, each of the same cost.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
     "sampled": "A sampled block: it moves every {step:g} s and is held in between, whatever the master's step.",
 }
@@ -72,8 +73,10 @@ def export_fmu(
     recording begins differs from run to run, pressures and the like then follow from equilibrium. Of a Block, the start
     parameters are ``<output>.start``, the first measured outputs that its ``start`` function reads.
 
-    method : "auto", "explicit" or "adaptive" (see `method.choose_method`); auto is explicit with the step of
-        `simulate`, adaptive for stiff models. step : longest internal step [s], the model's own by default.
+    method : "auto", "explicit", "implicit" or "adaptive" (see `method.choose_method`); auto is explicit with the step
+        of `simulate`, adaptive for stiff models. Implicit is for stiff models in hard real time: L-stable with a fixed
+        step, so that a communication step never costs more than the last one.
+    step : longest internal step [s], the model's own by default.
     tolerance : of the adaptive method, in nominal units.
     stop_time, step_size : of the default experiment [s].
     platforms : "linux64", "win64", "darwin64", "aarch64-linux", "aarch64-darwin", their names in FMI 3, or "all"; this
@@ -152,11 +155,14 @@ def _refuse_exchange(lowered: Lowered, kind: str):
         )
 
 
-def _lowered(
-    model, given, method: str, step: float | None, tolerance: float, delays: bool
-) -> tuple[Lowered, str]:
+def _lowered(model, given, method: str, step: float | None, tolerance: float, delays: bool) -> tuple[Lowered, str]:
     """The system to write and how it computes; without ``delays``, dead times of zero are left out."""
     if isinstance(model, Block):
+        if method != "auto" or step is not None:
+            raise DeclarationError(
+                f"{model.name}: a sampled block has no solver inside (got method={method!r}, step={step}). It moves "
+                f"every {model.period:g} s. Leave method and step away."
+            )
         lowered = lower_block(model, model.name)
         return lowered, _SOLVERS["sampled"].format(step=lowered.step)
     flat = getattr(model, "flat", model)
@@ -166,7 +172,7 @@ def _lowered(
             "A Fit has its model as fit.flat."
         )
     flat, idle = (flat, ()) if delays else without_idle_delays(flat)
-    method, step, reason = choose_method(flat, method, float(step or flat.step))
+    method, step, reason = choose_method(flat, method, float(flat.step if step is None else step))
     lowered = lower_model(flat, given, method, step, tolerance, flat.name)
     left_out = f" Left out, because Model Exchange knows no dead time: {', '.join(idle)} = 0 s." if idle else ""
     return lowered, f"{_SOLVERS[method].format(step=step, tolerance=tolerance)} Chosen because: {reason}.{left_out}"

@@ -80,18 +80,24 @@ def libraries(fmus, tmp_path_factory):
     return Loaded()
 
 
-OF_FMI3 = ["cehA 3", "delayed mass 3", "stiff 3", "lag 3", "lag in MX 3"]
+OF_FMI3 = ["cehA 3", "delayed mass 3", "stiff 3", "implicit 3", "lag 3", "lag in MX 3"]
+IMPLICIT = ("stiff", ("method", "implicit"))
 
 
-@pytest.fixture(params=["cehA", "delayed mass", "stiff", "lag", "lag in MX", *OF_FMI3])
+@pytest.fixture(params=["cehA", "delayed mass", "stiff", "implicit", "lag", "lag in MX", *OF_FMI3])
 def library(request, libraries, exchangers):
     """Each kind of Co-Simulation FMU in turn, of both versions."""
     if request.param in OF_FMI3:
-        return exchangers[request.param.removesuffix(" 3"), ("fmi", 3)]
-    return libraries[request.param]
+        return _of_fmi3(exchangers, request.param)
+    return exchangers[IMPLICIT] if request.param == "implicit" else libraries[request.param]
+
+
+def _of_fmi3(exchangers, label):
+    name = label.removesuffix(" 3")
+    return exchangers[*(IMPLICIT if name == "implicit" else (name,)), ("fmi", 3)]
 
 
 @pytest.fixture(params=OF_FMI3)
 def library3(request, exchangers):
     """Each kind of Co-Simulation FMU of FMI 3 in turn."""
-    return exchangers[request.param.removesuffix(" 3"), ("fmi", 3)]
+    return _of_fmi3(exchangers, request.param)

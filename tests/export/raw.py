@@ -13,6 +13,9 @@ LOGGER = c.CFUNCTYPE(None, c.c_void_p, c.c_char_p, c.c_int, c.c_char_p, c.c_char
 
 
 LOGGER3 = c.CFUNCTYPE(None, c.c_void_p, c.c_int, c.c_char_p, c.c_char_p)
+UPDATE3 = c.CFUNCTYPE(
+    None, c.c_void_p, c.c_double, c.c_bool, c.c_bool, c.c_bool, c.c_bool, c.POINTER(c.c_bool), c.POINTER(c.c_double)
+)
 
 
 class Callbacks(c.Structure):
@@ -47,10 +50,13 @@ class Library:
         self.variables = {v.get("name"): v for v in self.root.find("ModelVariables")}
         self.references = {n: int(v.get("valueReference")) for n, v in self.variables.items()}
         self.messages: list[tuple[int, str]] = []
-        self._logger = LOGGER(
-            lambda owner, name, status, category, form, text: self.messages.append((status, text.decode()))
-        )
-        self._logger3 = LOGGER3(lambda owner, status, category, text: self.messages.append((status, text.decode())))
+        self.categories: list[str] = []
+        self._logger = LOGGER(lambda owner, name, status, category, form, text: self._hear(status, category, text))
+        self._logger3 = LOGGER3(lambda owner, status, category, text: self._hear(status, category, text))
+
+    def _hear(self, status: int, category: bytes, text: bytes):
+        self.messages.append((status, text.decode()))
+        self.categories.append(category.decode())
 
     @property
     def guid(self) -> str:
@@ -59,16 +65,20 @@ class Library:
     def names(self, causality: str) -> list[str]:
         return [n for n, v in self.variables.items() if v.get("causality") == causality]
 
-    def instantiate(self, guid: str | None = None, name: bytes = b"one", logger: bool = True, kind: int = 1):
+    def instantiate(
+        self, guid: str | None = None, name: bytes = b"one", logger: bool = True, kind: int = 1, update=None,
+        early: bool = False, required: tuple[str, ...] = (), logging: bool = False,
+    ):  # fmt: skip
         if self.fmi == 3:
             logger3 = self._logger3 if logger else LOGGER3()
-            between = (False, False, None, c.c_size_t(0)) if kind == 1 else ()
-            after = {0: (), 1: (None,), 2: (None, None, None)}[kind]
+            listed = (c.c_uint * len(required))(*(self.references[n] for n in required))
+            between = (False, early, listed, c.c_size_t(len(required))) if kind == 1 else ()
+            after = {0: (), 1: (update,), 2: (None, None, None)}[kind]
             create = getattr(self.dll, f"fmi3Instantiate{_KINDS[kind]}")
-            return create(name, (guid or self.guid).encode(), None, False, False, *between, None, logger3, *after)
+            return create(name, (guid or self.guid).encode(), None, False, logging, *between, None, logger3, *after)
         callbacks = Callbacks(self._logger if logger else LOGGER(), None, None, None, None)
         text = (guid or self.guid).encode()
-        return self.dll.fmi2Instantiate(name, c.c_int(kind), text, None, c.byref(callbacks), 0, 0)
+        return self.dll.fmi2Instantiate(name, c.c_int(kind), text, None, c.byref(callbacks), 0, int(logging))
 
     def instance(self, **options) -> Instance:
         return (Instance if self.fmi == 2 else Instance3)(self, self.instantiate(**options))
@@ -228,13 +238,19 @@ class Instance3(Instance):
         return enter(self.component, False, c.c_double(0.0), c.c_double(self._start), *stop)
 
     def step(self, time: float, size: float) -> int:
+        status, early, last = self.step_until(time, size)
+        assert not early
+        assert status != OK or abs(last - time - size) < 1e-9 * (1 + abs(time + size))
+        return status
+
+    def step_until(self, time: float, size: float) -> tuple[int, bool, float]:
+        """Status, whether it returned early, and the time it reached."""
         event, terminate, early, last = c.c_bool(True), c.c_bool(True), c.c_bool(True), c.c_double()
         status = self.DoStep(
             c.c_double(time), c.c_double(size), True, c.byref(event), c.byref(terminate), c.byref(early), c.byref(last)
         )
-        assert not (event.value or terminate.value or early.value)
-        assert status != OK or abs(last.value - time - size) < 1e-9 * (1 + abs(time + size))
-        return status
+        assert not (event.value or terminate.value)
+        return status, early.value, last.value
 
     def update_discrete_states(self) -> int:
         flags, following = [c.c_bool(True) for _ in range(5)], c.c_double()

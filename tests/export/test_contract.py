@@ -333,18 +333,48 @@ def test_adjoint_derivatives_are_the_transposed_of_the_directional_ones(library3
     instance.free()
 
 
-def test_event_mode_intermediate_update_and_other_interfaces_are_refused_as_declared(library3):
+def test_event_mode_and_other_interfaces_are_refused_as_declared(library3):
     library = library3
     declared = library.root.find("CoSimulation")
-    for flag in ("hasEventMode", "mightReturnEarlyFromDoStep", "providesIntermediateUpdate"):
+    for flag in ("hasEventMode", "mightReturnEarlyFromDoStep"):
         assert declared.get(flag, "false") == "false"
     create, token, log = library.dll.fmi3InstantiateCoSimulation, library.guid.encode(), library._logger3
     assert not create(b"one", token, None, False, False, True, False, None, c.c_size_t(0), None, log, None)
     assert "hasEventMode" in library.messages[-1][1]
-    assert not create(
-        b"one", token, None, False, False, False, False, c.byref(c.c_uint(0)), c.c_size_t(1), None, log, None
-    )
-    assert "providesIntermediateUpdate" in library.messages[-1][1]
     assert not library.instantiate(kind=2)
-    early = create(b"one", token, None, False, False, False, True, None, c.c_size_t(0), None, log, None)
-    library.dll.fmi3FreeInstance(c.c_void_p(early))
+
+
+ALL = ["logEvents", "logStatusDiscard", "logStatusError"]
+
+
+def heard(library, instance) -> set[str]:
+    """The categories of what is said about an initialization, a discarded value and an error."""
+    library.categories.clear()
+    instance.Reset()
+    instance.initialise()
+    assert instance.set(library.names("input")[0], math.nan) == DISCARD
+    assert instance.step(123.0, SIZE) == ERROR
+    return set(library.categories)
+
+
+def test_the_log_categories_are_those_of_the_description_and_can_be_chosen(library):
+    listed = [category.get("name") for category in library.root.find("LogCategories")]
+    assert listed == ALL
+    instance = library.instance(logging=True)
+    assert heard(library, instance) == set(ALL)
+    for wanted in ([ALL[0]], [ALL[1]], ALL[:2], [ALL[2]]):
+        names = (c.c_char_p * len(wanted))(*(n.encode() for n in wanted))
+        assert instance.SetDebugLogging(1, c.c_size_t(len(wanted)), names) == OK
+        assert heard(library, instance) == {*wanted, ALL[2]}  # an error is always told
+    assert instance.SetDebugLogging(1, c.c_size_t(0), None) == OK
+    assert heard(library, instance) == set(ALL)
+    assert instance.SetDebugLogging(0, c.c_size_t(0), None) == OK
+    assert heard(library, instance) == {ALL[2]}
+    assert instance.SetDebugLogging(1, c.c_size_t(1), (c.c_char_p * 1)(b"logOfNobody")) == ERROR
+    instance.free()
+
+
+def test_without_logging_fmi3_tells_errors_alone(library):
+    quiet = library.instance()
+    assert heard(library, quiet) == ({ALL[2]} if library.fmi == 3 else set(ALL[1:]))
+    quiet.free()

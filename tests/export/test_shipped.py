@@ -131,9 +131,7 @@ def test_a_name_that_is_none_is_refused(capsys):
     assert "Did you mean 'cehA'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("line", "words"), [("stepp = 0.1", "Did you mean 'step'"), ("", "no text 'title'")]
-)
+@pytest.mark.parametrize(("line", "words"), [("stepp = 0.1", "Did you mean 'step'"), ("", "no text 'title'")])
 def test_a_wrong_fmu_toml_says_what_and_where(tmp_path, line, words):
     (tmp_path / "fmu.toml").write_text(f'model = "cehA"\n{line}\n', encoding="utf-8")
     with pytest.raises(DataError, match=words):

@@ -52,8 +52,7 @@ ht_status ht_adjoint(ht_instance *s, const unsigned *unknown, size_t unknowns, c
     size_t k, i = 0;
     int starting = ht_phase_of(s) == HT_INITIALISING;
     ht_status status;
-    if (ht_phase_of(s) == HT_INSTANTIATED || ht_phase_of(s) == HT_TERMINATED)
-        return ht_fail(s, HT_ERROR, "derivatives are available from initialization mode on");
+    if (!ht_has_derivatives(s)) return HT_ERROR;
     status = ht_refresh(s);
     if (status != HT_OK) return status;
     memset(s->scratch, 0, ht_scratch_doubles(m) * sizeof(double));

@@ -119,7 +119,8 @@ int ht_finite(const double *v, size_t n) {
 
 ht_status ht_expect(ht_instance *s, ht_phase phase, const char *what) {
     static const char *const names[] = {"instantiated", "in initialization mode", "running",
-                                        "terminated",   "in event mode",          "in continuous-time mode"};
+                                        "terminated",   "in event mode",          "in continuous-time mode",
+                                        "in intermediate update mode"};
     if (ht_phase_of(s) == phase) return HT_OK;
     return ht_fail(s, HT_ERROR, "%s is not allowed while the instance is %s", what, names[ht_phase_of(s)]);
 }
@@ -164,6 +165,7 @@ static int settable(ht_kind kind, ht_phase phase) {
         case HT_INSTANTIATED:
         case HT_INITIALISING: return kind <= HT_START;
         case HT_RUNNING: return kind <= HT_PARAMETER;
+        case HT_BETWEEN: return kind == HT_INPUT;
         case HT_EVENT:
         case HT_CONTINUOUS: /* tunable parameters too, beyond the standard: optimisers move them without an event */
             return kind <= HT_PARAMETER || kind == HT_STATE;
@@ -199,6 +201,8 @@ ht_status ht_get(ht_instance *s, const unsigned *reference, size_t n, double *va
     for (k = 0; k < n; k++) {
         ht_kind kind = ht_kind_of(s->model, reference[k], NULL);
         if (kind == HT_UNKNOWN) return ht_fail(s, HT_ERROR, "no variable has the value reference %u", reference[k]);
+        if (ht_phase_of(s) == HT_BETWEEN && !ht_between(s->model, reference[k]))
+            return ht_fail(s, HT_ERROR, "variable '%s' cannot be read inside a step", s->model->labels[reference[k]]);
         follows = follows || (kind >= HT_OUTPUT && kind <= HT_DERIVATIVE);
         rates = rates || kind == HT_DERIVATIVE;
     }
@@ -237,25 +241,40 @@ static ht_status check_step(ht_instance *s, double time, double size) {
     return HT_OK;
 }
 
-static void move_inputs(ht_instance *s, double size) {
+static void move_to(ht_instance *s, double time) {
     size_t k;
-    for (k = 0; k < s->model->inputs; k++) {
-        ht_values(s, HT_INPUT)[k] += ht_slopes(s)[k] * size;
-        ht_slopes(s)[k] = 0.0;
-    }
+    for (k = 0; k < s->model->inputs; k++) ht_values(s, HT_INPUT)[k] += ht_slopes(s)[k] * (time - ht_time(s));
+    ht_values(s, HT_TIME)[0] = time;
+    ht_book(s)[STALE] = 1.0;
+}
+
+/* What is sampled changes at its samples and not for one who looks in between: only its inputs are at hand there. */
+int ht_between(const ht_model *m, size_t reference) {
+    ht_kind kind = ht_kind_of(m, reference, NULL);
+    return kind == HT_INPUT || (kind == HT_OUTPUT && m->method != HT_SAMPLED);
+}
+
+double ht_pause(ht_instance *s, double time, double end) {
+    if (!s->watcher) return end;
+    move_to(s, time);
+    ht_book(s)[PHASE] = HT_BETWEEN;
+    end = s->watcher(s, end);
+    ht_book(s)[PHASE] = HT_RUNNING;
+    ht_remember_inputs(s);
+    return end;
 }
 
 ht_status ht_step(ht_instance *s, double time, double size) {
     ht_status status = check_step(s, time, size);
+    double end = time + size;
     if (status != HT_OK) return status;
     memcpy(s->backup, s->data, ht_doubles(s->model) * sizeof(double));
     ht_values(s, HT_TIME)[0] = time;
     ht_remember_inputs(s);
-    status = s->model->method == HT_SAMPLED ? ht_sample_through(s, time, size) : ht_integrate(s, time, size);
+    status = s->model->method == HT_SAMPLED ? ht_sample_through(s, time, size, &end) : ht_integrate(s, time, size, &end);
     if (status == HT_OK) {
-        move_inputs(s, size);
-        ht_values(s, HT_TIME)[0] = time + size;
-        ht_book(s)[STALE] = 1.0;
+        move_to(s, end);
+        memset(ht_slopes(s), 0, s->model->inputs * sizeof(double));
     } else {
         memcpy(s->data, s->backup, ht_doubles(s->model) * sizeof(double));
     }

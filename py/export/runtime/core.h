@@ -13,10 +13,11 @@
 
 typedef int (*ht_function)(const double **arg, double **res, long long *iw, double *w, int mem);
 
-typedef enum { HT_EXPLICIT, HT_ADAPTIVE, HT_SAMPLED } ht_method;
+typedef enum { HT_EXPLICIT, HT_IMPLICIT, HT_ADAPTIVE, HT_SAMPLED } ht_method;
 typedef enum { HT_OK, HT_DISCARD, HT_ERROR } ht_status;
-/* running is the phase of Co-Simulation; event and continuous are those of Model Exchange */
-typedef enum { HT_INSTANTIATED, HT_INITIALISING, HT_RUNNING, HT_TERMINATED, HT_EVENT, HT_CONTINUOUS } ht_phase;
+/* running is the phase of Co-Simulation, between while a watcher looks inside a communication step; event and continuous
+   are those of Model Exchange */
+typedef enum { HT_INSTANTIATED, HT_INITIALISING, HT_RUNNING, HT_TERMINATED, HT_EVENT, HT_CONTINUOUS, HT_BETWEEN } ht_phase;
 typedef enum { HT_CO_SIMULATION = 1, HT_MODEL_EXCHANGE = 2 } ht_interface;
 typedef enum { HT_INPUT, HT_PARAMETER, HT_START, HT_OUTPUT, HT_STATE, HT_DERIVATIVE, HT_TIME, HT_UNKNOWN } ht_kind;
 
@@ -40,13 +41,18 @@ typedef struct {
     ht_function present;          /* (t, x, u, p) -> y          (sampled: none) */
     ht_function forward;          /* (t, x, u, p, dt, dx, du, dp) -> dxdot, dy   (sampled: dy alone) */
     ht_function derivative;       /* (t, x, u, p) -> xdot */
-    ht_function advance;          /* adaptive: (t, h, x, u, p) -> x; sampled: (x, u, p) -> x, y */
+    ht_function advance;          /* implicit, adaptive: (t, h, x, u, p) -> x; sampled: (x, u, p) -> x, y */
     ht_function start_reverse;    /* (u, p, z, adjoint of x) -> adjoints of u, p, z   (FMI 3 alone) */
     ht_function reverse;          /* (t, x, u, p, adjoints of xdot, y) -> adjoints of t, x, u, p   (FMI 3 alone) */
     size_t size_arg, size_res, size_iw, size_w;
 } ht_model;
 
-typedef struct {
+struct ht_instance;
+/* Called where an internal step has ended, at ht_time(self): outputs can be read and, before `end`, inputs be moved.
+   Answers when the communication step is to end, `end` or earlier. */
+typedef double (*ht_watcher)(struct ht_instance *self, double end);
+
+typedef struct ht_instance {
     const ht_model *model;
     ht_interface interface; /* the one this instance was made for */
     double *data;      /* the state, ht_doubles(model) long */
@@ -56,6 +62,7 @@ typedef struct {
     double **res;
     long long *iw;
     double *w;
+    ht_watcher watcher; /* or NULL */
     char message[256]; /* why the last call did not return HT_OK */
 } ht_instance;
 
@@ -78,7 +85,8 @@ ht_status ht_terminate(ht_instance *self);
 ht_status ht_set(ht_instance *self, const unsigned *reference, size_t n, const double *value);
 ht_status ht_get(ht_instance *self, const unsigned *reference, size_t n, double *value);
 ht_status ht_set_slope(ht_instance *self, const unsigned *reference, size_t n, const double *slope);
-ht_status ht_step(ht_instance *self, double time, double size);
+ht_status ht_step(ht_instance *self, double time, double size); /* ht_time tells how far it came: a watcher may stop it */
+int ht_between(const ht_model *model, size_t reference); /* whether a watcher may access the variable */
 
 /* store.c: copies of the whole state, made by the caller. Serialized: the GUID with its closing zero, then the state. */
 size_t ht_state_bytes(const ht_model *model);

@@ -5,12 +5,13 @@
 
 #include "fmi2_face.h"
 
-/* ---- logging and status: failures are always logged, events when logging is on ---- */
+/* ---- logging and status: errors are always logged, discards unless they are switched off ---- */
 
 static void say(component *c, fmi2Status status, const char *message) {
-    static const char *const categories[] = {"logEvents", "logEvents", "logStatusDiscard", "logStatusError"};
-    if (c->callbacks.logger && (c->logging || status != fmi2OK))
-        c->callbacks.logger(c->callbacks.componentEnvironment, c->name, status, categories[status], "%s", message);
+    int bit;
+    const char *category = ht_category_of(status, &bit);
+    if (c->callbacks.logger && ((c->logging | HT_LOG_ERROR) & bit))
+        c->callbacks.logger(c->callbacks.componentEnvironment, c->name, status, category, "%s", message);
 }
 
 fmi2Status ht2_answer(component *c, ht_status status) {
@@ -28,8 +29,11 @@ const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[]) {
+    int wanted;
     if (!c || (n > 0 && !categories)) return fmi2Error;
-    ((component *)c)->logging = on;
+    wanted = ht_categories_on(on, n, categories);
+    if (wanted < 0) return ht2_refuse(c, "the log categories are logEvents, logStatusDiscard and logStatusError");
+    ((component *)c)->logging = wanted;
     return fmi2OK;
 }
 
@@ -60,7 +64,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     memset(memory, 0, own + ht_bytes(model) + length);
     c = (component *)memory;
     c->callbacks = *functions;
-    c->logging = logging;
+    c->logging = logging ? HT_LOG_ALL : HT_LOG_DISCARD;
     c->name = memory + own + ht_bytes(model);
     memcpy(c->name, name, length);
     ht_place(&c->core, model, interface, memory + own);

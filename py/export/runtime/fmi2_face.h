@@ -2,13 +2,14 @@
 #ifndef FMI2_FACE_H
 #define FMI2_FACE_H
 
+#include "categories.h"
 #include "core.h"
 #include "fmi2Functions.h"
 
 typedef struct {
     ht_instance core;
     fmi2CallbackFunctions callbacks;
-    fmi2Boolean logging;
+    int logging; /* the categories that are on */
     char *name;
 } component;
 

@@ -7,11 +7,12 @@
 
 static ht_instance *core_of(fmi3Instance c) { return &((component *)c)->core; }
 
-/* ---- logging and status: failures are always logged, events when logging is on ---- */
+/* ---- logging and status: errors are always logged, the rest when logging is on ---- */
 
 static void say(component *c, fmi3Status status, const char *message) {
-    static const char *const categories[] = {"logEvents", "logEvents", "logStatusDiscard", "logStatusError"};
-    if (c->log && (c->logging || status != fmi3OK)) c->log(c->environment, status, categories[status], message);
+    int bit;
+    const char *category = ht_category_of(status, &bit);
+    if (c->log && ((c->logging | HT_LOG_ERROR) & bit)) c->log(c->environment, status, category, message);
 }
 
 fmi3Status ht3_answer(component *c, ht_status status) {
@@ -25,11 +26,21 @@ fmi3Status ht3_refuse(component *c, const char *why) {
     return fmi3Error;
 }
 
+/* Inside a communication step the instance can neither go nor be reset, saved or replaced. */
+static int busy(component *c) {
+    if (ht_phase_of(&c->core) != HT_BETWEEN) return 0;
+    ht3_refuse(c, "this is not allowed in intermediate update mode");
+    return 1;
+}
+
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const fmi3String categories[]) {
+    int wanted;
     if (!c || (n > 0 && !categories)) return fmi3Error;
-    ((component *)c)->logging = on;
+    wanted = ht_categories_on(on, n, categories);
+    if (wanted < 0) return ht3_refuse(c, "the log categories are logEvents, logStatusDiscard and logStatusError");
+    ((component *)c)->logging = wanted;
     return fmi3OK;
 }
 
@@ -55,7 +66,7 @@ static fmi3Instance instantiate(ht_interface interface, fmi3String name, fmi3Str
     c = (component *)memory;
     c->environment = environment;
     c->log = log;
-    c->logging = logging;
+    c->logging = logging ? HT_LOG_ALL : 0;
     c->name = memory + own + ht_bytes(model);
     memcpy(c->name, name, length);
     ht_place(&c->core, model, interface, memory + own);
@@ -74,14 +85,24 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          const fmi3ValueReference intermediate[], size_t n,
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback log,
                                          fmi3IntermediateUpdateCallback update) {
-    component early;
-    (void)resources, (void)visible, (void)early_return, (void)intermediate, (void)update;
+    component early, *c;
+    size_t k;
+    (void)resources, (void)visible;
     memset(&early, 0, sizeof early);
     early.environment = environment;
     early.log = log;
     if (event_mode) return ht3_refuse(&early, "this FMU has no event mode in Co-Simulation (hasEventMode is false)"), NULL;
-    if (n > 0) return ht3_refuse(&early, "this FMU has no intermediate update (providesIntermediateUpdate is false)"), NULL;
-    return instantiate(HT_CO_SIMULATION, name, token, logging, environment, log);
+    if (n > 0 && (!update || !intermediate))
+        return ht3_refuse(&early, "intermediate variables need their list and an intermediateUpdate callback"), NULL;
+    for (k = 0; k < n; k++)
+        if (!ht_between(&ht_the_model, intermediate[k]))
+            return ht3_refuse(&early, "a required intermediate variable is not one (intermediateUpdate is false)"), NULL;
+    c = instantiate(HT_CO_SIMULATION, name, token, logging, environment, log);
+    if (!c) return NULL;
+    c->update = update;
+    c->early_return = early_return;
+    c->core.watcher = update ? ht3_watch : NULL;
+    return c;
 }
 
 fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
@@ -97,7 +118,10 @@ fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token
     return ht3_refuse(&early, "this FMU does not offer Scheduled Execution"), NULL;
 }
 
-void fmi3FreeInstance(fmi3Instance c) { free(c); }
+void fmi3FreeInstance(fmi3Instance c) {
+    if (c && busy(c)) return; /* doStep will still need it */
+    free(c);
+}
 
 fmi3Status fmi3EnterInitializationMode(fmi3Instance c, fmi3Boolean tolerance_defined, fmi3Float64 tolerance,
                                        fmi3Float64 start, fmi3Boolean stop_defined, fmi3Float64 stop) {
@@ -135,7 +159,7 @@ fmi3Status fmi3ExitConfigurationMode(fmi3Instance c) { return ht3_refuse(c, "the
 fmi3Status fmi3Terminate(fmi3Instance c) { return c ? ht3_answer(c, ht_terminate(core_of(c))) : fmi3Error; }
 
 fmi3Status fmi3Reset(fmi3Instance c) {
-    if (!c) return fmi3Error;
+    if (!c || busy(c)) return fmi3Error;
     ht_reset(core_of(c));
     return fmi3OK;
 }
@@ -157,7 +181,7 @@ fmi3Status fmi3SetFloat64(fmi3Instance c, const fmi3ValueReference vr[], size_t 
 /* ---- the whole state ---- */
 
 fmi3Status fmi3GetFMUState(fmi3Instance c, fmi3FMUState *state) {
-    if (!c || !state) return fmi3Error;
+    if (!c || !state || busy(c)) return fmi3Error;
     if (!*state) *state = malloc(ht_state_bytes(core_of(c)->model));
     if (!*state) return ht3_refuse(c, "out of memory");
     ht_save(core_of(c), *state);

@@ -12,6 +12,17 @@ fmi3Status fmi3GetOutputDerivatives(fmi3Instance c, const fmi3ValueReference vr[
     return ht3_refuse(c, "derivatives of outputs are not available (maxOutputDerivativeOrder is 0)");
 }
 
+/* Every internal step is final, and outputs can be read at its end. Before the communication point inputs can be moved,
+   and doStep can return early, at once or at a time still to come. */
+double ht3_watch(ht_instance *core, double end) {
+    component *c = (component *)core;
+    double now = ht_time(core), wanted = now;
+    fmi3Boolean requested = fmi3False, can = c->early_return && now < end;
+    c->update(c->environment, now, fmi3True, core->model->method != HT_SAMPLED, fmi3True, can, &requested, &wanted);
+    if (!requested || !can || !(wanted < end)) return end;
+    return wanted > now ? wanted : now;
+}
+
 fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Boolean no_return, fmi3Boolean *event,
                       fmi3Boolean *terminate, fmi3Boolean *early, fmi3Float64 *last) {
     ht_instance *core;
@@ -22,5 +33,6 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Bo
     *event = *terminate = *early = fmi3False;
     status = ht3_answer(c, ht_step(core, time, size));
     *last = ht_time(core);
+    *early = status == fmi3OK && *last < time + size;
     return status;
 }

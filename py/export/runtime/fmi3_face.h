@@ -2,6 +2,7 @@
 #ifndef FMI3_FACE_H
 #define FMI3_FACE_H
 
+#include "categories.h"
 #include "core.h"
 
 #ifdef __clang__ /* the header of the standard declares two functions without a prototype */
@@ -17,11 +18,14 @@ typedef struct {
     ht_instance core;
     fmi3InstanceEnvironment environment;
     fmi3LogMessageCallback log;
-    fmi3Boolean logging;
+    int logging;                           /* the categories that are on */
+    fmi3IntermediateUpdateCallback update; /* or NULL */
+    fmi3Boolean early_return;              /* whether the importer can handle it */
     char *name;
 } component;
 
 fmi3Status ht3_answer(component *c, ht_status status); /* log what went wrong, translate */
 fmi3Status ht3_refuse(component *c, const char *why);  /* log, fmi3Error; c may be NULL */
+double ht3_watch(ht_instance *core, double end);       /* the watcher of Co-Simulation: calls intermediateUpdate */
 
 #endif

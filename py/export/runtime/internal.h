@@ -18,6 +18,7 @@ double *ht_slopes(const ht_instance *self);
 double *ht_book(const ht_instance *self);
 double *ht_history_of(const ht_instance *self, size_t input); /* NULL when the input is not delayed */
 ht_status ht_fail(ht_instance *self, ht_status status, const char *format, ...);
+double ht_pause(ht_instance *self, double time, double end); /* let the watcher see `time`; returns the new end */
 ht_status ht_expect(ht_instance *self, ht_phase phase, const char *what);
 int ht_finite(const double *values, size_t n);
 
@@ -30,10 +31,14 @@ void ht_remember_inputs(ht_instance *self);
 
 /* solve.c */
 int ht_call(ht_instance *self, ht_function f, size_t args, const double *const *arg, size_t ress, double *const *res);
-ht_status ht_integrate(ht_instance *self, double time, double size);
-ht_status ht_sample_through(ht_instance *self, double time, double size);
+/* from `time` by `size` to *end; a watcher may want *end earlier */
+ht_status ht_integrate(ht_instance *self, double time, double size, double *end);
+ht_status ht_sample_through(ht_instance *self, double time, double size, double *end);
 double ht_sample_time(const ht_instance *self); /* of the sample that is due next */
 ht_status ht_refresh(ht_instance *self);        /* outputs of the present state, in Model Exchange its derivatives too */
 ht_status ht_refresh_rates(ht_instance *self);  /* derivatives, where outputs alone were asked for so far */
+
+/* sensitivity.c: whether the present phase has them; if not, the message says so */
+int ht_has_derivatives(ht_instance *self);
 
 #endif

@@ -4,6 +4,13 @@
 
 /* ---- directional derivatives ---- */
 
+int ht_has_derivatives(ht_instance *s) {
+    ht_phase phase = ht_phase_of(s);
+    if (phase != HT_INSTANTIATED && phase != HT_TERMINATED && phase != HT_BETWEEN) return 1;
+    ht_fail(s, HT_ERROR, "derivatives are available from initialization mode on, at communication points");
+    return 0;
+}
+
 /* Spread the seeds over (dx, du, dp, dz); which kinds may be known depends on the phase. */
 static ht_status read_seeds(ht_instance *s, const unsigned *known, size_t n, const double *seed, double *const to[]) {
     size_t k, i = 0;
@@ -38,8 +45,7 @@ ht_status ht_directional(ht_instance *s, const unsigned *unknown, size_t unknown
     double *res[2];
     size_t k, i = 0;
     ht_status status;
-    if (ht_phase_of(s) == HT_INSTANTIATED || ht_phase_of(s) == HT_TERMINATED)
-        return ht_fail(s, HT_ERROR, "derivatives are available from initialization mode on");
+    if (!ht_has_derivatives(s)) return HT_ERROR;
     status = ht_refresh(s);
     if (status != HT_OK) return status;
     memset(dx, 0, ht_scratch_doubles(m) * sizeof(double));

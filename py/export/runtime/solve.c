@@ -35,7 +35,8 @@ static int explicit_step(ht_instance *s, double t, double h, double *x, const do
     return 0;
 }
 
-static int adaptive_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
+/* A step of the generated Rosenbrock method, in as many steps of its own as it takes: one where it is fixed. */
+static int rosenbrock_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
     const double *arg[5];
     double *res[1];
     arg[0] = &t, arg[1] = &h, arg[2] = x, arg[3] = u, arg[4] = ht_values(s, HT_PARAMETER);
@@ -45,25 +46,27 @@ static int adaptive_step(ht_instance *s, double t, double h, double *x, const do
     return 0;
 }
 
-ht_status ht_integrate(ht_instance *s, double t, double size) {
+ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
     const ht_model *m = s->model;
     double *x = ht_values(s, HT_STATE), *u = s->scratch, *work = u + m->inputs;
-    double count = ceil(size / m->step - 1e-6), h, k;
-    if (m->method == HT_ADAPTIVE && ht_inputs_steady(s)) count = 1.0;
+    double count = ceil(size / m->step - 1e-6), from = t, to, h, k;
+    if (m->method == HT_ADAPTIVE && ht_inputs_steady(s) && !s->watcher) count = 1.0;
     if (count < 1.0) count = 1.0;
     if (count > MOST_SUBSTEPS)
         return ht_fail(s, HT_DISCARD, "a step of %g s needs %g internal steps of %g s", size, count, m->step);
-    h = size / count;
-    for (k = 0.0; k < count; k += 1.0) {
-        double from = t + k * h;
-        ht_inputs_mean(s, from, from + h, u);
-        if ((m->method == HT_ADAPTIVE ? adaptive_step : explicit_step)(s, from, h, x, u, work))
-            return ht_fail(s, HT_DISCARD, "the solver did not converge between t = %.9g s and %.9g s", from, from + h);
+    for (k = 1.0; k <= count && from < *end; k += 1.0, from = to) {
+        h = size / count;
+        to = k < count ? t + k * h : t + size;
+        if (to > *end) to = *end, h = to - from; /* a watcher wants to return inside this internal step */
+        ht_inputs_mean(s, from, to, u);
+        if ((m->method == HT_EXPLICIT ? explicit_step : rosenbrock_step)(s, from, h, x, u, work))
+            return ht_fail(s, HT_DISCARD, "the solver did not converge between t = %.9g s and %.9g s", from, to);
         if (!ht_finite(x, m->states)) {
             size_t i = 0;
             while (i + 1 < m->states && ht_finite(x + i, 1)) i++;
-            return ht_fail(s, HT_DISCARD, "state '%s' is not finite at t = %.9g s", m->labels[ht_place_of(m, HT_STATE) + i], from + h);
+            return ht_fail(s, HT_DISCARD, "state '%s' is not finite at t = %.9g s", m->labels[ht_place_of(m, HT_STATE) + i], to);
         }
+        *end = ht_pause(s, to, *end);
     }
     return HT_OK;
 }
@@ -90,14 +93,14 @@ static ht_status take_sample(ht_instance *s, double t, int commit) {
     return HT_OK;
 }
 
-ht_status ht_sample_through(ht_instance *s, double t, double size) {
-    double slack = HT_SLACK * s->model->step;
+ht_status ht_sample_through(ht_instance *s, double t, double size, double *end) {
+    double slack = HT_SLACK * s->model->step, due;
     if (size / s->model->step > MOST_SUBSTEPS) return ht_fail(s, HT_DISCARD, "a step of %g s is too long", size);
-    while (ht_sample_time(s) < t + size - slack) {
-        double due = ht_sample_time(s);
-        ht_status status = take_sample(s, due > t ? due : t, 1);
-        if (status != HT_OK) return status;
+    for (due = ht_sample_time(s); due < *end - slack; due = ht_sample_time(s)) {
+        if (due > t + slack) *end = ht_pause(s, due, *end);
+        if (due < *end - slack && take_sample(s, due > t ? due : t, 1) != HT_OK) return HT_DISCARD;
     }
+    if (ht_time(s) < *end) *end = ht_pause(s, *end, *end);
     return HT_OK;
 }
 

@@ -9,6 +9,7 @@ void ht_save(const ht_instance *s, void *state) { memcpy(state, s->data, ht_stat
 
 ht_status ht_load(ht_instance *s, const void *state) {
     double interface;
+    if (ht_phase_of(s) == HT_BETWEEN) return ht_fail(s, HT_ERROR, "the state cannot be set inside a step");
     size_t place = (size_t)(ht_book(s) - s->data) + INTERFACE;
     memcpy(&interface, (const char *)state + place * sizeof(double), sizeof(double));
     if (interface != (double)s->interface)

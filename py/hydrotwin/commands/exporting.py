@@ -21,7 +21,9 @@ def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command(
         epilog=examples(
-            "hydrotwin export model.toml --out cehA.fmu", "hydrotwin export cehA --fmi 3 --kind both --out cehA.fmu"
+            "hydrotwin export model.toml --out cehA.fmu",
+            "hydrotwin export cehA --fmi 3 --kind both --out cehA.fmu",
+            "hydrotwin export cehA --method implicit --step 0.001 --out real_time.fmu",
         )
     )(export)
     app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(check)
@@ -42,13 +44,23 @@ def export(
             metavar="NAME", help="linux64, win64, darwin64 ... or all; may be repeated; this machine by default"
         ),
     ] = None,
+    method: Annotated[
+        str,
+        typer.Option(
+            help="solver inside: explicit, implicit (stiff and of fixed cost, for hard real time) or adaptive (stiff); "
+            "auto takes the first that is stable of explicit and adaptive"
+        ),
+    ] = "auto",
+    step: Annotated[
+        float | None, typer.Option(metavar="S", help="longest internal step [s]; the model's own by default")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Write a model or a learned block as an FMU that runs without Python.
 
     It carries a short run of our own inside, which 'hydrotwin check' replays.
     """
-    from hydrotwin.export import export_fmu, reference_run
+    from hydrotwin.export import export_fmu
 
     check_file(output, ".fmu")
     thing = load(model)
@@ -65,8 +77,10 @@ def export(
         fmi=fmi,
         kind=kind,
         given=given_starts(thing, start),
+        method=method,
+        step=step,
         platforms=platform or None,
-        reference=reference_run(thing, fine=_exchanges(thing, kind)),
+        reference=_reference(thing, kind, method, step),
         equations=equations_told(thing),
     )
     size = output.stat().st_size
@@ -96,9 +110,17 @@ def equations_told(thing) -> str:
     return (inspect.getdoc(inspect.getmodule(kind.functions)) or "") if kind else ""
 
 
-def _exchanges(thing, kind: str) -> bool:
-    """Whether the importer's solver will compute it; a sampled block is refused later, with a sentence."""
-    return kind == "me" and hasattr(thing, "flat")
+def _reference(thing, kind: str, method: str, step: float | None):
+    """The run to carry along, by the FMU's own method and step; finer where the importer's solver will compute it."""
+    from hydrotwin.export import reference_run
+    from hydrotwin.export.method import check_method
+
+    if not hasattr(thing, "flat"):
+        return reference_run(thing)
+    check_method(thing.flat.name, method, step)
+    if kind == "me":
+        return reference_run(thing, fine=True)
+    return reference_run(thing, step=step, method=method)
 
 
 def check(

@@ -13,6 +13,9 @@ from hydrotwin.records import Record, noise_floor, require
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
+HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
+LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
+ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,32 @@ def split_tail(record: Record, share: float) -> tuple[Record, Record]:
     """The recording's first part for fitting and its last ``share`` for selection."""
     at = record.time[round(len(record.time) * (1.0 - share))]
     return record.window(None, at), record.window(at, None)
+
+
+def free_run_bounds(runs: Sequence[np.ndarray], increment: np.ndarray) -> dict[str, np.ndarray]:
+    """What a free run may not leave, from the measured outputs (n, ny) of the training recordings, SI.
+
+    increment : scale (ny,) of the increments, over which their limit is given.
+    """
+    y, steps = np.concatenate(runs), np.concatenate([np.diff(smoothed(run), axis=0) for run in runs])
+    room = ROOM * np.ptp(y, axis=0)
+    return {
+        "increment_scale": increment,
+        "increment_limit": LIMIT_OVER_SEEN * np.abs(steps).max(axis=0) / increment,
+        "output_lower": y.min(axis=0) - room,
+        "output_upper": y.max(axis=0) + room,
+    }
+
+
+def increment_spread(runs: Sequence[np.ndarray]) -> np.ndarray:
+    """Standard deviation (ny,) of the increments of smoothed outputs; never zero where the outputs move."""
+    steps = np.concatenate([np.diff(smoothed(run), axis=0) for run in runs])
+    return np.maximum(steps.std(axis=0), 1e-9 * np.concatenate(runs).std(axis=0))
+
+
+def named(records: Sequence[Record]) -> list[dict]:
+    """Recordings by name, digest and length, for the provenance."""
+    return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records]
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:

@@ -201,21 +201,6 @@ def test_a_dual_process_comes_back_from_its_file(dual, validation, tmp_path):
     assert again.certificate == dual.certificate and again.provenance["errors"] == dual.provenance["errors"]
 
 
-def test_interrupting_the_first_process_still_gives_a_block(recordings):
-    pytest.importorskip("gpytorch")
-    seen = []
-
-    def interrupt(step):
-        seen.append(step.process)
-        if len(seen) == 5:
-            raise KeyboardInterrupt
-
-    block = learn_dual_gp(recordings[:1], ["current"], ["position"], progress=interrupt, **QUICK)
-    assert block.provenance["stopped"] == "interrupted"
-    assert [p["stopped"] == "interrupted" for p in block.provenance["processes"]] == [True, False]
-    assert seen[:5] == ["spool"] * 5 and set(seen[5:]) == {"position.slope"}
-
-
 @pytest.mark.parametrize(
     ("change", "error", "sentence"),
     [

@@ -125,16 +125,15 @@ def test_one_step_ahead_the_error_is_near_the_sensor_noise(trained, validation):
 def test_the_certificate_holds_and_catches_a_changed_weight(trained):
     torch = pytest.importorskip("torch")
     from hydrotwin.learned.network import free_run as training
-    from hydrotwin.learned.network.learn import _training_scales, certify
+    from hydrotwin.learned.network.learn import certify
     from hydrotwin.learned.network.narx import NarxShape
 
     assert trained.certificate.holds and 0 < trained.certificate.difference <= 1e-12
     shape = NarxShape(1, 1, **trained.structure)
     weights = torch.cat([torch.tensor(trained.arrays[name]).reshape(-1) for name in shape.weights]).numpy()
-    scales = _training_scales(training, trained.arrays)
-    assert certify(trained, training, weights, shape, scales) == trained.certificate
+    assert certify(trained, training, weights, shape) == trained.certificate
     weights[3] += 1e-6
-    assert not certify(trained, training, weights, shape, scales).holds
+    assert not certify(trained, training, weights, shape).holds
 
 
 def test_a_trained_network_comes_back_from_its_file(trained, validation, tmp_path):

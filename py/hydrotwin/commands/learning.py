@@ -23,6 +23,7 @@ from .shared import (
     check_folder,
     err,
     examples,
+    mark,
     out,
     print_json,
     progress_bar,
@@ -283,9 +284,12 @@ def _where(step) -> str:
 def _written(block, output: Path, as_json: bool, model: str | None = None) -> None:
     """The block's files; a hybrid keeps the name of its model."""
     from hydrotwin.learned import write_block, write_hybrid
+    from hydrotwin.learned.interruption import INTERRUPTED
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
+    if block.provenance.get("stopped") == INTERRUPTED:
+        mark(err, "note", f"stopped by Ctrl-C: {output} holds the best so far.")
     if as_json:
         print_json({"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance})
         return

@@ -13,6 +13,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..interruption import CtrlC
+from ..needs import needed_to_train
 from ..training_data import training_box
 from .delay_lines import Rows, certification_grid, delayed_rows, even_period, input_scales, training_rows
 from .dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, rate
@@ -24,7 +26,6 @@ from .training import (
     check_options,
     check_size,
     counts,
-    import_training,
     provenance,
     reference_name,
     stacked,
@@ -63,7 +64,8 @@ def learn_dual_gp(
 
     The block runs them in cascade, without the spool sensor, and integrates the rate. ``provenance["errors"]`` tells
     each process apart: RMSE of the spool, of the rate on the measured spool, and of the rate in cascade, against raw
-    samples; ``provenance["validation"]`` the free runs over ``validate``.
+    samples; ``provenance["validation"]`` the free runs over ``validate``. Ctrl-C ends the fits of both processes with
+    the best so far, the second one with what 100 rows give in a moment where its turn had not come.
 
     Args (others as in `learn_gaussian_process`):
         outputs: one output, which integrates. through: the measured signal between the two processes.
@@ -74,7 +76,8 @@ def learn_dual_gp(
 
     Raises: as `learn_gaussian_process`.
     """
-    exact_gp = import_training(VERB)
+    with needed_to_train(VERB):
+        from . import exact as exact_gp
     kernels = _kernels(kernel, fit)
     _check(kernels, lead, knots, lags, fit, points, samples, compress, bound, period)
     inputs, both, records, validate = _recordings(records, inputs, outputs, through, validate)
@@ -86,31 +89,42 @@ def learn_dual_gp(
     held_out = [delayed_rows(r, period, inputs, both, lags) for r in validate]
     grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     options = {"fit": fit, "points": points, "compress": compress}
-    shared = {**options, "bound": SHARE_OF_ONE * bound, "rng": rng, "progress": progress}
-    scales = input_scales(rows.features, len(inputs))
-    spool, slopes = _spool(rows, lead), rows.slopes[:, 1]
-    one = train_process(exact_gp, rows.features, spool, scales, grid, kernel=kernels[0], label=both[0].name, **shared)
-    two = _second(exact_gp, spool, slopes, kernel=kernels[1], label=f"{both[1].name}.slope", **shared)
-    process, splines = stacked([one.arrays]), _splines(two, spool, knots)
-    block = assemble(
-        DUAL_GAUSSIAN_PROCESS,
-        scales | process | splines | {"period": np.array(period)},
-        {"kernel": KERNELS.index(kernels[0]), "lags": lags, "lead": lead, "knots": knots, "sd_knots": SD_KNOTS * knots}
-        | counts(process),
-        name=name,
-        **dual_frame(inputs, *both, lags, lead),
-        period=period,
-        domain=training_box(records, (*inputs, *both)),
-        description=f"dual Gaussian process, {'/'.join(kernels)}, {lags} lags, {process['points'].shape[1]} points",
-        provenance=provenance("dual_gaussian_process", records, seed, rows, [one, two], options | {"kernel": kernels}),
-    )
-    deviation, certificate = certify(block, one, two, grid, bound)
-    errors = {"training": _errors(block, [rows], lead)} | (
-        {"validation": _errors(block, held_out, lead)} if held_out else {}
-    )
-    told = {"lead": lead, "errors": errors, "deviation": deviation}
-    told["validation"] = free_run_errors(block, validate, both)
-    return replace(block, certificate=certificate, provenance={**block.provenance, **told})
+    with CtrlC() as ctrl_c:
+        shared = {**options, "bound": SHARE_OF_ONE * bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}
+        scales = input_scales(rows.features, len(inputs))
+        spool, slopes = _spool(rows, lead), rows.slopes[:, 1]
+        one = train_process(
+            exact_gp, rows.features, spool, scales, grid, kernel=kernels[0], label=both[0].name, **shared
+        )
+        two = _second(exact_gp, spool, slopes, kernel=kernels[1], label=f"{both[1].name}.slope", **shared)
+        process, splines = stacked([one.arrays]), _splines(two, spool, knots)
+        block = assemble(
+            DUAL_GAUSSIAN_PROCESS,
+            scales | process | splines | {"period": np.array(period)},
+            {
+                "kernel": KERNELS.index(kernels[0]),
+                "lags": lags,
+                "lead": lead,
+                "knots": knots,
+                "sd_knots": SD_KNOTS * knots,
+            }
+            | counts(process),
+            name=name,
+            **dual_frame(inputs, *both, lags, lead),
+            period=period,
+            domain=training_box(records, (*inputs, *both)),
+            description=f"dual Gaussian process, {'/'.join(kernels)}, {lags} lags, {process['points'].shape[1]} points",
+            provenance=provenance(
+                "dual_gaussian_process", records, seed, rows, [one, two], options | {"kernel": kernels}
+            ),
+        )
+        deviation, certificate = certify(block, one, two, grid, bound)
+        errors = {"training": _errors(block, [rows], lead)} | (
+            {"validation": _errors(block, held_out, lead)} if held_out else {}
+        )
+        told = {"lead": lead, "errors": errors, "deviation": deviation}
+        told["validation"] = free_run_errors(block, validate, both)
+        return replace(block, certificate=certificate, provenance={**block.provenance, **told})
 
 
 def _second(exact_gp, spool: np.ndarray, slopes: np.ndarray, **options) -> DeployedProcess:

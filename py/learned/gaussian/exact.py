@@ -22,11 +22,14 @@ from scipy.optimize import minimize
 
 from hydrotwin.models.language.errors import SolveError
 
+from ..device import array, tensor
+from ..interruption import INTERRUPTED, CtrlC
 from .compression import Posterior
 
 BOUNDS = {"lengthscale": (1e-2, 1e3), "outputscale": (1e-3, 1e3), "noise": (1e-8, 10.0), "constant": (-5.0, 5.0)}
 EVALUATIONS = 200
 PAPER_STEPS, PAPER_RATE = 100, 1e-2
+HURRIED = 100  # rows for the hyper-parameters of a process whose turn comes after Ctrl-C: a fraction of a second
 
 
 @dataclass(frozen=True)
@@ -57,8 +60,8 @@ class TrainedProcess:
     def predict(self, features: np.ndarray, deviation: bool = True) -> tuple[np.ndarray, np.ndarray | None]:
         """GPyTorch's own mean and latent standard deviation (when asked) at ``features`` (n, d), each (n,)."""
         with torch.no_grad(), _exact():
-            answer = self.model(_tensor(features))
-            return _array(answer.mean), _array(answer.variance.clamp_min(0.0).sqrt()) if deviation else None
+            answer = self.model(tensor(features))
+            return array(answer.mean), array(answer.variance.clamp_min(0.0).sqrt()) if deviation else None
 
 
 class _Exact(gpytorch.models.ExactGP):
@@ -83,27 +86,34 @@ def train(
     rng: np.random.Generator,
     process: str = "",
     progress: Callable | None = None,
+    ctrl_c: CtrlC | None = None,
 ) -> TrainedProcess:
     """Fit the hyper-parameters on ``points`` random rows of X (n, d), y (n,), then condition on all of them.
 
     fit : "default", L-BFGS on the logarithms within bounds; "paper", 100 Adam steps of 1e-2 from GPyTorch's defaults.
-    Ctrl-C ends the fit with the best hyper-parameters so far.
+    ctrl_c : ends the fit between two evaluations with the best hyper-parameters so far; where it came before the fit,
+    `HURRIED` rows give them. A KeyboardInterrupt out of ``progress`` is taken as Ctrl-C.
     """
-    began = time.perf_counter()
+    began, ctrl_c = time.perf_counter(), ctrl_c or CtrlC()
+    hurried = ctrl_c.came
+    points = HURRIED if hurried else points
     chosen = np.arange(len(X)) if points is None or points >= len(X) else np.sort(rng.permutation(len(X))[:points])
-    model = _model(_tensor(X[chosen]), _tensor(y[chosen]), kernel, softplus=fit == "paper")
-    search = _Search(model, process, progress)
+    model = _model(tensor(X[chosen]), tensor(y[chosen]), kernel, softplus=fit == "paper")
+    search = _Search(model, process, progress, CtrlC() if hurried else ctrl_c)
     with _exact():
         try:
             stopped = (search.adam if fit == "paper" else search.lbfgs)()
+        except _Ended:
+            stopped = INTERRUPTED
         except KeyboardInterrupt:
-            if not search.iteration:
+            if ctrl_c.came or not search.iteration:
                 raise
-            stopped = "interrupted"
+            stopped, ctrl_c.came = INTERRUPTED, True
         search.take_best()
         posterior = _condition(model, X, y, kernel)
     seconds = time.perf_counter() - began
     noise = float(model.likelihood.noise.detach())
+    stopped = INTERRUPTED if hurried else stopped
     return TrainedProcess(posterior, noise, search.best, search.iteration, seconds, stopped, model)
 
 
@@ -129,11 +139,15 @@ def _model(X, y, kernel: str, softplus: bool) -> _Exact:
     return model
 
 
+class _Ended(Exception):
+    """Ctrl-C came."""
+
+
 class _Search:
     """The marginal likelihood of a model as a function of its parameters, and the best of them so far."""
 
-    def __init__(self, model: _Exact, process: str, progress: Callable | None):
-        self.model, self.process, self.progress = model, process, progress
+    def __init__(self, model: _Exact, process: str, progress: Callable | None, ctrl_c: CtrlC):
+        self.model, self.process, self.progress, self.ctrl_c = model, process, progress, ctrl_c
         self.likelihood = gpytorch.mlls.ExactMarginalLogLikelihood(model.likelihood, model)
         self.parameters = list(model.named_parameters())
         self.best, self.kept, self.iteration = np.inf, self._values(), 0
@@ -174,7 +188,7 @@ class _Search:
             loss = self._backward()
         except (RuntimeError, ValueError):  # not positive definite; the line search steps back
             return 1e10, np.zeros(len(values))
-        return loss, np.concatenate([_array(p.grad).ravel() for _, p in self.parameters])
+        return loss, np.concatenate([array(p.grad).ravel() for _, p in self.parameters])
 
     def _backward(self) -> float:
         at = self._values()
@@ -186,15 +200,17 @@ class _Search:
             self.best, self.kept = value, at
         if self.progress:
             self.progress(GaussianProcessProgress(self.process, self.iteration, value, self.best))
+        if self.ctrl_c.came:
+            raise _Ended
         return value
 
     def _values(self) -> np.ndarray:
-        return np.concatenate([_array(p.detach()).ravel() for _, p in self.parameters])
+        return np.concatenate([array(p).ravel() for _, p in self.parameters])
 
     def _set(self, values: np.ndarray) -> None:
         with torch.no_grad():
             for (_, p), part in zip(self.parameters, np.split(values, self._ends()), strict=True):
-                p.copy_(torch.tensor(part).reshape(p.shape))
+                p.copy_(tensor(part).reshape(p.shape))
 
     def _ends(self) -> np.ndarray:
         return np.cumsum([p.numel() for _, p in self.parameters])[:-1]
@@ -207,34 +223,21 @@ def _bounds(name: str) -> tuple[float, float]:
 
 def _condition(model: _Exact, X: np.ndarray, y: np.ndarray, kernel: str) -> Posterior:
     """GPyTorch's posterior of all the data: K^-1 (y - constant) is its own ``mean_cache``."""
-    model.set_train_data(_tensor(X), _tensor(y), strict=False)
+    model.set_train_data(tensor(X), tensor(y), strict=False)
     model.eval()
     with torch.no_grad():
-        model(_tensor(X[:1]))  # builds the prediction strategy
-        weights = _array(model.prediction_strategy.mean_cache).ravel()
+        model(tensor(X[:1]))  # builds the prediction strategy
+        weights = array(model.prediction_strategy.mean_cache).ravel()
         return Posterior(
             kernel,
             X,
             y,
             weights,
-            lengths=_array(model.covar_module.base_kernel.lengthscale).ravel().copy(),
+            lengths=array(model.covar_module.base_kernel.lengthscale).ravel().copy(),
             prior_variance=float(model.covar_module.outputscale),
             noise_variance=float(model.likelihood.noise),
             constant=float(model.mean_module.constant),
         )
-
-
-def training_device() -> torch.device:
-    """The GPU when torch sees one, else the CPU. Cholesky factors of thousands of points are what gains by it."""
-    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-
-
-def _tensor(a: np.ndarray) -> torch.Tensor:
-    return torch.tensor(a, dtype=torch.float64, device=training_device())
-
-
-def _array(t: torch.Tensor) -> np.ndarray:
-    return t.cpu().numpy()
 
 
 @contextlib.contextmanager

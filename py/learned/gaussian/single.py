@@ -13,6 +13,8 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..interruption import CtrlC
+from ..needs import needed_to_train
 from ..training_data import as_signals, check_excitation, training_box, usable
 from .delay_lines import certification_grid, delayed_rows, even_period, input_scales, training_rows
 from .kernel_block import GAUSSIAN_PROCESS, KERNELS, process_frame
@@ -22,7 +24,6 @@ from .training import (
     check_options,
     check_size,
     counts,
-    import_training,
     provenance,
     reference_name,
     stacked,
@@ -71,13 +72,15 @@ def learn_gaussian_process(
         validate: recordings for the certificate and for ``provenance["validation"]``; nothing is selected on them.
         progress: called with a `GaussianProcessProgress` after every evaluation of the likelihood.
 
-    The same seed and data give the same block. Ctrl-C ends a fit with the best hyper-parameters so far.
+    The same seed and data give the same block. Ctrl-C ends the fits with the best hyper-parameters so far (of
+    outputs whose turn had not come, with those that 100 rows give), a second one ends everything.
 
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, a block
         of more than 5 MB of C, or GPyTorch is not installed. SolveError: the likelihood was never finite.
     """
-    exact_gp = import_training("learn_gaussian_process")
+    with needed_to_train("learn_gaussian_process"):
+        from . import exact as exact_gp
     check_options("learn_gaussian_process", kernel, lags, fit, points, samples, compress, bound, period)
     inputs, outputs, records, validate = recordings(records, inputs, outputs, validate, "learn_gaussian_process")
     period = float(period or even_period(records))
@@ -89,26 +92,27 @@ def learn_gaussian_process(
     held_out = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
     grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
     options = {"kernel": kernel, "fit": fit, "points": points, "compress": compress}
-    shared = {**options, "bound": bound, "rng": rng, "progress": progress}
-    trained = [
-        train_process(exact_gp, rows.features, targets[:, j], scales, grid, label=s.name, **shared)
-        for j, s in enumerate(outputs)
-    ]
-    processes = stacked([p.arrays for p in trained])
-    block = assemble(
-        GAUSSIAN_PROCESS,
-        scales | processes | ({"period": np.array(period)} if rate else {}),
-        {"kernel": KERNELS.index(kernel), "lags": lags, "rate": int(rate)} | counts(processes),
-        name=name,
-        **process_frame(inputs, outputs, lags, rate),
-        period=period,
-        domain=training_box(records, (*inputs, *outputs)),
-        description=f"Gaussian process, {kernel}, {lags} lags, {processes['points'].shape[1]} points",
-        provenance=provenance("gaussian_process", records, seed, rows, trained, options),
-    )
-    deviation, certificate = certify(block, trained, grid, bound)
-    told = {"deviation": deviation, "validation": free_run_errors(block, validate, outputs)}
-    return replace(block, certificate=certificate, provenance={**block.provenance, **told})
+    with CtrlC() as ctrl_c:
+        shared = {**options, "bound": bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}
+        trained = [
+            train_process(exact_gp, rows.features, targets[:, j], scales, grid, label=s.name, **shared)
+            for j, s in enumerate(outputs)
+        ]
+        processes = stacked([p.arrays for p in trained])
+        block = assemble(
+            GAUSSIAN_PROCESS,
+            scales | processes | ({"period": np.array(period)} if rate else {}),
+            {"kernel": KERNELS.index(kernel), "lags": lags, "rate": int(rate)} | counts(processes),
+            name=name,
+            **process_frame(inputs, outputs, lags, rate),
+            period=period,
+            domain=training_box(records, (*inputs, *outputs)),
+            description=f"Gaussian process, {kernel}, {lags} lags, {processes['points'].shape[1]} points",
+            provenance=provenance("gaussian_process", records, seed, rows, trained, options),
+        )
+        deviation, certificate = certify(block, trained, grid, bound)
+        told = {"deviation": deviation, "validation": free_run_errors(block, validate, outputs)}
+        return replace(block, certificate=certificate, provenance={**block.provenance, **told})
 
 
 def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.ndarray, bound: float):

@@ -11,6 +11,8 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 
+from ..interruption import INTERRUPTED, CtrlC
+from ..training_data import named
 from .delay_lines import FEWEST, Rows, normalised
 from .kernel_block import BYTES_OF_CONSTANT, KERNELS, LARGEST_C
 
@@ -65,14 +67,17 @@ class DeployedProcess:
 
 
 def train_process(
-    exact_gp, features, targets, scales, grid, *, kernel, fit, points, compress, bound, rng, label, progress
-) -> DeployedProcess:
+    exact_gp, features, targets, scales, grid, *, kernel, fit, points, compress, bound, rng, label, progress,
+    ctrl_c: CtrlC | None = None,
+) -> DeployedProcess:  # fmt: skip
     """Normalise, train, condition and compress one process; ``grid`` (m, d) is where the compressed one is compared."""
     from .compression import compressed
 
     centre, scale = float(targets.mean()), float(targets.std()) or 1.0
     X, y, places = normalised(features, scales), (targets - centre) / scale, normalised(grid, scales)
-    trained = exact_gp.train(X, y, kernel=kernel, fit=fit, points=points, rng=rng, process=label, progress=progress)
+    trained = exact_gp.train(
+        X, y, kernel=kernel, fit=fit, points=points, rng=rng, process=label, progress=progress, ctrl_c=ctrl_c
+    )
     exact = trained.predict(places)
     small = compressed(trained.posterior, places, exact, compress, bound)
     arrays = {
@@ -111,13 +116,13 @@ def provenance(kind: str, records, seed: int, rows: Rows, trained: Sequence[Depl
     stopped = {p.trained.stopped for p in trained}
     return {
         "kind": kind,
-        "trained_on": [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records],
+        "trained_on": named(records),
         "seed": seed,
         "rows": len(rows),
         **{key: "all" if value is None else value for key, value in options.items()},
         "processes": [p.told() for p in trained],
         "seconds": round(sum(p.trained.seconds for p in trained), 2),
-        "stopped": "interrupted" if "interrupted" in stopped else "finished",
+        "stopped": INTERRUPTED if INTERRUPTED in stopped else "finished",
         "versions": {package: metadata.version(package) for package in ("torch", "gpytorch", "numpy", "casadi")},
     }
 
@@ -138,20 +143,6 @@ def reference_name(above: float, below: float) -> str:
         f"gpytorch {metadata.version('gpytorch')} float64: recorded rows, steady inputs, steps; "
         f"standard deviation at most {above:.1e} too large, {below:.1e} too small"
     )
-
-
-def import_training(verb: str):
-    """The file that trains; a missing PyTorch or GPyTorch gives a sentence."""
-    try:
-        from . import exact as exact_gp
-    except ModuleNotFoundError as missing:
-        if missing.name not in ("torch", "gpytorch"):
-            raise
-        raise DeclarationError(
-            f"{verb}: {'PyTorch' if missing.name == 'torch' else 'GPyTorch'} is not installed. Training needs it, "
-            "running a trained block does not. Install it with: pip install 'hydrotwin[learned]'."
-        ) from None
-    return exact_gp
 
 
 def check_options(verb, kernel, lags, fit, points, samples, compress, bound, period) -> None:

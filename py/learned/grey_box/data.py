@@ -199,11 +199,6 @@ def run_of(record: Record, period: float, input_: Signal, output: Signal) -> Run
     return Run(at_grid, time, y, before, np.clip(place - before, 0.0, 1.0))
 
 
-def named(records: Sequence[Record]) -> list[dict]:
-    """Recordings by name, digest and length, for the provenance."""
-    return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records]
-
-
 @dataclass(frozen=True)
 class FitProgress:
     """After every evaluation: how many, the loss and the best so far (mean square of weighed misses)."""

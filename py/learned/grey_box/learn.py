@@ -14,7 +14,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
-from ..training_data import training_box
+from ..interruption import INTERRUPTED
+from ..training_data import named, training_box
 from .block import GREY_BOX, grey_box_states
 from .data import (
     FitProgress,
@@ -24,7 +25,6 @@ from .data import (
     certify,
     coarser,
     falls,
-    named,
     one_in_one_out,
     run_of,
     seen_late,
@@ -149,7 +149,7 @@ def _fit(quick: Problem, fine: Problem, judge: Problem, knots: int, starts: int,
     except KeyboardInterrupt:
         if watch.best is None:
             raise
-        watch.stopped, best = "interrupted", watch.best
+        watch.stopped, best = INTERRUPTED, watch.best
     problem = replace(fine, ratio=problem.ratio)
     return evaluate(problem, best.dynamics, best.knots), problem, watch
 

@@ -18,7 +18,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
-from ..training_data import as_signals, usable
+from ..training_data import as_signals, named, usable
 
 POSITIONS = ("m", "rad")  # outputs in these units move at a rate; others settle at a value
 FIRST_LEVELS, ROUNDS, LEVELS_PER_ROUND = 65, 3, 48
@@ -147,7 +147,7 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, per
     u, r, error = np.array(points).T
     return Characteristic(
         input, asked_signal(output, rate), u, r, float(np.median(error)), period or records[0].period,
-        {"trained_on": [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records],
+        {"trained_on": named(records),
          "steady_points": len(u), "settle": settle, "window": window, "delay": delay},
     )  # fmt: skip
 

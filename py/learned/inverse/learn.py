@@ -23,6 +23,7 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation.block import TrainingDomain
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..needs import needed_to_train
 from .curve import GRID, INVERSE_NETWORK, INVERSE_TABLE, refuse_falling, static_answer
 from .data import Characteristic, characteristic
 
@@ -88,7 +89,8 @@ def learn_inverse(
         block = _block(INVERSE_TABLE, arrays, structure, forward, name, f"isotonic table, {structure['knots']} knots")
         hint, told = "Learn it again from other recordings.", {"steepest": steepest}
     else:
-        training = _import_training()
+        with needed_to_train("learn_inverse", ", or take method='table', which does without"):
+            from . import network as training
         trained = training.train(
             forward, hidden=hidden, positive=method == "monotone", weight=monotonicity, by_rate=sampling == "rate",
             iterations=iterations, seed=seed, progress=progress,
@@ -196,19 +198,6 @@ def _certify(block: LearnedBlock, learnt: Callable[[np.ndarray], np.ndarray]) ->
 
 def _versions(*more: str) -> dict[str, str]:
     return {package: metadata.version(package) for package in ("numpy", "scipy", "casadi", *more)}
-
-
-def _import_training():
-    try:
-        from . import network as inverse_network
-    except ModuleNotFoundError as missing:
-        if missing.name != "torch":
-            raise
-        raise DeclarationError(
-            "learn_inverse: PyTorch is not installed. The networks need it to learn, not to run; the table does not. "
-            "Install it with: pip install 'hydrotwin[learned]', or take method='table'."
-        ) from None
-    return inverse_network
 
 
 def _check_options(method, steepest, hidden, iterations, monotonicity, sampling) -> None:

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..device import REAL, array, tensor
+from ..interruption import INTERRUPTED
 from .data import Characteristic
 
 SLOPES = 401  # points at which the slope is looked at
@@ -43,7 +45,8 @@ def train(
     """Train until no slope on the grid falls, or the weight has been raised ``RAISES`` times; best loss kept."""
     scales = _scales(forward)
     z, u, w = _samples(forward, scales, by_rate)
-    grid = torch.linspace(float(z.min()), float(z.max()), SLOPES, dtype=torch.float64)
+    grid = tensor(np.linspace(z.min(), z.max(), SLOPES))
+    z, u, w = tensor(z), tensor(u), tensor(w)
     raw = _first_weights(hidden, positive, seed)
     done, stopped, raises = 0, "", 0 if positive or weight == 0 else RAISES
     for k in range(raises + 1):
@@ -55,7 +58,7 @@ def train(
         weight *= 10
     weights = {name: value.detach() for name, value in _weights(raw, positive).items()}
     return TrainedInverse(
-        {name: value.numpy().copy() for name, value in weights.items()} | {k: np.array([v]) for k, v in scales.items()},
+        {name: array(value) for name, value in weights.items()} | {k: np.array([v]) for k, v in scales.items()},
         lambda rates: _answer(weights, scales, rates), loss, done, weight, stopped,
     )  # fmt: skip
 
@@ -98,7 +101,7 @@ def _descend(raw, positive, data, weight, iterations, done, progress):
             if progress is not None:
                 progress(done + ran, loss.item())
     except KeyboardInterrupt:
-        return kept, best, ran, "interrupted"
+        return kept, best, ran, INTERRUPTED
     return kept, best, ran, ""
 
 
@@ -107,19 +110,19 @@ def _first_weights(hidden: int, positive: bool, seed: int) -> dict[str, torch.Te
     draw = torch.Generator().manual_seed(seed)
 
     def normal(*shape, scale):
-        return scale * torch.randn(*shape, generator=draw, dtype=torch.float64)
+        return scale * torch.randn(*shape, generator=draw, dtype=REAL)
 
-    biases = 2 * torch.rand(hidden, generator=draw, dtype=torch.float64) - 1
+    biases = 2 * torch.rand(hidden, generator=draw, dtype=REAL) - 1
     raw = {
         "first_weights": normal(hidden, scale=3.0),
         "second_weights": normal(hidden, hidden, scale=(1 if positive else 3) / math.sqrt(hidden)),
         "output_weights": normal(hidden, scale=1 / math.sqrt(hidden)),
         "first_bias": 3 * biases,
         "second_bias": normal(hidden, scale=0.5),
-        "linear": torch.full((1,), 0.3, dtype=torch.float64),
-        "output_bias": torch.zeros(1, dtype=torch.float64),
+        "linear": torch.full((1,), 0.3, dtype=REAL),
+        "output_bias": torch.zeros(1, dtype=REAL),
     }
-    return raw
+    return {name: tensor(value) for name, value in raw.items()}
 
 
 def _weights(raw: dict[str, torch.Tensor], positive: bool) -> dict[str, torch.Tensor]:
@@ -143,11 +146,11 @@ def _samples(forward: Characteristic, scales: dict[str, float], by_rate: bool):
     w = w / np.ptp(r) + 0.02 / len(r) if by_rate else w
     z = (r - scales["rate_centre"]) / scales["rate_scale"]
     n = (u - scales["command_centre"]) / scales["command_scale"]
-    return (torch.from_numpy(v) for v in (z, n, w / w.sum()))
+    return z, n, w / w.sum()
 
 
 def _answer(weights: dict[str, torch.Tensor], scales: dict[str, float], rates: np.ndarray) -> np.ndarray:
     inside = np.clip(rates, scales["rate_lower"], scales["rate_upper"])
-    z = torch.from_numpy((inside - scales["rate_centre"]) / scales["rate_scale"])
+    z = tensor((inside - scales["rate_centre"]) / scales["rate_scale"])
     with torch.no_grad():
-        return scales["command_centre"] + scales["command_scale"] * commands(weights, z).numpy()
+        return scales["command_centre"] + scales["command_scale"] * array(commands(weights, z))

@@ -1,4 +1,4 @@
-"""Training of the network on its own free run (PyTorch; the only file of the room that imports it).
+"""Training of the network on its own free run, in PyTorch.
 
 The network is run from a measured start over a stretch of recording, feeding back its own outputs. The derivatives of
 every simulated sample with respect to every weight are carried along (real-time recurrent learning), so that each
@@ -13,7 +13,7 @@ Computation 1 (1989) 270-280; Hagan, Menhaj, IEEE Trans. Neural Networks 5 (1994
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +21,12 @@ import torch
 
 from hydrotwin.models.language.errors import SolveError
 
+from ..device import REAL, array, tensor
+from ..interruption import INTERRUPTED
 from ..training_data import smoothed
 from .narx import NarxShape
 
 MEMORY = 2.5e7  # numbers held at a time while derivatives are carried along
-REAL = torch.float64
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,14 @@ class Scales:
     feature_lower: torch.Tensor
     feature_upper: torch.Tensor
 
+    @classmethod
+    def of(cls, arrays: Mapping[str, np.ndarray]) -> Scales:
+        """From the arrays of a block (`narx.array_shapes`), SI."""
+        centre, spread = arrays["output_centre"], arrays["output_scale"]
+        lower, upper = ((arrays[f"output_{side}"] - centre) / spread for side in ("lower", "upper"))
+        parts = arrays["increment_scale"] / spread, arrays["increment_limit"], lower, upper
+        return cls(*(tensor(v) for v in (*parts, arrays["feature_lower"], arrays["feature_upper"])))
+
 
 class _OutOfTime(Exception):
     """The time budget is spent."""
@@ -108,7 +117,7 @@ def first_weights(shape: NarxShape, seed: int) -> torch.Tensor:
     W1, b1, W2, _, _ = weight_arrays(weights, shape)
     for part, spread in ((W1, 1.0 / np.sqrt(shape.features / 4)), (b1, 0.3), (W2, 0.03)):
         part.copy_(spread * torch.randn(part.shape, generator=generator, dtype=REAL))
-    return weights
+    return tensor(weights)
 
 
 def cut(inputs: np.ndarray, outputs: np.ndarray, horizon: int | None, shape: NarxShape, increment: np.ndarray, *, rest):
@@ -139,7 +148,7 @@ def gather(pieces: Sequence[tuple], most: int, seed: int) -> list[Stretches]:
     batches = []
     for length in sorted({len(p[2]) for p in pieces}):
         y, d, u, target = (np.array(part) for part in zip(*(p for p in pieces if len(p[2]) == length), strict=True))
-        tensors = [torch.as_tensor(a, dtype=REAL) for a in (y, d, u.transpose(1, 0, 2), target.transpose(1, 0, 2))]
+        tensors = [tensor(a) for a in (y, d, u.transpose(1, 0, 2), target.transpose(1, 0, 2))]
         batches.append(Stretches(*(t.contiguous() for t in tensors)))
     return batches
 
@@ -157,6 +166,13 @@ def advance(parts: list[torch.Tensor], scales: Scales, y: torch.Tensor, d: torch
     return y_next, o, (z, seen, h, o == free, y_next == y_free)
 
 
+def next_step(weights: np.ndarray, shape: NarxShape, scales: Scales, features: np.ndarray):
+    """Outputs one period later (n, ny) and increments over the outputs' scale (n, ny) at ``features`` z (n, nf)."""
+    y, d, u = torch.tensor_split(tensor(features), (shape.outputs, shape.fed_back), dim=1)
+    y_next, o, _ = advance(weight_arrays(tensor(weights), shape), scales, y, d, u)
+    return array(y_next), array(scales.increment * o)
+
+
 def free_run(weights: torch.Tensor, shape: NarxShape, scales: Scales, s: Stretches) -> torch.Tensor:
     """Simulated outputs (T, B, ny)."""
     parts, y, d = weight_arrays(weights, shape), s.y, s.d
@@ -170,12 +186,12 @@ def free_run(weights: torch.Tensor, shape: NarxShape, scales: Scales, s: Stretch
 
 
 def normal_equations(weights: torch.Tensor, shape: NarxShape, scales: Scales, s: Stretches, every: int):
-    """Sums over every ``every``-th sample: ``J'J`` (P, P), ``J'e`` (P,), ``e'e``, number of residuals."""
+    """Sums over every ``every``-th sample: ``J'J`` (P, P), ``J'e`` (P,), ``e'e`` (), number of residuals."""
     parts, y, d = weight_arrays(weights, shape), s.y, s.d
     ny, fed_back = shape.outputs, shape.fed_back
-    S = torch.zeros(len(y), fed_back, shape.size, dtype=REAL)
-    JJ, Je = torch.zeros(shape.size, shape.size, dtype=REAL), torch.zeros(shape.size, dtype=REAL)
-    ee, count, rows, errors = 0.0, 0, [], []
+    S = weights.new_zeros(len(y), fed_back, shape.size)
+    JJ, Je, ee = (weights.new_zeros(size) for size in ((shape.size, shape.size), shape.size, ()))
+    count, rows, errors = 0, [], []
     for k, u in enumerate(s.u):
         y, o, (z, seen, h, moving, inside) = advance(parts, scales, y, d, u)
         So = _increment_derivatives(parts, z, seen, h, S) * moving.unsqueeze(2)
@@ -190,7 +206,7 @@ def normal_equations(weights: torch.Tensor, shape: NarxShape, scales: Scales, s:
             errors.append((y - s.target[k]).reshape(-1))
         if rows and (len(rows) * len(rows[0]) > 2000 or k == len(s.u) - 1):
             J, e = torch.cat(rows), torch.cat(errors)
-            JJ, Je, ee, count = JJ + J.T @ J, Je + J.T @ e, ee + float(e @ e), count + len(e)
+            JJ, Je, ee, count = JJ + J.T @ J, Je + J.T @ e, ee + e @ e, count + len(e)
             rows, errors = [], []
     return JJ, Je, ee, count
 
@@ -200,7 +216,7 @@ def _increment_derivatives(parts, z, seen, h, S) -> torch.Tensor:
     W1, _, W2, W, _ = parts
     ny, fed_back = len(W2), S.shape[1]
     slope = W2 * (1.0 - h * h).unsqueeze(1)  # (B, ny, hidden)
-    eye = torch.eye(ny, dtype=REAL)
+    eye = torch.eye(ny, dtype=REAL, device=W2.device)
     direct = torch.cat(
         [
             (slope.unsqueeze(3) * seen[:, None, None, :]).flatten(2),
@@ -247,7 +263,7 @@ def train(
     except KeyboardInterrupt:
         if not search.iterations:
             raise
-        stopped = "interrupted"
+        stopped = INTERRUPTED
     finally:
         torch.set_num_threads(threads)
     if not search.iterations:
@@ -256,7 +272,7 @@ def train(
             "A recording that moves more helps. Try another seed or fewer hidden units."
         )
     error, seed, weights = search.best
-    return Trained(weights.numpy().copy(), seed, error, search.seconds, search.iterations, stopped)
+    return Trained(array(weights), seed, error, search.seconds, search.iterations, stopped)
 
 
 class _Search:
@@ -265,7 +281,7 @@ class _Search:
     def __init__(self, recordings, held_out, shape, scales, decay, budget, progress):
         self.recordings, self.shape, self.scales = recordings, shape, scales
         self.decay, self.budget, self.progress = decay, budget, progress
-        self.increment = scales.increment.numpy()
+        self.increment = array(scales.increment)
         self.held_out = gather([self._cut(u, y, None, rest)[0] for u, y, rest in held_out], len(held_out), 0)
         self.best, self.iterations, self.began = None, 0, time.monotonic()
 
@@ -312,8 +328,8 @@ class _Search:
     def _normal_equations(self, weights, batches, every):
         sums = [normal_equations(weights, self.shape, self.scales, b, every) for b in batches]
         JJ, Je, ee, count = (sum(part) for part in zip(*sums, strict=True))
-        ridge = self.decay * torch.eye(len(weights), dtype=REAL)
-        return JJ / count + ridge, Je / count + self.decay * weights, ee, count
+        ridge = self.decay * torch.eye(len(weights), dtype=REAL, device=weights.device)
+        return JJ / count + ridge, Je / count + self.decay * weights, float(ee), count
 
     def _step(self, weights, batches, every, A, g, before, count, damping):
         """The first damped step that lowers the cost: (step, sum of squares after it, damping for the next)."""

@@ -13,24 +13,26 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, noise_floor
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..needs import needed_to_train
 from ..training_data import (
+    HELD_OUT,
+    LIMIT_OVER_SEEN,
     checked_recordings,
     choose_input_lags,
     choose_period,
+    free_run_bounds,
+    increment_spread,
+    named,
     on_period,
-    smoothed,
     split_tail,
     training_box,
 )
-from .narx import NETWORK, NarxShape, network_states
+from .narx import NETWORK, NarxShape, network_states, random_steps
 
-HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 DECAY_OF_NOISE = 0.03  # weight decay over the noise variance; found by trial on the two machines
 LEAST_DECAY = 1e-9
-LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
 MARGIN = 0.3  # of the range seen in training: how far the hidden layer extrapolates
-ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,8 @@ def train_network(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, or
         PyTorch is not installed. SolveError: no iteration lowered the error.
     """
-    training = _import_training()
+    with needed_to_train("train_network"):
+        from . import free_run as training
     _check_options(lags, hidden, starts, effort, budget, period)
     inputs, outputs, records, validate = checked_recordings("train_network", records, inputs, outputs, validate)
     period = float(period or choose_period(records))
@@ -90,14 +93,13 @@ def train_network(
     shape = _shape(data, lags, hidden)
     _check_size(data, shape)
     arrays = data.arrays | _feature_range(data, shape)
-    scales = _training_scales(training, arrays)
     final = _stages(training, effort, (256, 16, 4, 1), (1300, 8, 8, 1), (None, 12, 8, 1))
     longest = max(len(u) for u, _ in data.fit)
     trained = training.train(
         data.fit,
         data.held_out,
         shape,
-        scales,
+        training.Scales.of(arrays),
         seeds=[seed + k for k in range(starts if hidden else 1)],
         trial=_stages(training, effort, (4, 16, 1, 5), (32, 16, 2, 5)),
         final=[s for s in final if s.horizon is None or s.horizon < longest],
@@ -119,49 +121,20 @@ def train_network(
         description=_describe(shape),
         provenance=_provenance(records, validate, trained),
     )
-    return replace(block, certificate=certify(block, training, trained.weights, shape, scales))
+    return replace(block, certificate=certify(block, training, trained.weights, shape))
 
 
-def certify(block: LearnedBlock, training, weights: np.ndarray, shape: NarxShape, scales, points=20_000) -> Certificate:
-    """The largest |deployed - trained| of one step over random states and inputs, relative to the outputs' scale.
-
-    States fill the box of the free run's bounds and increments within their limits, so the clips are exercised too.
-    """
-    import torch
-
-    a, rng = block.arrays, np.random.default_rng(0)
-    y = rng.uniform(a["output_lower"], a["output_upper"], (points, shape.outputs))
-    low, high = (a["input_centre"] + sign * 3 * a["input_scale"] for sign in (-1, 1))
-    u = rng.uniform(*(np.tile(side, (points, shape.input_lags)) for side in (low, high)))
-    limit = np.tile(a["increment_limit"], shape.output_lags)
-    d = rng.uniform(-limit, limit, (points, shape.outputs * shape.output_lags))
-
-    states = np.hstack([y, d * np.tile(a["increment_scale"], shape.output_lags), u[:, shape.inputs :]])
-    deployed = np.array(block.step.map(points)(states.T, u[:, : shape.inputs].T, np.zeros((0, points)))[0]).T
-    y_n = (y - a["output_centre"]) / a["output_scale"]
-    u_n = (u - np.tile(a["input_centre"], shape.input_lags)) / np.tile(a["input_scale"], shape.input_lags)
-    with torch.no_grad():
-        parts = training.weight_arrays(torch.tensor(weights), shape)
-        y_next, increments, _ = training.advance(parts, scales, *(torch.tensor(v) for v in (y_n, d, u_n)))
-    ny = shape.outputs
-    errors = [(deployed[:, :ny] - a["output_centre"]) / a["output_scale"] - y_next.numpy()]
+def certify(block: LearnedBlock, training, weights: np.ndarray, shape: NarxShape, points=20_000) -> Certificate:
+    """The largest |deployed - trained| of one step over `random_steps`, relative to the outputs' scale."""
+    a, ny = block.arrays, shape.outputs
+    states, inputs, features = random_steps(a, shape, points)
+    y_next, moved = training.next_step(weights, shape, training.Scales.of(a), features)
+    deployed = np.array(block.step.map(points)(states.T, inputs.T, np.zeros((0, points)))[0]).T
+    errors = [(deployed[:, :ny] - a["output_centre"]) / a["output_scale"] - y_next]
     if shape.output_lags:
-        errors.append((deployed[:, ny : 2 * ny] / a["increment_scale"] - increments.numpy()) * scales.increment.numpy())
+        errors.append(deployed[:, ny : 2 * ny] / a["output_scale"] - moved)
     difference = max(float(np.abs(e).max()) for e in errors)
-    return Certificate(difference, TOLERANCE, points, f"torch {torch.__version__} float64")
-
-
-def _import_training():
-    try:
-        from . import free_run as free_run_training
-    except ModuleNotFoundError as missing:
-        if missing.name != "torch":
-            raise
-        raise DeclarationError(
-            "train_network: PyTorch is not installed. Training needs it, running a trained block does not. "
-            "Install it with: pip install 'hydrotwin[learned]'."
-        ) from None
-    return free_run_training
+    return Certificate(difference, TOLERANCE, points, f"torch {metadata.version('torch')} float64")
 
 
 def _check_options(lags, hidden, starts, effort, budget, period) -> None:
@@ -200,18 +173,12 @@ def _normalise(records, validate, inputs, outputs, period) -> _Normalised:
 
 def _scales(u: np.ndarray, y: np.ndarray, runs: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Centres, spreads and the bounds of a free run, from the training samples; SI."""
-    steps = np.concatenate([np.diff(smoothed(run), axis=0) for run in runs])
-    increment = np.maximum(steps.std(axis=0), 1e-9 * y.std(axis=0))
-    room = ROOM * np.ptp(y, axis=0)
     return {
         "input_centre": u.mean(axis=0),
         "input_scale": np.where(u.std(axis=0) > 0, u.std(axis=0), 1.0),
         "output_centre": y.mean(axis=0),
         "output_scale": np.where(y.std(axis=0) > 0, y.std(axis=0), 1.0),
-        "increment_scale": increment,
-        "increment_limit": LIMIT_OVER_SEEN * np.abs(steps).max(axis=0) / increment,
-        "output_lower": y.min(axis=0) - room,
-        "output_upper": y.max(axis=0) + room,
+        **free_run_bounds(runs, increment_spread(runs)),
     }
 
 
@@ -254,20 +221,6 @@ def _check_size(data: _Normalised, shape: NarxShape) -> None:
         raise DataError(f"train_network: a recording is shorter than the lags (needs over {longest} samples).")
 
 
-def _training_scales(training, arrays):
-    import torch
-
-    per_output = {
-        "increment": arrays["increment_scale"] / arrays["output_scale"],
-        "limit": arrays["increment_limit"],
-        "lower": (arrays["output_lower"] - arrays["output_centre"]) / arrays["output_scale"],
-        "upper": (arrays["output_upper"] - arrays["output_centre"]) / arrays["output_scale"],
-        "feature_lower": arrays["feature_lower"],
-        "feature_upper": arrays["feature_upper"],
-    }
-    return training.Scales(**{name: torch.tensor(value) for name, value in per_output.items()})
-
-
 def _stages(training, effort: float, *stages):
     return [training.Stage(horizon, max(1, round(effort * n)), *pace) for horizon, n, *pace in stages]
 
@@ -283,9 +236,6 @@ def _describe(shape: NarxShape) -> str:
 
 
 def _provenance(records, validate, trained) -> dict:
-    def named(part):
-        return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in part]
-
     return {
         "kind": "network",
         "trained_on": named(records),

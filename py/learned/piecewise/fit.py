@@ -10,6 +10,7 @@ import numpy as np
 
 from ..grey_box.data import Run, Watch, best_ratio, weighing
 from ..grey_box.fit import monotone, shares
+from ..interruption import INTERRUPTED
 from .block import whole_and_share
 
 LONGEST = 125  # periods of dead time
@@ -105,7 +106,7 @@ def fit_curve(problem: CurveProblem, judges, starts: int, watch: Watch) -> Curve
     except KeyboardInterrupt:
         if watch.best is None:
             raise
-        watch.stopped = "interrupted"
+        watch.stopped = INTERRUPTED
         return watch.best
 
 

@@ -14,8 +14,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
-from ..grey_box.data import FitProgress, Watch, block_period, certify, falls, named, one_in_one_out, run_of, seen_late
-from ..training_data import training_box
+from ..grey_box.data import FitProgress, Watch, block_period, certify, falls, one_in_one_out, run_of, seen_late
+from ..training_data import named, training_box
 from .block import PIECEWISE, piecewise_states, whole_and_share
 from .fit import Curve, CurveProblem, fit_curve, output_of
 

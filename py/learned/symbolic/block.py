@@ -20,7 +20,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from ..block_file import LearnedKind, Shapes, register_kind
-from ..network.narx import NarxShape
+from ..network.narx import NarxShape, narx_functions, scale_shapes
 
 ADD, SUBTRACT, MULTIPLY, COSINE, SINE, TANH, CONSTANT = range(7)
 VARIABLE = 100  # VARIABLE + i is feature i
@@ -81,15 +81,7 @@ def formula_shapes(structure: Mapping[str, int], inputs: int, outputs: int) -> S
     shape = formula_shape(structure, inputs, outputs)
     if min(shape.output_lags, shape.input_lags - 1) < 0:
         raise TypeError("no counts of lags")
-    return (
-        {"tokens": (tokens,), "constants": (constants,)}
-        | {
-            f"{part}_{what}": (size,)
-            for part, size in (("input", inputs), ("output", outputs))
-            for what in ("centre", "scale")
-        }
-        | {name: (outputs,) for name in ("increment_scale", "increment_limit", "output_lower", "output_upper")}
-    )
+    return {"tokens": (tokens,), "constants": (constants,)} | scale_shapes(inputs, outputs)
 
 
 def formula_shape(structure: Mapping[str, int], inputs: int, outputs: int) -> NarxShape:
@@ -101,32 +93,17 @@ def formula_shape(structure: Mapping[str, int], inputs: int, outputs: int) -> Na
 def formula_functions(
     arrays: Mapping[str, np.ndarray], structure: Mapping[str, int]
 ) -> tuple[ca.Function, ca.Function]:
-    """The CasADi ``step`` and ``start`` of a formula; scales in SI, ``increment_limit`` in increment scales."""
-    nu, ny = len(arrays["input_scale"]), len(arrays["output_scale"])
-    shape = formula_shape(structure, nu, ny)
-    tokens = _whole_tokens(arrays["tokens"])
-    a = {name: ca.DM(value) for name, value in arrays.items()}
-    x = ca.SX.sym("x", shape.fed_back + nu * (shape.input_lags - 1))
-    u, p = ca.SX.sym("u", nu), ca.SX.sym("p", 0)
-    y, increments, past_u = ca.vertsplit(x, [0, ny, shape.fed_back, x.numel()])
-    u_line = ca.vertcat(u, past_u)
-    z = ca.vertcat(
-        (y - a["output_centre"]) / a["output_scale"],
-        increments / ca.repmat(a["increment_scale"], shape.output_lags, 1),
-        (u_line - ca.repmat(a["input_centre"], shape.input_lags, 1)) / ca.repmat(a["input_scale"], shape.input_lags, 1),
-    )
-    f = evaluate(tokens, arrays["constants"].tolist(), ca.vertsplit(z), library=ca)
-    if len(f) != ny:
-        raise DataError(f"formula: {len(f)} expressions for {ny} outputs. Write the block again.")
-    d = ca.fmin(ca.fmax(ca.vertcat(*f), -a["increment_limit"]), a["increment_limit"]) * a["increment_scale"]
-    y_next = ca.fmin(ca.fmax(y + d, a["output_lower"]), a["output_upper"])
-    delayed = ca.vertcat(d, increments)[: shape.fed_back - ny, :], u_line[: nu * (shape.input_lags - 1), :]
-    x_next = ca.vertcat(y_next, *delayed)
-    step = ca.Function("step", [x, u, p], [ca.densify(x_next), y], ["x", "u", "p"], ["x_next", "y"])
-    y_first = ca.SX.sym("y", ny)
-    at_rest = ca.vertcat(y_first, ca.SX.zeros(shape.fed_back - ny), ca.repmat(u, shape.input_lags - 1, 1))
-    start = ca.Function("start", [u, y_first, p], [ca.densify(at_rest)], ["u", "y", "p"], ["x"])
-    return step, start
+    """The CasADi ``step`` and ``start`` of a formula."""
+    shape = formula_shape(structure, len(arrays["input_scale"]), len(arrays["output_scale"]))
+    tokens, constants = _whole_tokens(arrays["tokens"]), arrays["constants"].tolist()
+
+    def increments(z):
+        f = evaluate(tokens, constants, ca.vertsplit(z), library=ca)
+        if len(f) != shape.outputs:
+            raise DataError(f"formula: {len(f)} expressions for {shape.outputs} outputs. Write the block again.")
+        return ca.vertcat(*f)
+
+    return narx_functions(shape, arrays, increments)
 
 
 def _whole_tokens(values: np.ndarray) -> tuple[int, ...]:

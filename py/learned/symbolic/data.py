@@ -12,12 +12,9 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..network.narx import NarxShape
-from ..training_data import choose_input_lags, on_period, smoothed
+from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, on_period, smoothed
 from .refit import Bounds, Piece, Series
 
-HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
-LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
-ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
 LEAST_SAMPLES = 50
 
 
@@ -91,21 +88,14 @@ def _columns(record: Record, inputs, outputs, period: float) -> tuple[np.ndarray
 
 
 def _scales(u: np.ndarray, runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
-    y = np.concatenate(runs)
-    steps = np.concatenate([np.diff(smoothed(run), axis=0) for run in runs])
     input_centre, input_scale = _readable(u)
-    output_centre, output_scale = _readable(y)
-    increment = output_scale if next_value else _one_digit(np.maximum(steps.std(axis=0), 1e-9 * y.std(axis=0)))
-    room = ROOM * np.ptp(y, axis=0)
+    output_centre, output_scale = _readable(np.concatenate(runs))
     return {
         "input_centre": input_centre,
         "input_scale": input_scale,
         "output_centre": output_centre,
         "output_scale": output_scale,
-        "increment_scale": increment,
-        "increment_limit": LIMIT_OVER_SEEN * np.abs(steps).max(axis=0) / increment,
-        "output_lower": y.min(axis=0) - room,
-        "output_upper": y.max(axis=0) + room,
+        **free_run_bounds(runs, output_scale if next_value else _one_digit(increment_spread(runs))),
     }
 
 

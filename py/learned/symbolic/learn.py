@@ -14,15 +14,16 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
-from ..network.narx import network_states
-from ..training_data import checked_recordings, choose_period, training_box
+from ..interruption import INTERRUPTED
+from ..needs import needed_to_train
+from ..network.narx import network_states, random_steps
+from ..training_data import HELD_OUT, checked_recordings, choose_period, named, training_box
 from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula, formula_shape
-from .data import HELD_OUT, Prepared, prepare
+from .data import Prepared, prepare
 
 FITS = ("default", "paper")
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 ROWS = 3000  # samples, drawn at random, that a search judges its formulas on
-INTERRUPTED = "interrupted"
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
 
@@ -73,7 +74,10 @@ def learn_symbolic(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, or
         pyoperon is not installed.
     """
-    searching, selecting, printing = _import_training()
+    with needed_to_train("learn_symbolic"):
+        from . import search as searching
+        from . import select as selecting
+        from . import text as printing
     _check_options(fit, lags, starts, population, generations, tolerance, budget, period)
     inputs, outputs, records, validate = checked_recordings("learn_symbolic", records, inputs, outputs, validate)
     paper = fit == "paper"
@@ -161,49 +165,24 @@ def _block(formula: Formula, data: Prepared, records, inputs, outputs, period: f
 
 
 def certify(block: LearnedBlock, formula: Formula, points: int = 20_000) -> Certificate:
-    """The largest |deployed - trained| of one step over random states and inputs, relative to the outputs' scale.
+    """The largest |deployed - trained| of one step over `random_steps`, relative to the outputs' scale.
 
-    The trained formula is evaluated by SymPy's NumPy printer; inputs go three scales beyond the centre.
+    The trained formula is evaluated by SymPy's NumPy printer.
     """
     import sympy
 
     from .text import as_expressions
 
-    a, rng = block.arrays, np.random.default_rng(0)
-    shape = formula_shape(block.structure, len(block.inputs), len(block.outputs))
-    y = rng.uniform(a["output_lower"], a["output_upper"], (points, shape.outputs))
-    limit = np.tile(a["increment_limit"] * a["increment_scale"], shape.output_lags)
-    d = rng.uniform(-limit, limit, (points, shape.outputs * shape.output_lags))
-    low, high = (np.tile(a["input_centre"] + s * 3 * a["input_scale"], shape.input_lags) for s in (-1, 1))
-    u = rng.uniform(low, high, (points, len(low)))
-    states = np.hstack([y, d, u[:, shape.inputs :]])
-    deployed = np.array(block.step.map(points)(states.T, u[:, : shape.inputs].T, np.zeros((0, points)))[0]).T
-
-    u_n = (u - np.tile(a["input_centre"], shape.input_lags)) / np.tile(a["input_scale"], shape.input_lags)
-    d_n = d / np.tile(a["increment_scale"], shape.output_lags)
-    z = np.hstack([(y - a["output_centre"]) / a["output_scale"], d_n, u_n])
+    a, shape = block.arrays, formula_shape(block.structure, len(block.inputs), len(block.outputs))
+    states, inputs, z = random_steps(a, shape, points)
+    deployed = np.array(block.step.map(points)(states.T, inputs.T, np.zeros((0, points)))[0]).T
     symbols = sympy.symbols(f"z:{shape.features}", real=True)
     functions = [sympy.lambdify(symbols, e, "numpy") for e in as_expressions(formula, symbols)]
     f = np.column_stack([np.broadcast_to(g(*z.T), points) for g in functions])
     f = np.clip(f, -a["increment_limit"], a["increment_limit"]) * a["increment_scale"]
-    trained = np.clip(y + f, a["output_lower"], a["output_upper"])
+    trained = np.clip(states[:, : shape.outputs] + f, a["output_lower"], a["output_upper"])
     difference = float(np.abs((deployed[:, : shape.outputs] - trained) / a["output_scale"]).max())
     return Certificate(difference, TOLERANCE, points, f"sympy {sympy.__version__} float64")
-
-
-def _import_training():
-    try:
-        from . import search as symbolic_search
-        from . import select as symbolic_select
-        from . import text as symbolic_text
-    except ModuleNotFoundError as missing:
-        if missing.name not in ("pyoperon", "sympy"):
-            raise
-        raise DeclarationError(
-            f"learn_symbolic: {missing.name} is not installed. Training needs it, running a trained block does not. "
-            "Install it with: pip install 'hydrotwin[learned]'."
-        ) from None
-    return symbolic_search, symbolic_select, symbolic_text
 
 
 def _check_options(fit, lags, starts, population, generations, tolerance, budget, period) -> None:
@@ -228,9 +207,6 @@ def _check_options(fit, lags, starts, population, generations, tolerance, budget
 
 
 def _provenance(fit: str, records, validate, seed: int, found: dict) -> dict:
-    def named(part):
-        return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in part]
-
     return {
         "kind": "symbolic",
         "fit": fit,

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..interruption import INTERRUPTED
 from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
 from .data import Prepared
 from .refit import FreeRun, cut, laid_out
@@ -67,7 +68,7 @@ class Selection:
         try:
             joint = _refit(self.data, whole, range(len(self.names)), LONG)
         except KeyboardInterrupt:
-            self.stopped = "interrupted"
+            self.stopped = INTERRUPTED
             return whole
         return min(whole, joint, key=lambda f: free_run_error(self.data, f))
 
@@ -87,7 +88,7 @@ class Selection:
                 final.append(self._candidate(candidate.formula, i, brief=False))
                 self._tell(i, len(formulas) + len(final), len(formulas) + FINALISTS, final)
         except KeyboardInterrupt:
-            self.stopped = "interrupted"
+            self.stopped = INTERRUPTED
         return final or short or [Candidate(formulas[0], np.inf)]  # short ones are judged on less
 
     def _pruned(self, candidate: Candidate, i: int, bound: float) -> Candidate:
@@ -102,7 +103,7 @@ class Selection:
                     break
                 candidate = best
         except KeyboardInterrupt:
-            self.stopped = "interrupted"
+            self.stopped = INTERRUPTED
         return candidate
 
     def _candidate(self, formula: Formula, i: int, brief: bool) -> Candidate:

@@ -43,7 +43,10 @@ def description_of_fmi3(header: Header, variables: Sequence[Variable]) -> str:
 
 
 def build_description(header: Header) -> str:
-    """How to compile the sources: all of them, no options, no libraries but the C library's mathematics."""
+    """How to compile the sources: all of them, no definitions, no libraries but the C library's mathematics.
+
+    From FMI 2.0.4 on this file of FMI 3.0 may lie in an FMU of FMI 2.0 too, beside the SourceFiles of its description.
+    """
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=header.identifier)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99")

@@ -116,8 +116,8 @@ def export_fmu(
         "documentation/licenses/license.txt": licence_text(licence),
     }  # fmt: skip
     files |= {f"sources/{name}": text for name, text in sources.items()}
+    files["sources/buildDescription.xml"] = build_description(header)
     if fmi == 3:
-        files["sources/buildDescription.xml"] = build_description(header)
         files["terminalsAndIcons/terminalsAndIcons.xml"] = terminals_and_icons(variables)
     files["terminalsAndIcons/icon.png" if fmi == 3 else "model.png"] = icon(lowered.sampled)
     for name in platforms_named(platforms):

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import shutil
 import struct
-import subprocess
 import xml.etree.ElementTree as ET
 import zipfile
 import zlib
@@ -161,21 +159,6 @@ def test_the_icon_is_where_each_version_looks_for_it(variants, fmus):
 def test_two_builds_are_the_same_bytes(systems, variants, tmp_path, options):
     again = export_fmu(systems["clocked mass"], tmp_path / "again.fmu", **dict(options))
     assert again.read_bytes() == variants["clocked mass", *options].read_bytes()
-
-
-def test_the_listed_source_files_make_the_whole_library(variants, tmp_path):
-    if not shutil.which("cc"):
-        pytest.skip("no system compiler")
-    fmu = variants["clocked mass", BOTH]
-    with zipfile.ZipFile(fmu) as archive:
-        archive.extractall(tmp_path)
-    root = ET.fromstring(read(fmu))
-    listed = [f.get("name") for f in root.find("CoSimulation/SourceFiles")]
-    assert listed == [f.get("name") for f in root.find("ModelExchange/SourceFiles")]
-    assert set(listed) == {p.name for p in (tmp_path / "sources").glob("*.c")}
-    line = ["cc", "-shared", "-fPIC", "-O0", "-w", "-Wl,-z,defs", *listed, "-o", "all.so", "-lm"]
-    done = subprocess.run(line, cwd=tmp_path / "sources", capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
 
 
 def test_the_documentation_has_equations_effect_intervals_hashes_and_licences(leaking):

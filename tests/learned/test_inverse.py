@@ -257,16 +257,18 @@ def test_knots_that_fall_are_refused():
 
 
 @pytest.mark.parametrize(
-    ("record", "sentence"),
+    ("record", "moving", "sentence"),
     [
-        (recorded(np.sin(np.arange(2000) * 0.05)), "nowhere steady"),
-        (recorded(np.repeat([0.1, -0.5], 300)), "too few steady points"),
-        (recorded(np.zeros(3000), noise=0), "'current' never changes"),
+        (recorded(np.sin(np.arange(2000) * 0.05)), False, "nowhere steady"),
+        (recorded(np.repeat([0.1, -0.5], 300)), False, "too few points"),
+        (recorded(np.repeat([0.1, -0.5], 300)), None, "too few points"),
+        (recorded(np.zeros(3000), noise=0), None, "'current' never changes"),
+        (recorded(np.zeros(3000), noise=0), False, "'current' never changes"),
     ],
 )
-def test_recordings_without_a_characteristic_are_refused(record, sentence):
+def test_recordings_without_a_characteristic_are_refused(record, moving, sentence):
     with pytest.raises(DataError, match=sentence):
-        characteristic(record, "current", "position")
+        characteristic(record, "current", "position", moving=moving)
 
 
 def test_no_recordings_and_values_that_are_not_numbers_are_refused():

@@ -19,10 +19,12 @@ from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
 from ..training_data import as_signals, named, usable
+from .moving import moving_curve
 
 POSITIONS = ("m", "rad")  # outputs in these units move at a rate; others settle at a value
 FIRST_LEVELS, ROUNDS, LEVELS_PER_ROUND = 65, 3, 48
 LEAST_POINTS = 12
+COVERED = 0.8  # of the range of the command by steady stretches, or every sample counts
 UNSETTLED = {True: 0.1, False: 0.02}  # of the span of rates, of values: what the halves of a window may differ by
 
 
@@ -51,8 +53,8 @@ class Characteristic:
             )
         if len(u) < LEAST_POINTS:
             raise DataError(
-                f"characteristic of {self.rate.name}: too few steady points (got {len(u)}). At least {LEAST_POINTS} "
-                "are needed. Hold more commands, or hold them longer than settle and window together."
+                f"characteristic of {self.rate.name}: too few points (got {len(u)}). At least {LEAST_POINTS} are "
+                "needed. Hold more commands, longer than settle and window together, or move through the whole range."
             )
         if np.ptp(u) <= 0 or np.ptp(r) <= 0:
             still = self.input.name if np.ptp(u) <= 0 else self.rate.name
@@ -78,8 +80,9 @@ def characteristic(
     rate: bool | None = None,
     settle: float = 0.5,
     window: float | None = None,
-    delay: float = 0.0,
+    delay: float | None = None,
     steady: float = 0.03,
+    moving: bool | None = None,
     limits: tuple[float, float] | None = None,
     others: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
@@ -89,13 +92,17 @@ def characteristic(
 
     From recordings: every stretch of ``settle + window`` over which the command stays within ``steady`` of its range
     gives one point, staircases and slow ramps alike. A ramp's answer is late; up and down together cancel that, and
-    ``delay`` takes it out. From a Block or Model: commands are held from rest, most of them where the answer bends.
+    ``delay`` takes it out. Where the command does not rest long enough, every sample counts instead (`moving_curve`).
+    From a Block or Model: commands are held from rest, most of them where the answer bends.
 
     Args:
         source: a Record, several, a Block, a Model, or a Characteristic (which is answered as it is).
         rate: whether the output's rate of change is meant; None: yes for outputs in m or rad.
         settle, window: s before a point is taken and s it is averaged over (None: 0.5 s or 10 samples).
-        delay: s of dead time by which a recorded answer lags its command.
+        delay: s of dead time by which a recorded answer lags its command; None: 0 for steady stretches, found from the
+            recordings where every sample counts.
+        moving: whether every sample counts; None: when the steady stretches are fewer than 12 or cover less than 0.8 of
+            the range of the command.
         limits: least and largest command held (Block, Model); None: its training domain, else +- its nominal value.
         others: values of the other inputs, 0 by default; start: of states or outputs (Block, Model).
         period: s, of the block to be learnt and of a Model's samples; None: the source's own (a Model's: 10 ms).
@@ -118,7 +125,8 @@ def characteristic(
         source = lower(source, period or 0.01)
     if isinstance(source, Block):
         return _of_block(source, input, output, rate, settle, window, limits, others or {}, start or {}, period)
-    return _of_records(source, input, output, rate, settle, window, delay, steady, period)
+    records = [source] if isinstance(source, Record) else list(source)
+    return _of_records(records, input, output, rate, settle, window, delay, steady, moving, period)
 
 
 def asked_signal(output: Signal, rate: bool) -> Signal:
@@ -129,8 +137,7 @@ def asked_signal(output: Signal, rate: bool) -> Signal:
 
 
 # -- from recordings -----------------------------------------------------------------------------------------------
-def _of_records(records, input, output, rate, settle, window, delay, steady, period) -> Characteristic:
-    records = [records] if isinstance(records, Record) else list(records)
+def _of_records(records, input, output, rate, settle, window, delay, steady, moving, period) -> Characteristic:
     if not records:
         raise DataError("characteristic: no recordings (got an empty list). Give at least one Record.")
     (input,), (output,) = (as_signals([s], records[0], "signals") for s in (input, output))
@@ -138,18 +145,22 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, per
     records = usable(records, (input, output))
     span = max(float(np.ptp(np.concatenate([r[input.name] for r in records]))), 1e-300)
     window = window or max(0.5, 10 * max(r.period for r in records))
-    points = [p for r in records for p in _stretches(r, input, output, rate, settle, window, delay, steady * span)]
-    if not points:
+    cut = [] if moving else [_stretches(r, input, output, rate, settle, window, delay or 0.0, steady * span)
+                             for r in records]  # fmt: skip
+    u, r, error = np.array([p for part in cut for p in part]).reshape(-1, 3).T
+    told = {"trained_on": named(records), "steady_points": len(u), "settle": settle, "window": window,
+            "delay": delay or 0.0}  # fmt: skip
+    if moving or (moving is None and (len(u) < LEAST_POINTS or np.ptp(u) < COVERED * span)):
+        found = moving_curve(records, input, output, rate, delay)
+        u, r, error = found.commands, found.rates, found.sigma
+        told = {"trained_on": named(records), "moving_points": len(u), "delay": found.dead_time}
+    elif not len(u):
         raise DataError(
             f"characteristic of {output.name}: '{input.name}' is nowhere steady for {settle + window:g} s. "
-            "Hold commands for longer, ramp more slowly, or give a shorter settle and window."
+            "Hold commands for longer, ramp more slowly, give a shorter settle and window, or moving=True."
         )
-    u, r, error = np.array(points).T
-    return Characteristic(
-        input, asked_signal(output, rate), u, r, float(np.median(error)), period or records[0].period,
-        {"trained_on": named(records),
-         "steady_points": len(u), "settle": settle, "window": window, "delay": delay},
-    )  # fmt: skip
+    sigma = float(np.median(error))
+    return Characteristic(input, asked_signal(output, rate), u, r, sigma, period or records[0].period, told)
 
 
 def _stretches(record, input, output, rate, settle, window, delay, allowed):

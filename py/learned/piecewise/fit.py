@@ -55,7 +55,7 @@ class CurveProblem:
         return np.concatenate([weigh(run.output) for run, weigh in zip(self.runs, maps, strict=True)])
 
 
-def _late(columns: np.ndarray, dead_time: float, period: float, integrating: bool) -> np.ndarray:
+def late(columns: np.ndarray, dead_time: float, period: float, integrating: bool) -> np.ndarray:
     """What columns (m, ...) of the input cause after the dead time, integrated where the output integrates."""
     whole, share = whole_and_share(dead_time, period)
     padded = np.concatenate([np.repeat(columns[:1], whole + 1, axis=0), columns])[: len(columns) + 1]
@@ -73,7 +73,7 @@ def _sides(u: np.ndarray, edges: np.ndarray) -> np.ndarray:
 
 def output_of(problem: CurveProblem, curve: Curve, run: Run) -> np.ndarray:
     """Output of the curve at the block's samples, (m,), from zero where it integrates."""
-    sides = _late(_sides(run.input, curve.edges), curve.dead_time, problem.period, problem.integrating)
+    sides = late(_sides(run.input, curve.edges), curve.dead_time, problem.period, problem.integrating)
     return sides @ curve.rates
 
 
@@ -81,7 +81,7 @@ def _evaluate(problem: CurveProblem, dead_time: float, edges: np.ndarray) -> Cur
     """The best saturations, hence slopes, for these edges."""
 
     def columns(run):
-        return _late(_sides(run.input, edges), dead_time, problem.period, problem.integrating)
+        return late(_sides(run.input, edges), dead_time, problem.period, problem.integrating)
 
     rows, target = problem.rows(columns), problem.target()
     rates = np.linalg.lstsq(rows, target, rcond=None)[0]
@@ -92,11 +92,11 @@ def _evaluate(problem: CurveProblem, dead_time: float, edges: np.ndarray) -> Cur
 def fit_curve(problem: CurveProblem, judges, starts: int, watch: Watch) -> Curve:
     """Scan the dead time with a free monotone curve, put four edges on it, refine, weigh anew, refine."""
     try:
-        dead_time = _scan_dead_time(problem)
+        dead_time = scan_dead_time(problem)
         for delay, edges in [(dead_time, e) for e in _edges_on_curve(problem, dead_time, 1)]:
             watch(_evaluate(problem, delay, edges))
         problem = _reweighed(problem, watch.best)
-        dead_time = _scan_dead_time(problem)
+        dead_time = scan_dead_time(problem)
         watch.anew()
         tried = [_refine(problem, dead_time, edges, watch) for edges in _edges_on_curve(problem, dead_time, starts)]
         best = min(tried, key=lambda curve: _judged(problem, judges, curve))
@@ -110,7 +110,7 @@ def fit_curve(problem: CurveProblem, judges, starts: int, watch: Watch) -> Curve
         return watch.best
 
 
-def _scan_dead_time(problem: CurveProblem) -> float:
+def scan_dead_time(problem: CurveProblem) -> float:
     """The dead time at which a free monotone curve is best."""
     if problem.dead_time is not None:
         return problem.dead_time
@@ -123,7 +123,7 @@ def _scan_dead_time(problem: CurveProblem) -> float:
 def _free_curve(problem: CurveProblem, dead_time: float):
     """Knots, the monotone values at them, misses, and the weight of each knot."""
     knots = np.linspace(*problem.span, SCAN_KNOTS)
-    rows = problem.rows(lambda run: _late(shares(run.input, knots).T, dead_time, problem.period, problem.integrating))
+    rows = problem.rows(lambda run: late(shares(run.input, knots).T, dead_time, problem.period, problem.integrating))
     values, misses = monotone(rows, problem.target(), knots)
     return knots, values, misses, np.square(rows).sum(axis=0)
 

@@ -8,11 +8,13 @@ GAP ?= --quick --limit 10 --methods discover bic sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo fmus test lint bench bench-gap clean
+.PHONY: help demo fmus gates test lint bench bench-gap clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
-	@echo "make fmus   build the FMUs of fmus/ and check them; one of them: make fmus FMUS=cehA"
+	@echo "make fmus   build the FMUs of fmus/ and check them; one of them: make fmus FMUS=cehA;"
+	@echo "            for every machine: make fmus PLATFORM=all"
+	@echo "make gates  the same by version and kind, through every program that judges FMUs, into fmus/GATES.md"
 	@echo "make test   all tests"
 	@echo "make lint   style"
 	@echo "make bench  speed, as ratios"
@@ -34,7 +36,10 @@ demo: $(VENV)/.run
 	$(BIN)/python -m hydrotwin demo --out $(OUT)
 
 fmus: $(VENV)/.run
-	$(BIN)/python -m fmus.make $(FMUS)
+	$(BIN)/python -m fmus.make $(FMUS) $(addprefix --platform ,$(PLATFORM))
+
+gates: $(VENV)/.dev
+	$(BIN)/python -m fmus.gates --write $(FMUS)
 
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -q -n $(WORKERS) --durations=15

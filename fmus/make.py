@@ -1,17 +1,20 @@
-"""make fmus: build every shipped FMU and check it; ``python -m fmus.make [NAME...]``.
+"""make fmus: build every shipped FMU and check it; ``python -m fmus.make [NAME...] [--platform NAME|all]``.
 
 With ``--write``: write README.md and reference.csv of each anew instead.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from hydrotwin.commands.shared import out, table
 from hydrotwin.export import Check, check_fmu
+from hydrotwin.export.build import platforms_named
 from hydrotwin.export.check import SECOND
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import read_record, write_record
@@ -24,9 +27,19 @@ COLUMNS = ["", "file", "FMI", "kind", "kB", "build s", "check s", "checks", "Co-
 
 def main(arguments: Sequence[str], root: Path = HERE) -> int:
     """The exit code: 0, or 1 when an FMU could not be built or fails a check, 2 for a name that is none."""
+    parser = argparse.ArgumentParser(prog="python -m fmus.make", description=__doc__.partition("\n")[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help="folders; all by default")
+    parser.add_argument(
+        "--platform", action="append", metavar="NAME", help="linux64, win64 ... or all; this machine by default"
+    )
+    parser.add_argument("--write", action="store_true", help="write README.md and reference.csv anew instead")
+    options = parser.parse_args(arguments)
     try:
-        chosen = all_shipped(root, [a for a in arguments if a != "--write"])
-        if "--write" in arguments:
+        chosen = all_shipped(root, options.names)
+        if options.platform:
+            platforms_named(options.platform)
+            chosen = [replace(shipped, platforms=options.platform) for shipped in chosen]
+        if options.write:
             for shipped in chosen:
                 write(shipped)
             return 0

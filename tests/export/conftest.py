@@ -5,7 +5,9 @@ import dataclasses
 import casadi as ca
 import pytest
 
+from fmus.shipped import all_shipped
 from hydrotwin.export import export_fmu
+from hydrotwin.records import read_record
 from hydrotwin.simulation import TrainingDomain
 from tests.export.raw import Library
 from tests.export.systems import clocked_mass, delayed_mass, lag_block, network_block, stiff_oscillator
@@ -80,13 +82,41 @@ def libraries(fmus, tmp_path_factory):
     return Loaded()
 
 
+SHIPPED = [shipped.folder.name for shipped in all_shipped()]
+
+
+@pytest.fixture(scope="session")
+def shipped_libraries(tmp_path_factory):
+    """(name, version of FMI) -> the loaded library of a shipped FMU, Co-Simulation alone."""
+
+    class Loaded(dict):
+        def __missing__(self, key):
+            name, fmi = key
+            [shipped] = all_shipped(names=[name])
+            folder = tmp_path_factory.mktemp("shipped")
+            one = dataclasses.replace(shipped, kind="cs")
+            self[key] = Library(one.build(fmi, read_record(shipped.reference), folder / "x.fmu"), folder / "unpacked")
+            return self[key]
+
+    return Loaded()
+
+
 OF_FMI3 = ["cehA 3", "delayed mass 3", "stiff 3", "implicit 3", "lag 3", "lag in MX 3"]
 IMPLICIT = ("stiff", ("method", "implicit"))
 
 
-@pytest.fixture(params=["cehA", "delayed mass", "stiff", "implicit", "lag", "lag in MX", *OF_FMI3])
-def library(request, libraries, exchangers):
-    """Each kind of Co-Simulation FMU in turn, of both versions."""
+OF_FMI2 = ["cehA", "delayed mass", "stiff", "implicit", "lag", "lag in MX"]
+
+
+def _label(param) -> str:
+    return param if isinstance(param, str) else f"shipped {param[0]} {param[1]}"
+
+
+@pytest.fixture(params=[*OF_FMI2, *OF_FMI3, *((name, fmi) for name in SHIPPED for fmi in (2, 3))], ids=_label)
+def library(request, libraries, exchangers, shipped_libraries):
+    """Each kind of Co-Simulation FMU in turn and all that are shipped, of both versions."""
+    if isinstance(request.param, tuple):
+        return shipped_libraries[request.param]
     if request.param in OF_FMI3:
         return _of_fmi3(exchangers, request.param)
     return exchangers[IMPLICIT] if request.param == "implicit" else libraries[request.param]

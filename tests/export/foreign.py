@@ -59,6 +59,17 @@ SET_TIME = "    ht_values(s, HT_TIME)[0] = time;\n"
 STALE_AFTER_TIME = {SET_TIME + "    ht_book(s)[STALE] = 1.0;\n": SET_TIME}
 LOAD = "ht_load(&((component *)c)->core, state)) : fmi2Error;"
 KEEPS_NO_STATE = {LOAD: "HT_OK) : fmi2Error;"}
+# after a reset the states are not those of the start but those of the run before
+RESET = "    ht_reset(&((component *)c)->core);\n    return fmi2OK;\n"
+LEAVE = "    fmi2Status status = c ? ht2_answer(c, ht_exit_initialisation(&((component *)c)->core)) : fmi2Error;\n"
+STATES = (
+    "((component *)c)->core.data + ht_variables(&ht_the_model) - 1 - ht_the_model.derivatives - ht_the_model.states"
+)
+RESET_KEEPS_STATE = {
+    RESET: f"    memcpy(kept, {STATES}, ht_the_model.states * sizeof(double));\n    again = 1;\n{RESET}",
+    LEAVE: f"{LEAVE}    if (again) memcpy({STATES}, kept, ht_the_model.states * sizeof(double)), again = 0;\n",
+    "/* ---- life ---- */": "static double kept[64];\nstatic int again = 0;\n",
+}
 HANGS = {DO_STEP: DO_STEP + "    while (!*(volatile int *)&no_return == 0) {}\n"}
 
 

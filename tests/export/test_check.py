@@ -7,8 +7,17 @@ import pytest
 from hydrotwin.export import check_fmu, export_fmu
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.simulation import simulate
-from tests.export.foreign import CRASHES, STALE_AFTER_TIME, SWALLOWS_NAN, WRONG_ADJOINT, WRONG_DIRECTION, rewritten
+from tests.export.foreign import (
+    CRASHES,
+    RESET_KEEPS_STATE,
+    STALE_AFTER_TIME,
+    SWALLOWS_NAN,
+    WRONG_ADJOINT,
+    WRONG_DIRECTION,
+    rewritten,
+)
 from tests.export.systems import arm_record, command_record
+from tests.export.test_description import read
 
 ROWS = {
     "readable", "FMPy validation", "files", "platforms", "units", "runs", "reset", "second instance", "state",
@@ -44,15 +53,32 @@ def test_a_reference_that_differs_fails(fmus, systems):
     assert "rate" in row.detail
 
 
-def test_a_swallowed_nan_and_an_undeclared_dependency_are_found(fmus, tmp_path):
-    fmu = rewritten(
-        fmus["delayed mass"], tmp_path / "careless.fmu", c=SWALLOWS_NAN, xml={'dependencies="1 2"': 'dependencies="1"'}
-    )
-    check = check_fmu(fmu)
+def test_a_nan_that_reaches_the_outputs_is_found(fmus, tmp_path):
+    check = check_fmu(rewritten(fmus["delayed mass"], tmp_path / "careless.fmu", c=SWALLOWS_NAN))
     assert check["NaN input"].passed is False
-    assert check["dependencies"].passed is False
+    assert "reaches the outputs" in check["NaN input"].detail
+
+
+def test_an_undeclared_dependency_is_found(fmus, tmp_path):
+    fmu = rewritten(fmus["delayed mass"], tmp_path / "wrong.fmu", xml={'dependencies="1 2"': 'dependencies="1"'})
+    check = check_fmu(fmu)
+    assert "dependencies" in [row.name for row in check.failures]
     assert "seen_force on extra" in check["dependencies"].detail
-    assert not check.passed
+
+
+def test_a_reset_that_keeps_the_state_is_found(fmus, tmp_path):
+    check = check_fmu(rewritten(fmus["lag"], tmp_path / "keeps.fmu", c=RESET_KEEPS_STATE))
+    assert [row.name for row in check.failures] == ["reset"]
+    assert "largest difference" in check["reset"].detail
+
+
+def test_a_unit_that_is_used_and_not_defined_is_found(fmus, tmp_path):
+    text = read(fmus["lag"])
+    start = text.index('<Unit name="V">')
+    unit = text[start : text.index("</Unit>", start) + len("</Unit>")]
+    check = check_fmu(rewritten(fmus["lag"], tmp_path / "undefined.fmu", xml={unit: ""}))
+    assert check["FMPy validation"].passed is False
+    assert "'V'" in check["FMPy validation"].detail or '"V"' in check["FMPy validation"].detail
 
 
 def test_wrong_adjoint_derivatives_are_found(variants, tmp_path):

@@ -44,8 +44,9 @@ def test_a_hang_of_the_fmu_is_an_error_in_time(fmus, tmp_path):
     assert time.monotonic() - began < 10.0
 
 
-def test_a_failing_step_names_the_reason_of_the_fmu(fmus):
-    block = read_fmu(fmus["cehA"], values={"motor.time_constant": 1e-5})
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_failing_step_names_the_reason_of_the_fmu(variants, fmi):
+    block = read_fmu(variants["cehA", ("fmi", fmi)], values={"motor.time_constant": 1e-5})
     with pytest.raises(SolveError, match="not finite"):
         block.free_run(arm_record(1.0))
 

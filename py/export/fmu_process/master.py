@@ -11,6 +11,7 @@ import numpy as np
 from fmpy.model_description import ModelDescription, ScalarVariable
 from fmpy.simulation import instantiate_fmu
 
+DISCARDS = "logStatusDiscard"  # the standard's name of the category that says why a step was discarded
 FLOATS = ("Real", "Float64", "Float32")
 
 
@@ -22,6 +23,8 @@ class Slave:
         self.variables = {v.name: v for v in description.modelVariables}
         self.fmi3 = description.fmiVersion.startswith("3")
         self.fmu = instantiate_fmu(folder, description, fmi_type="CoSimulation")
+        if self.fmi3 and DISCARDS in {category.name for category in description.logCategories}:
+            self.fmu.setDebugLogging(True, [DISCARDS])  # in FMI 3 only errors are told without being asked
 
     def initialise(self, start: float, stop: float | None, starts: Mapping[str, float], inputs: Mapping[str, float]):
         """From instantiated to ready for the first step."""

@@ -174,8 +174,8 @@ def test_a_hybrid_with_a_changed_or_missing_part_is_refused(actuator, tmp_path):
 @pytest.mark.parametrize(
     ("line", "sentence"),
     [
-        ('kind = "network"', "not a hybrid of version 1"),
-        ("version = 2", "not a hybrid of version 1"),
+        ('kind = "network"', "not a hybrid"),
+        ("version = 2", "version 2 of 'hybrid', this hydrotwin reads version 1"),
         ('method = "euler"', "no block method 'euler'"),
         ("name = 1\nmodel = 3", "lacks or garbles"),
     ],

@@ -151,9 +151,13 @@ def read_hybrid(path: str | Path, load: Callable[[str], object]) -> HybridBlock:
     """
     path = Path(path)
     header = read_toml(path)
-    if header.get("kind") != "hybrid" or header.get("version") != VERSION:
-        found = f"kind {header.get('kind')!r}, version {header.get('version')!r}"
-        raise DataError(f"{path}: not a hybrid of version {VERSION} (got {found}). Write it again with write_hybrid.")
+    if header.get("kind") != "hybrid":
+        raise DataError(f"{path}: not a hybrid (got kind {header.get('kind')!r}). Write it again with write_hybrid.")
+    if header.get("version") != VERSION:
+        raise DataError(
+            f"{path}: written in version {header.get('version')} of 'hybrid', this hydrotwin reads version {VERSION}. "
+            "Learn the hybrid again, or open it with the hydrotwin that wrote it."
+        )
     try:
         frame = {"name": header["name"], "method": header["method"], "substep": float(header["substep"])}
         frame["started_by"] = [str(name) for name in header["started_by"]]

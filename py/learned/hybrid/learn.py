@@ -13,7 +13,7 @@ from hydrotwin.records import Record, noise_floor
 from hydrotwin.simulation import prepare, simulate
 
 from ..network.learn import train_network
-from ..training_data import RESOLUTION, choose_period, on_period, usable
+from ..training_data import RESOLUTION, check_excitation, choose_period, on_period, usable
 from .block import HybridBlock, hybrid_outputs, join, residual_signal, sampled_model, simulated_signal
 
 STILL = 1e-9  # of its size: a simulated output that moves less tells the residual nothing
@@ -65,6 +65,7 @@ def learn_hybrid(
     starting = {s.measured_by for s in flat.states}
     kept = [s for s in flat.outputs if s in chosen or (s.name in starting and all(s.name in r for r in known))]
     records, validate = (usable(part, (*flat.inputs, *kept)) if part else [] for part in (records, validate))
+    check_excitation(records, chosen)
     period = float(period or _period(model, records, chosen))
     way = _method(flat, records[0]) if method == "auto" else {"method": method, "substep": None}
     physical = sampled_model(model, period, **way)

@@ -20,6 +20,7 @@ CAUSALITY = {
 ANNOTATION = "hydrotwin"
 LOG_CATEGORIES = {
     "logEvents": "Events",
+    "logStatusWarning": "Warnings, as of a learned block that leaves its training data",
     "logStatusDiscard": "Steps and values that were discarded",
     "logStatusError": "Errors",
 }

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import casadi as ca
 
+from hydrotwin.simulation.block import INSIDE_TRAINING
+
 from .lower import Lowered, with_adjoints
 from .variables import Variable
 
@@ -107,11 +109,18 @@ const ht_model ht_the_model = {{
     {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]}, {" + ".join(_FLAGS[i] for i in INTERFACES[kind])},
     {counts}, /* inputs, parameters, starts, outputs, states, derivatives */
     defaults, nominals, labels, dead_time,
-    {pieces}, {int(any(v.kind == "time" for v in variables))}, {lowered.step!r}, /* history, time listed, step */
+    {pieces}, {int(any(v.kind == "time" for v in variables))}, /* history, time listed */
+    {_inside(lowered)}, {lowered.step!r}, /* inside, step */
     {", ".join(functions[role] for role in _ROLES)},
     {", ".join(str(work[name] + 1) for name in _WORK)},
 }};
 """
+
+
+def _inside(lowered: Lowered) -> int:
+    """Which output says whether a block is inside its training data; -1: none."""
+    names = [s.name for s in lowered.outputs]
+    return names.index(INSIDE_TRAINING) if lowered.sampled and INSIDE_TRAINING in names else -1
 
 
 _ROLES = ("start", "start_forward", "output", "present", "forward", "derivative", "advance", "start_reverse", "reverse")

@@ -345,6 +345,7 @@ def test_event_mode_and_other_interfaces_are_refused_as_declared(library3):
 
 
 ALL = ["logEvents", "logStatusDiscard", "logStatusError"]
+WARNING = "logStatusWarning"
 
 
 def heard(library, instance) -> set[str]:
@@ -359,7 +360,7 @@ def heard(library, instance) -> set[str]:
 
 def test_the_log_categories_are_those_of_the_description_and_can_be_chosen(library):
     listed = [category.get("name") for category in library.root.find("LogCategories")]
-    assert listed == ALL
+    assert listed == [ALL[0], WARNING, *ALL[1:]]
     instance = library.instance(logging=True)
     assert heard(library, instance) == set(ALL)
     for wanted in ([ALL[0]], [ALL[1]], ALL[:2], [ALL[2]]):
@@ -378,3 +379,27 @@ def test_without_logging_fmi3_tells_errors_alone(library):
     quiet = library.instance()
     assert heard(library, quiet) == ({ALL[2]} if library.fmi == 3 else set(ALL[1:]))
     quiet.free()
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_leaving_the_training_data_is_warned_of_once_each_time(exchangers, fmi):
+    library = exchangers["lag with domain", ("fmi", fmi)]
+    instance = library.instance(logging=True).initialise()
+    warned = []
+    for k, command in enumerate([0.5, 2.0, 3.0, 0.5, 2.0, 0.1]):
+        assert instance.set("command", command) == OK
+        library.messages.clear(), library.categories.clear()
+        assert instance.step(0.06 * k, 0.06) == OK  # three samples
+        warned += [(k, text) for (_, text), name in zip(library.messages, library.categories, strict=True)
+                   if name == WARNING]  # fmt: skip
+    assert [k for k, _ in warned] == [1, 4]
+    assert [text.split(" s:")[0].split("t = ")[1] for _, text in warned] == ["0.06", "0.24"]
+    stored = instance.serialized()
+    assert instance.set("command", 2.0) == OK
+    for _ in range(2):  # a saved state knows where it was
+        assert instance.restore(stored) == OK
+        assert instance.set("command", 2.0) == OK
+        library.categories.clear()
+        assert instance.step(0.36, 0.06) == OK
+        assert library.categories == [WARNING]
+    instance.free()

@@ -2,10 +2,11 @@
 
 #include "categories.h"
 
-static const char *const names_of[] = {"logEvents", "logStatusDiscard", "logStatusError"};
+#define CATEGORIES 4
+static const char *const names_of[] = {"logEvents", "logStatusWarning", "logStatusDiscard", "logStatusError"};
 
 const char *ht_category_of(int status, int *bit) {
-    int place = status < 2 ? 0 : status == 2 ? 1 : 2;
+    int place = status < CATEGORIES ? status : CATEGORIES - 1;
     *bit = 1 << place;
     return names_of[place];
 }
@@ -15,8 +16,8 @@ int ht_categories_on(int on, size_t n, const char *const names[]) {
     size_t k;
     for (k = 0; k < n; k++) {
         int place = 0;
-        while (place < 3 && (!names[k] || strcmp(names[k], names_of[place]) != 0)) place++;
-        if (place == 3) return -1;
+        while (place < CATEGORIES && (!names[k] || strcmp(names[k], names_of[place]) != 0)) place++;
+        if (place == CATEGORIES) return -1;
         wanted |= 1 << place;
     }
     return on ? wanted : 0;

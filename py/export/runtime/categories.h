@@ -4,7 +4,7 @@
 
 #include <stddef.h>
 
-enum { HT_LOG_EVENTS = 1, HT_LOG_DISCARD = 2, HT_LOG_ERROR = 4, HT_LOG_ALL = 7 };
+enum { HT_LOG_EVENTS = 1, HT_LOG_WARNING = 2, HT_LOG_DISCARD = 4, HT_LOG_ERROR = 8, HT_LOG_ALL = 15 };
 
 /* Name and bit of the category of messages with an FMI status: OK, Warning, Discard, Error or Fatal. */
 const char *ht_category_of(int status, int *bit);

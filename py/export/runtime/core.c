@@ -44,8 +44,8 @@ ht_kind ht_kind_of(const ht_model *m, size_t reference, size_t *index) {
     return HT_UNKNOWN;
 }
 
-double *ht_values(const ht_instance *s, ht_kind kind) { return s->data + ht_place_of(s->model, kind); }
-double *ht_slopes(const ht_instance *s) { return s->data + ht_variables(s->model); }
+double *ht_values(const ht_instance *s, ht_kind kind) { return s->data + s->place[kind]; }
+double *ht_slopes(const ht_instance *s) { return s->data + s->place[HT_UNKNOWN]; }
 double *ht_book(const ht_instance *s) { return ht_slopes(s) + s->model->inputs; }
 static size_t delayed_inputs(const ht_model *m) {
     size_t k, n = 0;
@@ -75,6 +75,8 @@ size_t ht_bytes(const ht_model *m) {
 }
 
 void ht_place(ht_instance *s, const ht_model *m, ht_interface interface, void *memory) {
+    int k;
+    for (k = 0; k <= (int)HT_UNKNOWN; k++) s->place[k] = ht_place_of(m, (ht_kind)k);
     s->model = m;
     s->interface = interface;
     s->data = (double *)memory;
@@ -267,6 +269,7 @@ double ht_pause(ht_instance *s, double time, double end) {
 ht_status ht_step(ht_instance *s, double time, double size) {
     ht_status status = check_step(s, time, size);
     double end = time + size;
+    s->left_domain = 0;
     if (status != HT_OK) return status;
     memcpy(s->backup, s->data, ht_doubles(s->model) * sizeof(double));
     ht_values(s, HT_TIME)[0] = time;
@@ -275,7 +278,9 @@ ht_status ht_step(ht_instance *s, double time, double size) {
     if (status == HT_OK) {
         move_to(s, end);
         memset(ht_slopes(s), 0, s->model->inputs * sizeof(double));
+        if (s->left_domain) ht_fail(s, HT_OK, "the block left its training data at t = %.9g s: from there it guesses", s->left_at);
     } else {
+        s->left_domain = 0;
         memcpy(s->data, s->backup, ht_doubles(s->model) * sizeof(double));
     }
     return status;

@@ -34,6 +34,7 @@ typedef struct {
     const int *dead_time;         /* per input: which parameter [s] delays it, or -1 */
     size_t history;               /* pieces kept of each delayed input */
     int time_listed;              /* whether time is one of the variables */
+    int inside;                   /* which output is 1 inside the training data of a block, else 0; or -1 */
     double step;                  /* longest internal step, or the sample period [s] */
     ht_function start;            /* (u, p, z) -> x */
     ht_function start_forward;    /* (u, p, z, du, dp, dz) -> dx */
@@ -55,6 +56,7 @@ typedef double (*ht_watcher)(struct ht_instance *self, double end);
 typedef struct ht_instance {
     const ht_model *model;
     ht_interface interface; /* the one this instance was made for */
+    size_t place[HT_UNKNOWN + 1]; /* where each kind of variable begins in data, and where they end */
     double *data;      /* the state, ht_doubles(model) long */
     double *backup;    /* the state at the start of the step under way */
     double *scratch;
@@ -63,6 +65,8 @@ typedef struct ht_instance {
     long long *iw;
     double *w;
     ht_watcher watcher; /* or NULL */
+    int left_domain;   /* whether a block has left its training data in the last step; the message says when */
+    double left_at;
     char message[256]; /* why the last call did not return HT_OK */
 } ht_instance;
 

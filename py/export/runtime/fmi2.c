@@ -5,7 +5,7 @@
 
 #include "fmi2_face.h"
 
-/* ---- logging and status: errors are always logged, discards unless they are switched off ---- */
+/* ---- logging and status: errors are always logged, warnings and discards unless they are switched off ---- */
 
 static void say(component *c, fmi2Status status, const char *message) {
     int bit;
@@ -20,6 +20,10 @@ fmi2Status ht2_answer(component *c, ht_status status) {
     return out;
 }
 
+void ht2_tell_domain(component *c) {
+    if (c->core.left_domain) say(c, fmi2Warning, c->core.message);
+}
+
 fmi2Status ht2_refuse(component *c, const char *why) {
     if (c) say(c, fmi2Error, why);
     return fmi2Error;
@@ -32,7 +36,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     int wanted;
     if (!c || (n > 0 && !categories)) return fmi2Error;
     wanted = ht_categories_on(on, n, categories);
-    if (wanted < 0) return ht2_refuse(c, "the log categories are logEvents, logStatusDiscard and logStatusError");
+    if (wanted < 0) return ht2_refuse(c, "there is no such log category");
     ((component *)c)->logging = wanted;
     return fmi2OK;
 }
@@ -64,7 +68,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     memset(memory, 0, own + ht_bytes(model) + length);
     c = (component *)memory;
     c->callbacks = *functions;
-    c->logging = logging ? HT_LOG_ALL : HT_LOG_DISCARD;
+    c->logging = logging ? HT_LOG_ALL : HT_LOG_WARNING | HT_LOG_DISCARD;
     c->name = memory + own + ht_bytes(model);
     memcpy(c->name, name, length);
     ht_place(&c->core, model, interface, memory + own);

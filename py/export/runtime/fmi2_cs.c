@@ -18,8 +18,12 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real size, fmi2Boolean no_return) {
+    fmi2Status status;
     (void)no_return;
-    return c ? ht2_answer(c, ht_step(&((component *)c)->core, time, size)) : fmi2Error;
+    if (!c) return fmi2Error;
+    status = ht2_answer(c, ht_step(&((component *)c)->core, time, size));
+    ht2_tell_domain(c);
+    return status;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c) { return ht2_refuse(c, "steps are synchronous, there is none to cancel"); }

@@ -15,5 +15,6 @@ typedef struct {
 
 fmi2Status ht2_answer(component *c, ht_status status); /* log what went wrong, translate */
 fmi2Status ht2_refuse(component *c, const char *why);  /* log, fmi2Error; c may be NULL */
+void ht2_tell_domain(component *c);                    /* warn of a block that has left its training data */
 
 #endif

@@ -21,6 +21,10 @@ fmi3Status ht3_answer(component *c, ht_status status) {
     return out;
 }
 
+void ht3_tell_domain(component *c) {
+    if (c->core.left_domain) say(c, fmi3Warning, c->core.message);
+}
+
 fmi3Status ht3_refuse(component *c, const char *why) {
     if (c) say(c, fmi3Error, why);
     return fmi3Error;
@@ -39,7 +43,7 @@ fmi3Status fmi3SetDebugLogging(fmi3Instance c, fmi3Boolean on, size_t n, const f
     int wanted;
     if (!c || (n > 0 && !categories)) return fmi3Error;
     wanted = ht_categories_on(on, n, categories);
-    if (wanted < 0) return ht3_refuse(c, "the log categories are logEvents, logStatusDiscard and logStatusError");
+    if (wanted < 0) return ht3_refuse(c, "there is no such log category");
     ((component *)c)->logging = wanted;
     return fmi3OK;
 }

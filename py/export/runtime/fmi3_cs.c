@@ -32,6 +32,7 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 time, fmi3Float64 size, fmi3Bo
     core = &((component *)c)->core;
     *event = *terminate = *early = fmi3False;
     status = ht3_answer(c, ht_step(core, time, size));
+    ht3_tell_domain(c);
     *last = ht_time(core);
     *early = status == fmi3OK && *last < time + size;
     return status;

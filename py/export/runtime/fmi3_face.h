@@ -26,6 +26,7 @@ typedef struct {
 
 fmi3Status ht3_answer(component *c, ht_status status); /* log what went wrong, translate */
 fmi3Status ht3_refuse(component *c, const char *why);  /* log, fmi3Error; c may be NULL */
+void ht3_tell_domain(component *c);                    /* warn of a block that has left its training data */
 double ht3_watch(ht_instance *core, double end);       /* the watcher of Co-Simulation: calls intermediateUpdate */
 
 #endif

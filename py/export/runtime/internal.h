@@ -8,7 +8,7 @@
 #define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
 
 /* bookkeeping inside the flat state */
-enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, BOOKKEEPING };
+enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, OUTSIDE, BOOKKEEPING };
 
 /* core.c */
 size_t ht_place_of(const ht_model *model, ht_kind kind);

@@ -75,6 +75,16 @@ ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
 
 double ht_sample_time(const ht_instance *s) { return ht_book(s)[START_TIME] + ht_book(s)[SAMPLE] * s->model->step; }
 
+/* Note when the block leaves the data it was trained with, once each time. */
+static void watch_domain(ht_instance *s, double t) {
+    int outside = s->model->inside >= 0 && ht_values(s, HT_OUTPUT)[s->model->inside] < 0.5;
+    if (outside && ht_book(s)[OUTSIDE] == 0.0) {
+        s->left_domain = 1;
+        s->left_at = t;
+    }
+    ht_book(s)[OUTSIDE] = outside;
+}
+
 /* Outputs of the sample due at time t; with `commit` the block moves on to its next sample. */
 static ht_status take_sample(ht_instance *s, double t, int commit) {
     const ht_model *m = s->model;
@@ -89,6 +99,7 @@ static ht_status take_sample(ht_instance *s, double t, int commit) {
     if (commit) {
         memcpy(ht_values(s, HT_STATE), next, m->states * sizeof(double));
         ht_book(s)[SAMPLE] += 1.0;
+        watch_domain(s, t);
     }
     return HT_OK;
 }

@@ -31,7 +31,7 @@ OTHER_SOLVER = 1e-2
 """The same for Model Exchange in an FMU with both: the reference is of the solver inside, not of the importer's."""
 
 PROBES = (
-    "runs", "reset", "second instance", "state", "dependencies", "directional derivatives",
+    "runs", "reset", "second instance", "state", "intermediate update", "dependencies", "directional derivatives",
     "NaN input", "unknown value reference", "step before initialization",
 )  # fmt: skip
 
@@ -83,8 +83,9 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
     """Check an FMU of FMI 2 or 3, whoever made it.
 
     Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
-    ``time_limit`` [s]: a short run, reset, a second instance, saving the state, declared dependencies against
-    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
+    ``time_limit`` [s]: a short run, reset, a second instance, saving the state, intermediate update and early
+    return, declared dependencies against perturbed inputs, directional derivatives, and what it does with NaN, an unknown
+    variable and a step too early.
     Of Model Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, reset,
     saving the state, directional derivatives and NaN. An FMU with both is tried as both.
     Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer

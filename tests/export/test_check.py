@@ -21,8 +21,8 @@ from tests.export.test_description import read
 
 ROWS = {
     "readable", "FMPy validation", "files", "platforms", "units", "runs", "reset", "second instance", "state",
-    "dependencies", "directional derivatives", "NaN input", "unknown value reference", "step before initialization",
-    "FMPy Co-Simulation", "libcosimpy", "reference",
+    "intermediate update", "dependencies", "directional derivatives", "NaN input", "unknown value reference",
+    "step before initialization", "FMPy Co-Simulation", "libcosimpy", "reference",
 }  # fmt: skip
 OF_EXCHANGE = {"runs", "order of setting", "reset", "state", "directional derivatives", "NaN input"}
 
@@ -79,6 +79,30 @@ def test_a_unit_that_is_used_and_not_defined_is_found(fmus, tmp_path):
     check = check_fmu(rewritten(fmus["lag"], tmp_path / "undefined.fmu", xml={unit: ""}))
     assert check["FMPy validation"].passed is False
     assert "'V'" in check["FMPy validation"].detail or '"V"' in check["FMPy validation"].detail
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ({"return wanted > now ? wanted : now;": "return end;"}, "asked to return at"),
+        ({"c->core.watcher = update ? ht3_watch : NULL;": "c->core.watcher = NULL;"}, "calls nobody"),
+        ({"    c->update(c->environment, now,": "    c->update(c->environment, 2.0 - now,"}, "do not rise"),
+        ({"can = c->early_return && now < end": "can = fmi3False"}, "no call offers it"),
+    ],
+)
+def test_an_intermediate_update_that_is_not_as_declared_is_found(variants, tmp_path, fault, words):
+    good = variants["lag", ("fmi", 3)]
+    check = check_fmu(rewritten(good, tmp_path / "wrong.fmu", c=fault))
+    assert [row.name for row in check.failures] == ["intermediate update"]
+    assert words in check["intermediate update"].detail
+
+
+@pytest.mark.parametrize("name", ["delayed mass", "lag"])
+def test_intermediate_update_of_our_own_is_as_declared(variants, fmus, name):
+    row = check_fmu(variants[name, ("fmi", 3)])["intermediate update"]
+    assert row.passed, row.detail
+    assert "returned when asked" in row.detail
+    assert check_fmu(fmus[name])["intermediate update"].passed is None
 
 
 def test_wrong_adjoint_derivatives_are_found(variants, tmp_path):

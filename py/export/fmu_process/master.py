@@ -16,13 +16,13 @@ FLOATS = ("Real", "Float64", "Float32")
 
 
 class Slave:
-    """One Co-Simulation instance: FMI 2 and 3 seen through the same few calls."""
+    """One Co-Simulation instance: FMI 2 and 3 seen through the same few calls; options: of `instantiate_fmu`."""
 
-    def __init__(self, description: ModelDescription, folder: str):
+    def __init__(self, description: ModelDescription, folder: str, **options):
         self.description = description
         self.variables = {v.name: v for v in description.modelVariables}
         self.fmi3 = description.fmiVersion.startswith("3")
-        self.fmu = instantiate_fmu(folder, description, fmi_type="CoSimulation")
+        self.fmu = instantiate_fmu(folder, description, fmi_type="CoSimulation", **options)
         if self.fmi3 and DISCARDS in {category.name for category in description.logCategories}:
             self.fmu.setDebugLogging(True, [DISCARDS])  # in FMI 3 only errors are told without being asked
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -164,6 +165,38 @@ def _directional(description: ModelDescription, unzipped: str):
     return worst < 1e-4, f"largest difference to finite differences {worst:.2g} of nominal"
 
 
+def _intermediate_update(description: ModelDescription, unzipped: str):
+    """Where it is declared, a step calls back at rising times inside it, and returns at the time that is asked for."""
+    declared = abilities_of(unzipped, "CoSimulation")
+    if "providesIntermediateUpdate" not in declared:
+        return None, "not offered"
+    times, asked = [], []
+
+    def update(owner, time, may_set, may_get, finished, can_return, requested, when):
+        times.append(time)
+        if can_return and not asked and time > 0.0:
+            asked.append(time)
+            requested[0], when[0] = True, time
+
+    slave = Slave(description, unzipped, intermediate_update=update, early_return_allowed=True)
+    size = STEPS * _step_size(description)
+    slave.initialise(0.0, None, {}, {})
+    _, _, early, reached = slave.fmu.doStep(currentCommunicationPoint=0.0, communicationStepSize=size)
+    slave.close()
+    if not times:
+        return False, f"it is declared, but a step of {size:g} s calls nobody"
+    if any(b < a for a, b in itertools.pairwise([0.0, *times, size * (1.0 + 1e-9)])):
+        return False, f"the times of the calls do not rise within the step of {size:g} s: {times[:5]}"
+    if asked and not (early and math.isclose(reached, asked[0], rel_tol=1e-9)):
+        return False, f"asked to return at {asked[0]:g} s, the step went on to {reached:g} s"
+    if "canReturnEarlyAfterIntermediateUpdate" in declared and not asked:
+        return False, "early return is declared, but no call offers it"
+    return (
+        True,
+        f"{len(times)} calls in a step of {size:g} s, {'which returned when asked' if asked else 'no early return'}",
+    )
+
+
 def _step_size(description: ModelDescription) -> float:
     experiment = description.defaultExperiment
     return float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.01
@@ -209,6 +242,7 @@ PROBES = {
     "reset": _reset,
     "second instance": _second_instance,
     "state": _state,
+    "intermediate update": _intermediate_update,
     "dependencies": _dependencies,
     "directional derivatives": _directional,
     "NaN input": _nan_input,

@@ -1,6 +1,6 @@
 """Learn every model of Table I that has a block file: ``python examples/table_1/learn.py [FOLDER]``, a few minutes.
 
-Makes the recordings where they are missing. The network of the table stands in benchmarks/learned/table_1.py.
+Makes the recordings where they are missing.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from hydrotwin.learned import LearnedBlock, write_block  # noqa: E402
 from hydrotwin.learned.gaussian.dual import learn_dual_gp  # noqa: E402
 from hydrotwin.learned.gaussian.single import learn_gaussian_process  # noqa: E402
 from hydrotwin.learned.grey_box.learn import learn_grey_box  # noqa: E402
+from hydrotwin.learned.network.rate import learn_rate_network  # noqa: E402
 from hydrotwin.learned.piecewise.learn import learn_piecewise  # noqa: E402
 from hydrotwin.records import read_record  # noqa: E402
 
@@ -27,6 +28,7 @@ LEARN: dict[str, tuple[Callable[..., LearnedBlock], dict]] = {
     "grey_box": (learn_grey_box, {}),
     "gaussian_process": (learn_gaussian_process, {"rate": True, "period": 0.1}),
     "dual_gp": (learn_dual_gp, {"period": 0.1}),
+    "network": (learn_rate_network, {"iterations": 1000}),
 }
 
 

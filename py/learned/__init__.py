@@ -10,6 +10,7 @@ from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
 from .inverse.learn import learn_inverse
 from .network.learn import train_network
+from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
 from .symbolic.learn import learn_symbolic
@@ -31,6 +32,7 @@ __all__ = [
     "learn_hybrid",
     "learn_inverse",
     "learn_piecewise",
+    "learn_rate_network",
     "learn_symbolic",
     "learned_kinds",
     "published_formula",

@@ -50,6 +50,15 @@ def test_a_characteristic_is_learnt_and_its_file_simulates():
     assert np.sqrt(np.mean((predicted - measured["position"]) ** 2)) < 0.01 * np.ptp(measured["position"])
 
 
+def test_the_published_network_is_learnt_where_it_is_asked_for():
+    pytest.importorskip("torch")
+    for fit, kind in (("paper", "rate_network"), ("default", "network")):
+        brief = "--set iterations=5" if fit == "paper" else "--set effort=0.01 --set period=0.1 --hidden 1"
+        answer = hydrotwin(*f"learn nn ramp_1.csv {SIGNALS} --fit {fit} {brief} --json --out nn.toml".split())
+        assert answer.code == 0, answer.err
+        assert json.loads(answer.out)["kind"] == kind
+
+
 @pytest.mark.parametrize("source", ["ramp_1.csv ramp_2.csv", "a.toml"])
 def test_the_inverse_gives_back_the_command_from_recordings_and_from_a_block(source):
     if source == "a.toml":
@@ -93,6 +102,7 @@ def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
     [
         (f"learn hybrid ramp_1.csv {SIGNALS} --out a.toml", ["--model goes with hybrid"]),
         (f"learn gp ramp_1.csv {SIGNALS} --model cehA --out a.toml", ["--model goes with hybrid"]),
+        (f"learn nn ramp_1.csv {SIGNALS} --fit papr --out a.toml", ["learn nn: no fit 'papr'", "'paper'"]),
         (f"learn gp ramp_1.csv {SIGNALS} --set lagz=3 --out a.toml", ["learn gp: has no option 'lagz'", "'lags'"]),
         (f"learn piecewise ramp_1.csv {SIGNALS} --hidden 3 --out a.toml", ["has no option 'hidden'", "dead_time"]),
         (f"learn gp ramp_1.csv {SIGNALS} --set lags --out a.toml", ["--set takes NAME=VALUE"]),

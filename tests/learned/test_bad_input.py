@@ -22,6 +22,7 @@ from hydrotwin.learned import (
     learn_grey_box,
     learn_hybrid,
     learn_piecewise,
+    learn_rate_network,
     learn_symbolic,
     train_network,
     write_block,
@@ -48,6 +49,7 @@ class Kind:
 KINDS = {
     "nn": Kind(lambda r: train_network(r, ["current"], ["position"], hidden=2, starts=1, effort=0.02, lags=(1, 2),
                                      period=PERIOD), "torch"),
+    "nn paper": Kind(lambda r: learn_rate_network(r, ["current"], ["position"], iterations=20), "torch"),
     "gp": Kind(lambda r: learn_gaussian_process(r, ["current"], ["position"], rate=True, points=100, compress=10,
                                                 lags=2), "gpytorch"),
     "dual_gp": Kind(lambda r: learn_dual_gp(r, ["current"], ["position"], points=100, compress=10, knots=8, lags=2),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn_inverse, train_network
+from hydrotwin.learned import learn_inverse, learn_rate_network, train_network
 from hydrotwin.learned.gaussian.dual import learn_dual_gp
 from hydrotwin.learned.gaussian.single import learn_gaussian_process
 from tests.learned.test_gaussian_process import valve_record
@@ -20,6 +20,7 @@ TRAINERS = {  # the hybrid trains its residual with that of "nn"
     "nn": lambda: train_network([toy_record(1, 6.0)], [COMMAND], [ANGLE], period=PERIOD, **SMALL),
     "gp": lambda: learn_gaussian_process([valve_record(1, 20.0)], ["current"], ["spool"], points=100),
     "dual_gp": lambda: learn_dual_gp([valve_record(1, 20.0)], ["current"], ["position"], points=100),
+    "nn paper": lambda: learn_rate_network([valve_record(1, 20.0)], ["current"], ["position"], iterations=20),
     "inverse": lambda: learn_inverse(points(), method="monotone", hidden=4, iterations=20),
 }
 

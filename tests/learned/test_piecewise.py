@@ -105,6 +105,8 @@ def test_a_dead_time_can_be_given_and_none_costs_accuracy_on_ramps(learned):
     ramps = ramps_record()
     without = learn_piecewise([steps_record()], ["current"], ["position"], dead_time=0.0)
     assert without.provenance["identified"]["dead_time"] == 0.0 and without.structure["delay"] == 1
+    paper = learn_piecewise([steps_record()], ["current"], ["position"], fit="paper")
+    assert all(np.array_equal(paper.arrays[key], array) for key, array in without.arrays.items())
     errors = []
     for block in (learned, without):
         run = simulate(block, ramps)
@@ -145,6 +147,8 @@ def test_interrupting_keeps_the_best_so_far():
         ({"records": []}, DataError, "no recordings"),
         ({"period": 10.0}, DataError, "too few samples to train on"),
         ({"starts": 0}, DeclarationError, "starts"),
+        ({"fit": "papier"}, DeclarationError, "no fit 'papier'"),
+        ({"fit": "paper", "dead_time": 0.1}, DeclarationError, "has no dead time"),
         ({"dead_time": -0.1}, DeclarationError, "dead_time must not be negative"),
         ({"period": 0.0}, DeclarationError, "period must be positive"),
     ],

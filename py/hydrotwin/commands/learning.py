@@ -41,6 +41,7 @@ KINDS = {
     "symbolic": ("learn_symbolic", "a formula found by genetic programming"),
     "hybrid": ("learn_hybrid", "an identified model (--model) and a network for what it lacks"),
 }
+PUBLISHED = {"nn": "learn_rate_network"}  # where the paper's procedure is another function, for --fit paper
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
 RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
 SetOption = Annotated[
@@ -99,8 +100,8 @@ def learn(
         raise DeclarationError(
             f"learn {kind}: --model goes with hybrid (got {model}). Write learn hybrid --model m.toml."
         )
-    trainer = getattr(hydrotwin.learned, KINDS[kind][0])
-    flags = {"fit": fit, "hidden": hidden, "budget": budget}
+    trainer = getattr(hydrotwin.learned, PUBLISHED[kind] if _published(kind, fit) else KINDS[kind][0])
+    flags = {"fit": None if kind in PUBLISHED else fit, "hidden": hidden, "budget": budget}
     more = (hydrotwin.learned.train_network,) if kind == "hybrid" else ()
     options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None}, *more)
     train, judged = read_all(records, scale), read_all(validate, scale)
@@ -113,6 +114,13 @@ def learn(
         **options, **_named(name), validate=judged, seed=seed,
     )  # fmt: skip
     _written(block, output, as_json, origin(model) if model else None)
+
+
+def _published(kind: str, fit: str | None) -> bool:
+    """Whether another function than usual is asked for; an unknown fit is refused."""
+    if kind in PUBLISHED and fit not in (None, "default", "paper"):
+        raise DeclarationError(f"learn {kind}: no fit '{fit}'. {nearest(str(fit), ('default', 'paper'))}")
+    return kind in PUBLISHED and fit == "paper"
 
 
 def invert(

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
@@ -19,6 +19,7 @@ from ..training_data import named, training_box
 from .block import PIECEWISE, piecewise_states, whole_and_share
 from .fit import Curve, CurveProblem, fit_curve, output_of
 
+FITS = ("default", "paper")
 SIDES = ("saturated below", "deadband from", "deadband to", "saturated above")
 
 
@@ -27,6 +28,7 @@ def learn_piecewise(
     inputs: Sequence[Signal | str],
     outputs: Sequence[Signal | str],
     *,
+    fit: str = "default",
     period: float | None = None,
     validate: Sequence[Record] = (),
     dead_time: float | None = None,
@@ -43,6 +45,7 @@ def learn_piecewise(
 
     Args:
         records: training recordings without gaps, of even or uneven times. inputs, outputs: one each.
+        fit: "default"; "paper": the dual-GP paper's six parameters, which have no dead time.
         period: s between steps of the block; None: as `grey_box_data.block_period` finds it.
         validate: recordings that choose among the starts; none: the training loss does.
         dead_time: s; None: found with the rest; 0: none.
@@ -57,7 +60,8 @@ def learn_piecewise(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     began = perf_counter()
-    _check_options(starts, dead_time)
+    _check_options(fit, starts, dead_time)
+    dead_time = 0.0 if fit == "paper" else dead_time
     records, validate, input_, output = one_in_one_out("learn_piecewise", records, inputs, outputs, validate)
     period = block_period("learn_piecewise", records, period)
     runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
@@ -70,6 +74,7 @@ def learn_piecewise(
     block = _block(curve, integrating, period, name, records, input_, output)
     provenance = {
         "kind": "piecewise",
+        "fit": fit,
         "trained_on": named(records),
         "selected_on": named(validate) or "the training loss",
         "identified": _identified(curve, seen_late(records, period, input_) if dead_time is None else 0.0),
@@ -117,7 +122,13 @@ def _block(curve: Curve, integrating, period, name, records, input_: Signal, out
     )
 
 
-def _check_options(starts, dead_time) -> None:
+def _check_options(fit, starts, dead_time) -> None:
+    if fit not in FITS:
+        raise DeclarationError(f"learn_piecewise: no fit '{fit}'. {nearest(str(fit), FITS)}")
+    if fit == "paper" and dead_time:
+        raise DeclarationError(
+            f"learn_piecewise: fit='paper' has no dead time (got {dead_time} s). Leave one of them out."
+        )
     if int(starts) != starts or starts < 1:
         raise DeclarationError(f"learn_piecewise: starts must be a whole number from 1 up (got {starts}).")
     if dead_time is not None and not (np.isfinite(dead_time) and dead_time >= 0):

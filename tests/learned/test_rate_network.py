@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import learn_rate_network, read_block, write_block
 from hydrotwin.learned.block_file import assemble
 from hydrotwin.learned.gaussian.delay_lines import training_rows
@@ -96,6 +97,14 @@ def test_the_same_seed_gives_the_same_network_in_its_file_too(recordings, tmp_pa
     assert not np.array_equal(one.arrays["first_weights"], other.arrays["first_weights"])
     again = read_block(write_block(one, tmp_path / "rate.toml")[0])
     assert np.array_equal(simulate(again, recordings[1])["position"], simulate(one, recordings[1])["position"])
+
+
+def test_its_fmu_runs_to_the_same_numbers(learned, tmp_path):
+    record = valve_record(9, duration=10.0)
+    found, expected = read_fmu(export_fmu(learned, tmp_path / "rate.fmu")).free_run(record), simulate(learned, record)
+    for name in ("position", "position.slope"):
+        assert np.abs(found[name] - expected[name]).max() <= 1e-12 * np.ptp(expected[name])
+    assert np.ptp(expected["position"]) > 0.05
 
 
 def test_interrupting_keeps_the_best_so_far(recordings):

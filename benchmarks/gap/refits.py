@@ -64,15 +64,18 @@ class Bench:
         return {n: float(v) for n, v in zip(names, found.rmse_select, strict=True) if n in self.made.noise}
 
 
-def oracle(bench: Bench) -> dict[str, float] | None:
+def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
     """Held-out RMSE of the true structure refitted; None where the catalogue cannot express it.
 
     It starts from the base model fitted and from the true base parameters: it is the best that can be, not a rival.
+    ``without``: the number of a hidden effect to leave out, to see whether it is needed.
     """
     made, sets = bench.made, []
     if made.case.kind == "none":
         return bench.rmse(bench.base)
     for h, (effect, _) in enumerate(made.hidden):
+        if h == without:
+            continue
         if effect not in CATALOGUE:
             return None
         fitting = [c for c in bench.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]

@@ -50,15 +50,17 @@ def _judged(made, methods, with_oracle) -> list[dict]:
     from benchmarks.gap.refits import Bench, oracle
     from benchmarks.gap.score import row_of
 
-    bench, rows, best = Bench(made), [], None
+    bench, rows, best, lacking = Bench(made), [], None, ()
     if with_oracle and made.case.kind != "out_of_library":
         try:
             best = oracle(bench)
+            if made.case.kind == "pairs" and best:
+                lacking = [oracle(bench, without=h) for h in range(len(made.hidden))]
         except Exception as error:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
         try:
-            rows.append(row_of(made, _answer(method, made, bench), method=method, oracle=best))
+            rows.append(row_of(made, _answer(method, made, bench), method=method, oracle=best, lacking=lacking))
         except Exception as error:
             rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
     return rows

@@ -151,8 +151,13 @@ def times_noise(rmse: Mapping[str, float], noise: Mapping[str, float]) -> float:
     return float(np.sqrt(np.mean([(rmse[name] / sigma) ** 2 for name, sigma in noise.items()])))
 
 
-def row_of(made: Made, answer: Answer, *, method: str, oracle: Mapping[str, float] | None = None) -> dict:
-    """The row, ready for JSON. ``oracle``: held-out RMSE by output of the true structure refitted."""
+def row_of(
+    made: Made, answer: Answer, *, method: str, oracle: Mapping[str, float] | None = None, lacking: Sequence = ()
+) -> dict:
+    """The row, ready for JSON. ``oracle``: held-out RMSE by output of the true structure refitted.
+
+    lacking : the same without one of the hidden effects, in turn; of pairs.
+    """
     case, named = made.case, answer.named
     count = len(made.hidden) if case.kind in ("single", "pairs") else 0
     exact = [any(is_it(made, h, n.effect, n.site) for n in named) for h in range(count)]
@@ -184,6 +189,7 @@ def row_of(made: Made, answer: Answer, *, method: str, oracle: Mapping[str, floa
             "confidently_wrong": wrongly_sure,
             "abstained": answer.verdict in ("unknown", "none") and not named,
             **_predictions(made, answer, oracle),
+            "lacking": [times_noise(rmse, made.noise) for rmse in lacking if rmse],
             "parameters": _parameters(made, named),
             "brier": _brier(made, named),
             "seconds": answer.seconds,

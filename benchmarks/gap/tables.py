@@ -9,6 +9,8 @@ import numpy as np
 
 from hydrotwin.models.effects import CATALOGUE
 
+from .score import VISIBLE
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -52,6 +54,7 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
         _quantile("gap closed when named, median", ">= 0.99", _column(found, "gap_closed"), 0.5, 0.99),
         _quantile("held-out RMSE / oracle, 90th %", "<= 1.05", _column(seen, "over_oracle"), 0.9, 1.05, most=True),
         _share("pairs, both named", ">= 80 %", pairs, _inside, 0.8),
+        _share("the same where the true structure, refitted, needs both", "(%)", _both_needed(pairs), _inside),
         _quantile("parameter error, median", "<= 5 %", _column(parameters, "error"), 0.5, 0.05, most=True),
         _coverage(parameters),
         _mean("Brier score of named effects", _column(done, "brier")),
@@ -80,6 +83,11 @@ def _named_or_class(r) -> bool:
 def _closable(rows):
     """Those whose gap the oracle closes by half at least. A chaotic stick-slip it cannot follow, or it is stuck."""
     return [r for r in rows if r["oracle"] is None or r["oracle"] ** 2 - 1 < 0.5 * (r["before"] ** 2 - 1)]
+
+
+def _both_needed(rows):
+    """Pairs of which each effect, left out of the true structure and refitted, leaves a gap that can be seen."""
+    return [r for r in rows if r.get("lacking") and min(r["lacking"]) ** 2 - r["oracle"] ** 2 >= VISIBLE**2]
 
 
 def _named(rows):

@@ -36,6 +36,11 @@ class Site:
     unit: str = "1"
     nominal: float = 1.0
 
+    @property
+    def place(self) -> frozenset[str]:
+        """What an effect here acts on; the same for effects at the same nodes, whatever their ports are called."""
+        return frozenset(self.ties.values() if self.ties else (self.name,))
+
 
 class Effect(Component):
     """What is missing, perhaps: its equation, its parameters at the values where it is absent, where it may act.
@@ -51,7 +56,7 @@ class Effect(Component):
     family : the row of the catalogue.
     typical : parameter -> usual range (SI, or in nominals of the signal).
     probes : finite amplitudes from which to start, each a mapping parameter -> value.
-    refines : ids of simpler effects that this one contains.
+    refines : simpler effects that this one contains: id -> own parameter -> theirs that it then equals.
     confused_with : ids that leave the same traces in many recordings.
     experiment : what tells it from those.
     order : of effects on one signal, from the input on: 0 dead time ... 9 the last before the machine.
@@ -64,7 +69,7 @@ class Effect(Component):
     family: ClassVar[str] = ""
     typical: ClassVar[Mapping[str, tuple[float, float]]] = {}
     probes: ClassVar[Sequence[Mapping[str, float]]] = ()
-    refines: ClassVar[tuple[str, ...]] = ()
+    refines: ClassVar[Mapping[str, Mapping[str, str]]] = {}
     confused_with: ClassVar[tuple[str, ...]] = ()
     experiment: ClassVar[str] = ""
     order: ClassVar[int] = 5
@@ -144,6 +149,15 @@ class Candidate:
     def label(self) -> str:
         """``id at site``."""
         return f"{self.id} at {self.site.name}"
+
+    def refines(self, other: Candidate) -> bool:
+        """Whether this is the other, at the same place, and more."""
+        return other.id in self.effect.refines and other.site.place == self.site.place
+
+    def containing(self, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
+        """The parameters, by path, at which this is the effect that it refines, at ``values`` (by path)."""
+        same = self.effect.refines[simple.id]
+        return {f"{self.name}.{own}": values[f"{simple.name}.{theirs}"] for own, theirs in same.items()}
 
     @property
     def addition(self) -> Addition:

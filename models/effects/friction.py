@@ -93,7 +93,7 @@ class StribeckFriction(Sticking):
         {"force": 400.0, "excess": 300.0, "stribeck_velocity": 0.01},
         {"force": 400.0, "excess": 300.0, "stribeck_velocity": 0.06},
     )
-    refines = ("coulomb_friction",)
+    refines = {"coulomb_friction": {"force": "force"}}
     confused_with = ("coulomb_friction", "presliding_friction")
     experiment = "constant speeds from 1 mm/s up in both directions, each long enough to settle, with pressures"
 
@@ -127,7 +127,7 @@ class PreslidingFriction(Lagged):
         {"force": 500.0, "displacement": 1e-4, "rise": 0.1},
         {"force": 500.0, "displacement": 4e-4, "rise": 0.5},
     )
-    refines = ("coulomb_friction",)
+    refines = {"coulomb_friction": {"force": "force"}}
     confused_with = ("coulomb_friction", "stribeck_friction", "backlash")
     experiment = "reversals so small that it only just moves: the force is then a loop over position"
 
@@ -163,7 +163,7 @@ class PositionDependentFriction(Sticking):
     source = ARMSTRONG
     typical = {"force": (10.0, 2000.0), "slope": (-10000.0, 10000.0)}
     probes = ({"force": 50.0, "slope": 300.0}, {"force": 300.0, "slope": 3000.0}, {"force": 600.0, "slope": -1000.0})
-    refines = ("coulomb_friction",)
+    refines = {"coulomb_friction": {"force": "force"}}
     confused_with = ("coulomb_friction", "pressure_dependent_friction")
     experiment = "the same slow to-and-fro motion in several positions, with pressures"
 
@@ -189,7 +189,7 @@ class AsymmetricFriction(Sticking):
     source = ARMSTRONG
     typical = {"out": (10.0, 2000.0), "back": (10.0, 2000.0)}
     probes = ({"out": 50.0, "back": 150.0}, {"out": 150.0, "back": 50.0}, {"out": 500.0, "back": 200.0})
-    refines = ("coulomb_friction",)
+    refines = {"coulomb_friction": {"out": "force", "back": "force"}}
     confused_with = ("coulomb_friction", "constant_load", "area_error")
     experiment = "slow motion in both directions and a stop in between: a constant load acts at rest too"
 
@@ -248,7 +248,7 @@ class PressureDependentFriction(Sticking):
         {"force": 100.0, "piston_seal": 1e-4, "rod_seal": 0.0},
         {"force": 0.0, "piston_seal": 2e-5, "rod_seal": 2e-5},
     )
-    refines = ("coulomb_friction",)
+    refines = {"coulomb_friction": {"force": "force"}}
     confused_with = ("coulomb_friction", "asymmetric_friction", "area_error")
     experiment = "the same slow motion under two loads, with pressures"
 
@@ -262,9 +262,10 @@ class PressureDependentFriction(Sticking):
     def sites(cls, places: Places):
         for part in places.parts:
             moving, oil = part.ports_of(Flange), part.ports_of(HydraulicPort)
-            if moving and len(oil) == 2 and places.node_at(f"{part.path}.{moving[0]}"):
+            node = places.node_at(f"{part.path}.{moving[0]}") if moving and len(oil) == 2 else None
+            if node:
                 a, b = (f"{part.path}.{port}.p" for port in oil)
-                ties, reads = {"flange": f"{part.path}.{moving[0]}"}, {"p_a": a, "p_b": b}
+                ties, reads = {"flange": node.name}, {"p_a": a, "p_b": b}
                 yield SteppedSite(part.path, ties, reads, step=places.model.step)
 
     def equations(self):

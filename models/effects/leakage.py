@@ -157,7 +157,6 @@ class PumpSlip(Effect):
         {"conductance": 3e-13, "reference_speed": 100.0},
         {"conductance": 4e-12, "reference_speed": 50.0},
     )
-    refines = ("internal_leakage",)
     confused_with = ("internal_leakage", "external_leakage", "speed_dependent_efficiency", "motor_droop")
     experiment = "hold under load with the pump at rest, then lift the same load at several speeds"
 

@@ -55,7 +55,7 @@ class AsymmetricOverlap(Effect):
     source = MERRITT
     typical = {"positive": (0.0, 0.22), "negative": (0.0, 0.22)}
     probes = ({"positive": 0.05, "negative": 0.01}, {"positive": 0.01, "negative": 0.05})
-    refines = ("valve_overlap",)
+    refines = {"valve_overlap": {"positive": "overlap", "negative": "overlap"}}
     confused_with = ("valve_overlap", "command_deadband", "null_bias", "direction_asymmetry")
     experiment = "slow triangles of the spool through its centre at two loads, with the spool's position measured"
     order = 6

@@ -60,7 +60,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     shown = data.report or data.select
     view = View(flat, data, before, after, shown)
     share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
-    known = {p.name: p for p in search.big.parameters} if found.screens else {}
+    known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
     members = [named for step in steps for named in _named(step, after, share, known)]
     experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit

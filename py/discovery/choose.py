@@ -12,6 +12,7 @@ from .refit import Question
 from .search import Tried
 
 TEMPERATURE = 4.0  # by which BIC differences are divided: chosen on the tuning seeds of the benchmark
+UNLIKELY = 2 * TEMPERATURE * np.log(20)  # BIC behind the best: a twentieth of its probability
 HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
 EQUAL = 0.05  # of the gap: effects that close it alike, and neither better on held-out recordings, are not told apart
 PARALLEL, SAME = 0.98, 0.01  # cosine of what two effects do to the outputs; share of the gap by which they then differ
@@ -26,14 +27,20 @@ class Choice:
     members: tuple[Tried, ...]
     probability: dict[str, float]
 
+    def beside(self, other: Tried) -> Choice:
+        """The same with one more that may as well be it."""
+        likely = {**self.probability, label(other): self.probability[label(self.best)]}
+        total = sum(likely.values())
+        return Choice(self.best, (*self.members, other), {name: p / total for name, p in likely.items()})
+
 
 def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
     """The best of the candidates that pass; None when none does."""
     passing = [t for t in tried if t.evidence and t.evidence.passes(library) and not t.implausible]
     if not passing:
         return None
-    best = _simplest(_best(passing, q), passing, q)
-    members = [best, *(t for t in passing if t is not best and not _contains(t, best) and _as_good(t, best, q))]
+    best = _best_and_simplest(passing, q)
+    members = [best, *_without_refinements([t for t in passing if t is not best and _as_good(t, best, q)], best)]
     weight = {label(t): _weight(t, best, q) for t in passing}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}
@@ -59,15 +66,15 @@ def _score(tried: Tried, q: Question) -> float:
     return -2 * fitted.likelihood - fitted.parameters * np.log(max(q.counts.sum(), 2))
 
 
-def _simplest(best: Tried, passing: Sequence[Tried], q: Question) -> Tried:
-    """The effect that ``best`` refines, unless the refinement is worth it."""
-    refined = {name for c in best.members for name in c.effect.refines}
-    simple = [t for t in passing if len(t.members) == 1 and t.members[0].id in refined]
-    if not simple:
-        return best
-    first = max(simple, key=lambda t: _score(t, q))
-    over = compared(best.structure.fitted, first.structure.fitted, q)
-    return best if worth_refining(over) else first
+def _best_and_simplest(passing: Sequence[Tried], q: Question) -> Tried:
+    """The best, a refinement only where it is worth it over the simple effect."""
+    left = list(passing)
+    while True:
+        best = _best(left, q)
+        simple = [t for t in left if refines(best, t)]
+        if all(worth_refining(compared(best.structure.fitted, t.structure.fitted, q)) for t in simple):
+            return best
+        left.remove(best)
 
 
 def worth_refining(over: Evidence) -> bool:
@@ -75,26 +82,37 @@ def worth_refining(over: Evidence) -> bool:
     return over.bic_gain > TOGETHER and over.paired_t > T_NEEDED and over.closed > REFINEMENT
 
 
-def _contains(tried: Tried, best: Tried) -> bool:
-    """Whether it is a refinement of ``best``: the same effect with more parameters is no alternative."""
-    return any(c.id in other.effect.refines for c in best.members for other in tried.members)
+def leans_to(over: Evidence) -> bool:
+    """Whether a refinement explains more, be it surely or not."""
+    return over.bic_gain > TOGETHER and over.paired_t > 0 and over.closed > 0
+
+
+def refines(tried: Tried, other: Tried) -> bool:
+    """Whether it contains a refinement of the other, which is a single effect."""
+    return len(other.members) == 1 and any(c.refines(other.members[0]) for c in tried.members)
+
+
+def _without_refinements(members: Sequence[Tried], best: Tried) -> list[Tried]:
+    """Those that are no refinement of another: the same effect with more parameters is no alternative."""
+    return [t for t in members if not any(refines(t, other) for other in (best, *members))]
 
 
 def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
     """Whether the recordings cannot tell it from the best.
 
-    Where the best leaves only noise, the likelihood tells. Where it leaves more, its equation is not exactly the
-    machine's, and likelihoods that differ by less than a share of the gap decide nothing: held-out recordings must, and
-    not between effects that do the same to every output once the base has adapted.
+    Where the best leaves only noise, the likelihood tells, as far as two fits find their minima. Where it leaves more,
+    its equation is not exactly the machine's, and likelihoods that differ by less than a share of the gap decide
+    nothing: held-out recordings must, and not between effects that do the same to every output once the base has
+    adapted.
     """
     if _late_somewhere(tried, q) and _late_somewhere(best, q):
         return True
     over = compared(best.structure.fitted, tried.structure.fitted, q)
     untold = not abs(over.paired_t) > T_NEEDED
+    apart = best.evidence.closed - tried.evidence.closed
     fitted = best.structure.fitted
     if not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any():
-        return untold and abs(over.bic_gain) < TOGETHER
-    apart = best.evidence.closed - tried.evidence.closed
+        return (untold or apart < EQUAL) and abs(over.bic_gain) < UNLIKELY
     alike = apart < SAME and _cosine(tried, best) > PARALLEL
     return alike or (untold and (abs(over.bic_gain) < TOGETHER or apart < EQUAL))
 

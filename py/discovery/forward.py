@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import choose, label, worth_refining
+from .choose import choose, label, leans_to, refines, worth_refining
 from .decide import T_NEEDED, closed, compared
 from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
-from .search import CONVINCING, Search, Structure, label_of
+from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
+INEXACT = 0.002  # of the gap: what the equation of the right effect may leave, its friction's sign being smooth
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
@@ -80,23 +82,41 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
             break
         screen, ranked = search.screened(now)
         tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
+        tried += () if explained else search.finer(now, ranked, tried)
         screens.append((screen if not screens else None, ranked, tried))
+        open_ = [t for t in tried if t.evidence and _more(t, now, base, search)]
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
-            tried = [t for t in tried if t.evidence and worth_refining(t.evidence)]
+            tried = [t for t in open_ if worth_refining(t.evidence)]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
+            steps = _with_undecided(steps, open_)
             break
-        better, best = settled(search, now, choice.best)
-        tried = [best if t is choice.best else t for t in tried]
+        better, tried = settled(search, now, tried, choice.best)
         if better is not now:  # what was missing was, in part, a better fit of what is there
             now, steps = better, _refounded(steps, better)
-            tried = [search.judged(t, now) for t in tried]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             continue
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = reconsidered(search, choice.best.structure)
     return Found(base if now.members else now, now, steps, tuple(screens))
+
+
+def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
+    """Whether it closes more of the gap of the base than the inexact form of ``now`` may leave."""
+    q, gap = search.question, base.fitted
+    return closed(tried.structure.fitted, gap, q) - closed(now.fitted, gap, q) > INEXACT
+
+
+def _with_undecided(steps: tuple[Step, ...], tried: Sequence[Tried]) -> tuple[Step, ...]:
+    """The steps with refinements of their effects beside them that explain more, though not surely."""
+    found = list(steps)
+    for t in (t for t in tried if leans_to(t.evidence) and not worth_refining(t.evidence) and not t.implausible):
+        for i, step in enumerate(found):
+            if refines(t, step.choice.best):
+                choice = step.choice.beside(t)
+                found[i] = dataclasses.replace(step, choice=choice, tried=(*step.tried, t))
+    return tuple(found)
 
 
 def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:

@@ -3,41 +3,62 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 from .decide import WORTH, compared
 from .refit import RefitJob, refit
 from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
 
 FROM_BEGINNING = 10  # candidates
+CONTENDERS = 6  # fitted again beside the best
+ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
 
-def settled(search: Search, now: Structure, tried: Tried) -> tuple[Structure, Tried]:
-    """Both sides of a choice fitted again: ``now`` from where the larger structure ended, that from the beginning.
+def settled(
+    search: Search, now: Structure, tried: Sequence[Tried], best: Tried
+) -> tuple[Structure, tuple[Tried, ...]]:
+    """All sides of a choice fitted again: ``now`` from where the best ended, the contenders from the beginning.
 
-    Either may have come to rest too early: the larger one would then be praised for a better fit of what was there
-    already, or leave something for the next effect to explain.
+    Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
+    leave something for the next effect to explain, or be held for worse than another.
     """
-    fitted = tried.structure.fitted
+    fitted = best.structure.fitted
     names = search.names(now.members)
     values = {n: v for n, v in fitted.values.items() if n in names}
     back = RefitJob(
         search.model(now.members).flat, names, search.question, (values,), fitted.states, now.fitted.size,
         label=" + ".join(now.key),
     )  # fmt: skip
-    members = tried.structure.members
-    flat = search.model(members).flat
-    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
-    starts = ({**fitted.values, **first},)
-    again = RefitJob(
-        flat, search.names(members), search.question, starts, coarse=True, iterations=40, label=label_of(members)
-    )
-    smaller, larger = search.run(refit, [back, again], "look back")
+    again = _contenders(search, tried, best)
+    smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
-    if not isinstance(larger, str) and larger.likelihood < fitted.likelihood:
-        tried = dataclasses.replace(tried, structure=search.keep(Structure(members, larger)))
-    return now, search.judged(tried, now)
+    better = {
+        id(t): dataclasses.replace(t, structure=search.keep(Structure(t.structure.members, found)))
+        for t, found in zip(again, larger, strict=True)
+        if not isinstance(found, str) and found.likelihood < t.structure.fitted.likelihood
+    }
+    return now, tuple(search.judged(better.get(id(t), t), now) for t in tried)
+
+
+def _contenders(search: Search, tried: Sequence[Tried], best: Tried) -> list[Tried]:
+    """The best and those that explain almost as much, the most likely first."""
+    near = [
+        t for t in tried
+        if t is not best and t.evidence and t.evidence.passes(len(search.candidates))
+        and t.evidence.closed > best.evidence.closed - ALMOST_ALIKE
+    ]  # fmt: skip
+    return [best, *sorted(near, key=lambda t: t.structure.fitted.likelihood)[:CONTENDERS]]
+
+
+def _from_first(search: Search, structure: Structure) -> RefitJob:
+    """A structure's fit again, its base parameters from where the identification began."""
+    members = structure.members
+    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
+    starts = ({**structure.fitted.values, **first},)
+    flat, names, label = search.model(members).flat, search.names(members), label_of(members)
+    return RefitJob(flat, names, search.question, starts, coarse=True, iterations=40, label=label)
 
 
 def from_the_beginning(search: Search, base: Structure) -> list[Tried]:

@@ -26,9 +26,10 @@ LEAST_OF_BEST = 0.02
 LARGE_GAIN = 0.3  # of the best plain gain: a slow drift is worth few samples until something explains it
 PAIRED = 6  # candidates of which pairs are tried
 PAIRS = 6
+ALMOST = 0.1  # of the gap: how much less than the most an effect explains whose refinements are tried
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
-THRESHOLD_STARTS = 3  # starts followed for limits and thresholds, whose first cost says little
+SEVERAL = 3  # starts followed for limits, thresholds and refinements, whose first cost says little
 IMPLAUSIBLE = 10.0  # times the largest usual value
 
 
@@ -163,16 +164,15 @@ class Search:
             same = sum(k.candidate.id == s.candidate.id for k in chosen)
             if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:
                 chosen.append(s)
-        refined = {(name, s.candidate.site.name) for s in chosen for name in s.candidate.effect.refines}
         for s in ranked:
-            if (s.candidate.id, s.candidate.site.name) in refined and s not in chosen:
+            if s not in chosen and any(c.candidate.refines(s.candidate) for c in chosen):
                 chosen.append(s)
         return [s for s in chosen if not self._no_better_than_simple(s, chosen)]
 
     @staticmethod
     def _no_better_than_simple(one: Screened, chosen: Sequence[Screened]) -> bool:
         """A refinement that promises no more than the simple effect at its site waits until that is named."""
-        simple = [s.evidence for s in chosen if s.candidate.id in one.candidate.effect.refines]
+        simple = [s.evidence for s in chosen if one.candidate.refines(s.candidate)]
         return bool(simple) and one.evidence < max(simple) + max(LEAST_EVIDENCE, REFINED * max(simple))
 
     # -- refits -------------------------------------------------------------------------------------------------
@@ -201,9 +201,8 @@ class Search:
 
     @staticmethod
     def joined(now: Structure, group: Sequence[Candidate]) -> tuple[Candidate, ...]:
-        """Members with a group added; a refinement takes the place of the simple effect at its site."""
-        replaced = {(name, c.site.name) for c in group for name in c.effect.refines}
-        return (*(m for m in now.members if (m.id, m.site.name) not in replaced), *group)
+        """Members with a group added; a refinement takes the place of the simple effect."""
+        return (*(m for m in now.members if not any(c.refines(m) for c in group)), *group)
 
     def _job(self, now: Structure, members: Sequence[Candidate], starts: Sequence[Mapping[str, float]]) -> RefitJob:
         flat = self.model(members).flat
@@ -212,10 +211,10 @@ class Search:
         neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
         points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
         label = " + ".join(c.label for c in members)
-        thresholds = any(hasattr(c.effect, "probes_for") for c in members)
+        several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in members)
         return RefitJob(
             flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size,
-            follow=THRESHOLD_STARTS if thresholds else 1, label=label,
+            follow=SEVERAL if several else 1, label=label,
         )  # fmt: skip
 
     def keep(self, structure: Structure) -> Structure:
@@ -240,9 +239,32 @@ class Search:
 
     def singles(self, now: Structure, shortlist: Sequence[Screened]) -> list[Tried]:
         """Every shortlisted candidate alone."""
-        groups = [((s.candidate,), self.starts_of(s)) for s in shortlist]
+        groups = [((s.candidate,), self._starts_in(now, s)) for s in shortlist]
         tried = self.refitted(now, groups)
         return [dataclasses.replace(t, screened=s) for t, s in zip(tried, shortlist, strict=True)]
+
+    def _starts_in(self, there: Structure, screened: Screened) -> list[Mapping[str, float]]:
+        """Starts of a candidate beside or, when it refines one of them, in the place of a structure's members."""
+        c, starts = screened.candidate, self.starts_of(screened)
+        simple = next((m for m in there.members if c.refines(m)), None)
+        if simple is None:
+            return starts
+        same = c.containing(simple, there.fitted.values)
+        moved = {n: v + same.get(n, 0.0) for n, v in screened.start.items()}
+        points = ({**c.neutral, **same}, moved, *({**probe, **same} for probe in c.probes))
+        return [{**there.fitted.values, **point} for point in points]
+
+    def finer(self, now: Structure, ranked: Sequence[Screened], tried: Sequence[Tried]) -> list[Tried]:
+        """Refinements of effects that explain almost as much as the most: they may explain more than any."""
+        passing = [t for t in tried if t.evidence and t.evidence.passes(len(self.candidates)) and len(t.members) == 1]
+        most = max((t.evidence.closed for t in passing), default=0.0)
+        near = [t for t in passing if most - ALMOST < t.evidence.closed < most]
+        known = {t.members[0].label for t in tried}
+        found = [(s, t) for t in near for s in ranked if s.candidate.refines(t.members[0])]
+        found = [(s, t) for s, t in found if s.candidate.label not in known]
+        groups = [((s.candidate,), self._starts_in(t.structure, s)) for s, t in found]
+        refitted = self.refitted(now, groups)
+        return [dataclasses.replace(t, screened=s) for t, (s, _) in zip(refitted, found, strict=True)]
 
     def pairs(
         self, now: Structure, screen: Screen, ranked: Sequence[Screened], singles: Sequence[Tried]
@@ -280,7 +302,7 @@ class Search:
     def refinable(self, now: Structure) -> bool:
         """Whether a trace is left that a refinement of a named effect may explain."""
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
-        known = any(_refines(c, now) for c in self.candidates if c.label not in now.key)
+        known = any(_refines(c, now) for c in self.candidates)
         return known and bool(has_gap(residuals, self.question.noise, MEASURABLE).any())
 
     def refinements(self, now: Structure, ranked: Sequence[Screened]) -> list[Screened]:
@@ -294,7 +316,7 @@ class Search:
 
 
 def _refines(candidate: Candidate, now: Structure) -> bool:
-    return any(m.id in candidate.effect.refines for m in now.members)
+    return any(candidate.refines(m) for m in now.members)
 
 
 def label_of(members: Sequence[Candidate]) -> str:

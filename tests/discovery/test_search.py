@@ -7,8 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.choose import choose, label
-from hydrotwin.discovery.decide import bic_needed
+import hydrotwin
+from hydrotwin.discovery.answering import Step
+from hydrotwin.discovery.choose import Choice, choose, label
+from hydrotwin.discovery.decide import Evidence, bic_needed
+from hydrotwin.discovery.forward import _more, _with_undecided
 from hydrotwin.discovery.look_back import from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
@@ -23,6 +26,14 @@ def rubbing():
     search, fitted = searching(question(records(3, dry=30.0)), effects)
     base = Structure((), fitted)
     return search, base, *search.screened(base)
+
+
+@pytest.fixture(scope="module")
+def rubbing_finely():
+    """30 N of dry friction and what refines it: search and base."""
+    refined = ("stribeck_friction", "asymmetric_friction", "position_dependent_friction")
+    search, fitted = searching(question(records(3, dry=30.0)), ("coulomb_friction", "null_bias", *refined))
+    return search, Structure((), fitted)
 
 
 def one(search, name):
@@ -70,6 +81,62 @@ def test_a_refinement_takes_the_place_of_the_simple_effect_at_its_site(rubbing):
     assert [c.id for c in search.joined(base, [simple])] == ["coulomb_friction"]
 
 
+@pytest.mark.parametrize("name", ["stribeck_friction", "asymmetric_friction", "position_dependent_friction"])
+def test_a_refinement_starts_where_the_simple_effect_ended_and_never_fits_worse(rubbing_finely, name):
+    search, base = rubbing_finely
+    now = grown(search, base, "coulomb_friction", coulomb_friction=20.0)
+    screened = next(s for s in search.screened(now)[1] if s.candidate.id == name)
+    (refined,) = search.singles(now, [screened])
+    assert [c.id for c in refined.structure.members] == [name]
+    assert refined.structure.fitted.likelihood < now.fitted.likelihood + 0.1
+
+
+def test_refinements_of_what_explains_almost_as_much_as_the_most_are_tried(rubbing_finely):
+    search, base = rubbing_finely
+    _, ranked = search.screened(base)
+    coulomb = next(s for s in ranked if s.candidate.id == "coulomb_friction")
+    (tried,) = search.singles(base, [coulomb])
+    more = dataclasses.replace(tried.evidence, closed=tried.evidence.closed + 0.02)
+    ahead = dataclasses.replace(tried, members=(one(search, "null_bias"),), evidence=more)
+    found = {t.members[0].id for t in search.finer(base, ranked, [tried, ahead])}
+    assert found == {"stribeck_friction", "asymmetric_friction", "position_dependent_friction"}
+    assert not search.finer(base, ranked, [tried]), "the most is refined once it is named"
+    far = dataclasses.replace(ahead, evidence=dataclasses.replace(more, closed=tried.evidence.closed + 0.2))
+    assert not search.finer(base, ranked, [tried, far])
+
+
+def test_a_refinement_must_close_more_of_the_gap_than_an_inexact_form_leaves(rubbing):
+    search, base, *_ = rubbing
+    now = grown(search, base, "coulomb_friction", coulomb_friction=20.0)
+    refined = Tried(now.members, None, now)
+    assert not _more(refined, now, base, search)
+    assert _more(refined, base, base, search)
+
+
+def test_a_refinement_that_may_or_may_not_be_it_is_told_beside_the_simple_effect(rubbing):
+    search, base, _, ranked = rubbing
+    by = {s.candidate.id: s for s in ranked}
+    simple, refined, other = search.singles(base, [by[n] for n in ("coulomb_friction", "stribeck_friction", "drift")])
+    step = Step(Choice(simple, (simple,), {label(simple): 1.0}), (), (simple,), base)
+    leaning, against = Evidence(40.0, 1.5, 0.2), Evidence(40.0, -1.5, 0.2)
+    told = [dataclasses.replace(t, evidence=e) for t, e in ((refined, leaning), (other, leaning))]
+    (found,) = _with_undecided((step,), told)
+    assert [label(t) for t in found.choice.members] == [label(simple), label(refined)]
+    assert found.choice.probability == {label(simple): 0.5, label(refined): 0.5}
+    (left,) = _with_undecided((step,), [dataclasses.replace(refined, evidence=against)])
+    assert left.choice.members == (simple,)
+
+
+@pytest.mark.parametrize("machine", ["cehA", "spool_valve"])
+def test_seals_that_oil_presses_on_refine_the_dry_friction_of_the_same_rod(machine):
+    known = {c.label: c for c in candidates(hydrotwin.load(machine))}
+    (seals,) = [c for c in known.values() if c.id == "pressure_dependent_friction"]
+    rubbing = [c for c in known.values() if c.id == "coulomb_friction"]
+    assert [seals.refines(c) for c in rubbing] == [True]
+    force = seals.containing(rubbing[0], {f"{rubbing[0].name}.force": 7.0})
+    assert force == {f"{seals.name}.force": 7.0}
+
+
 # -- refits ------------------------------------------------------------------------------------------------------------
 def test_a_structure_is_fitted_once_and_known_again(rubbing):
     search, base, *_ = rubbing
@@ -100,7 +167,7 @@ def test_a_base_that_came_to_rest_too_early_is_caught_by_the_look_back():
     poor = Structure((), stuck)
     tried = search.refitted(poor, [([one(search, "coulomb_friction")], [{"coulomb_friction.force": 20.0}])])[0]
     assert tried.evidence.passes(2), "the trap is set"
-    now, judged = settled(search, poor, tried)
+    now, (judged,) = settled(search, poor, [tried], tried)
     assert now.fitted.likelihood < stuck.likelihood - 100
     assert now.fitted.values["mass.mass"] == pytest.approx(50.0, rel=0.01)
     assert not judged.evidence.passes(2)
@@ -110,8 +177,19 @@ def test_the_look_back_leaves_a_base_that_was_at_rest_alone(rubbing):
     search, base, _, ranked = rubbing
     coulomb = next(s for s in ranked if s.candidate.id == "coulomb_friction")
     (tried,) = search.singles(base, [coulomb])
-    now, judged = settled(search, base, tried)
+    now, (judged,) = settled(search, base, [tried], tried)
     assert now is base and judged.evidence.passes(5)
+
+
+def test_the_look_back_fits_contenders_again_as_it_does_the_best(rubbing):
+    search, base, _, ranked = rubbing
+    by = {s.candidate.id: s for s in ranked}
+    coulomb, stribeck = search.singles(base, [by["coulomb_friction"], by["stribeck_friction"]])
+    fitted = stribeck.structure.fitted
+    early = dataclasses.replace(fitted, likelihood=fitted.likelihood + 20)
+    resting = dataclasses.replace(stribeck, structure=Structure(stribeck.structure.members, early))
+    _, (_, again) = settled(search, base, [coulomb, resting], coulomb)
+    assert again.structure.fitted.likelihood < early.likelihood - 10
 
 
 def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):

@@ -74,6 +74,8 @@ def test_an_effect_says_what_it_is_where_it_is_from_and_how_to_tell_it_from_othe
 def test_the_names_an_effect_gives_are_names_of_other_effects(effect):
     for other in (*effect.refines, *effect.confused_with):
         assert other in CATALOGUE and other != effect.id
+    for simple, same in effect.refines.items():
+        assert set(same) <= set(effect.typical) and set(same.values()) <= set(CATALOGUE[simple].typical)
 
 
 @every_effect

@@ -84,8 +84,8 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
 
     Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
     ``time_limit`` [s]: a short run, reset, a second instance, saving the state, intermediate update and early
-    return, declared dependencies against perturbed inputs, directional derivatives, and what it does with NaN, an unknown
-    variable and a step too early.
+    return, declared dependencies against perturbed inputs, directional derivatives, and what it does with NaN, an
+    unknown variable and a step too early.
     Of Model Exchange: a run with FMPy's CVode, stale answers after setting time, states and inputs in any order, reset,
     saving the state, directional derivatives and NaN. An FMU with both is tried as both.
     Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer

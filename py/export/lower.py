@@ -100,13 +100,23 @@ def lower_model(
 
 
 def lower_block(block: Block, name: str) -> Lowered:
-    """A sampled block; its ``start`` function reads ``<output>.start`` where it depends on measured outputs."""
+    """A sampled block; its ``start`` function reads ``<output>.start`` where it depends on measured outputs.
+
+    Their defaults are the middle of the training data, where the block knows it: elsewhere it would start with a guess.
+    """
     step, outputs = block.step, block.outputs
     if block.domain is not None:
         step, outputs = _with_training_distance(block)
     start = _start_of_block(block)
     starts = tuple(
-        StartParameter(f"{s.name}.start", s.unit, s.default, f"{s.name} at the start", s.nominal, output=s.name)
+        StartParameter(
+            f"{s.name}.start",
+            s.unit,
+            middle_of_training(block, s.name, s.default),
+            f"{s.name} at the start",
+            s.nominal,
+            output=s.name,
+        )
         for s in _start_outputs(block)
     )
     functions = {
@@ -181,6 +191,15 @@ def _state_starts(flat: FlatModel, given: list[str]) -> tuple[StartParameter, ..
         )
         for s in (flat.states[position[name]] for name in given)
     )  # fmt: skip
+
+
+def middle_of_training(system, name: str, otherwise: float) -> float:
+    """The middle of what a block saw of an input or output in training, where it knows."""
+    domain = getattr(system, "domain", None)
+    if domain is None or name not in domain.names:
+        return otherwise
+    k = domain.names.index(name)
+    return 0.5 * (domain.lower[k] + domain.upper[k])
 
 
 def _start_outputs(block: Block) -> list[Signal]:

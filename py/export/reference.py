@@ -12,7 +12,7 @@ from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
 
-from .lower import implicit_advance
+from .lower import implicit_advance, middle_of_training
 
 DURATION = 2.0  # s
 SAMPLES = 200
@@ -38,11 +38,11 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
     signals, units = {}, {}
     for k, signal in enumerate(system.inputs):
         wave = np.sin(2 * np.pi * (0.5 + 0.2 * k) * time) * (time > DURATION / 10)
-        signals[signal.name] = _middle(system, signal.name, signal.default) + SHARE * signal.nominal * wave
+        signals[signal.name] = middle_of_training(system, signal.name, signal.default) + SHARE * signal.nominal * wave
         units[signal.name] = signal.unit
     if isinstance(system, Block):
         for signal in system.outputs:
-            signals.setdefault(signal.name, np.full(len(time), _middle(system, signal.name, 0.0)))
+            signals.setdefault(signal.name, np.full(len(time), middle_of_training(system, signal.name, 0.0)))
             units[signal.name] = signal.unit
     inputs = Record(time, signals, units, "reference")
     outputs = _answers(system, inputs, step or (system.step / REFINED if fine else None), method)
@@ -75,11 +75,3 @@ def _implicit_run(flat: FlatModel, record: Record, step: float) -> Record:
             x = advance(cut.time[j], cut.length[j], x, cut.mean[j], p)
     columns = dict(zip([s.name for s in flat.outputs], np.array(rows).T, strict=True))
     return Record(time, columns, {s.name: s.unit for s in flat.outputs})
-
-
-def _middle(system, name: str, otherwise: float) -> float:
-    domain = getattr(system, "domain", None)
-    if domain is None or name not in domain.names:
-        return otherwise
-    k = domain.names.index(name)
-    return 0.5 * (domain.lower[k] + domain.upper[k])

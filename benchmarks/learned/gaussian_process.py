@@ -22,6 +22,7 @@ import numpy as np
 import torch
 
 from hydrotwin.export import export_fmu
+from hydrotwin.learned.device import tensor
 from hydrotwin.learned.gaussian import exact as exact_gp
 from hydrotwin.learned.gaussian.delay_lines import input_scales, normalised, training_rows
 from hydrotwin.learned.gaussian.dual import learn_dual_gp
@@ -125,7 +126,7 @@ def gpytorchs_own(records) -> dict[str, float]:
     process = exact_gp.train(
         X, (y - y.mean()) / y.std(), kernel="rbf", fit="default", points=200, rng=np.random.default_rng(0)
     )
-    took, place = {}, torch.tensor(X[:1] + 0.01)
+    took, place = {}, tensor(X[:1] + 0.01)
     for how in (False, True):
         process.model.train()
         process.model.eval()  # drops the caches of the other way

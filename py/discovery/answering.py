@@ -96,6 +96,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
+        screened=len(search.candidates),
         seconds=time.perf_counter() - began,
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
@@ -208,7 +209,7 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
                 probability=step.choice.probability[label(best)] * explained,
                 parameters=_parameters(c, after),
                 gap_closed=closed_alone,
-                ranked=ranking(step.ranked, step.tried, step.choice, known),
+                ranked=ranking(step.ranked, step.tried, step.choice, known, explained),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
             )

@@ -149,9 +149,13 @@ def has_gap(residuals: Sequence[np.ndarray], noise: np.ndarray, clearly: float =
     """
     with np.errstate(invalid="ignore"):
         square = (pooled_rmse(residuals) / noise) ** 2
-    columns = range(len(noise))
-    coloured = np.array([any(ljung_box(r[:, j])[1] < SIGNIFICANCE for r in residuals) for j in columns])
-    return (np.nan_to_num(square) > LARGE) | ((np.nan_to_num(square) > clearly) & coloured)
+    return (np.nan_to_num(square) > LARGE) | ((np.nan_to_num(square) > clearly) & coloured(residuals))
+
+
+def coloured(residuals: Sequence[np.ndarray]) -> np.ndarray:
+    """Outputs (ny,) whose residual is no white noise in some recording."""
+    columns = range(residuals[0].shape[1])
+    return np.array([any(ljung_box(r[:, j])[1] < SIGNIFICANCE for r in residuals) for j in columns])
 
 
 def output_gap_closed(before: float, after: float, noise: float) -> float:

@@ -215,6 +215,7 @@ class Discovery:
     base, model : the identified model before, and with the named effects (the same when nothing was named).
     fit_before, fit_after : the `Fit` of each on all fit recordings.
     outputs : per role ("train", "validate") the pooled OutputGap of every output.
+    screened : how many candidates were looked at, each an effect at a place.
     """
 
     name: str
@@ -238,6 +239,7 @@ class Discovery:
     experiment: Experiment | None = None
     findings: tuple[str, ...] = ()
     not_testable: tuple[Ranked, ...] = ()
+    screened: int = 0
     seconds: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)

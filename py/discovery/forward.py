@@ -11,10 +11,10 @@ from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
 from .choose import choose, label, leans_to, refines, worth_refining
-from .decide import T_NEEDED, closed, compared
+from .decide import T_NEEDED, closed, compared, gap_closed
 from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
-from .refit import Question, RefitJob, Refitted, refit
+from .refit import Question, RefitJob, Refitted, pooled_rmse, refit
 from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
@@ -103,9 +103,13 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
 
 
 def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
-    """Whether it closes more of the gap of the base than the inexact form of ``now`` may leave."""
-    q, gap = search.question, base.fitted
-    return closed(tried.structure.fitted, gap, q) - closed(now.fitted, gap, q) > INEXACT
+    """Whether ``now`` leaves more of the gap that it closes than the inexact form of an effect may leave."""
+    before, left, least = (_held_out_rmse(s.fitted) for s in (base, now, tried.structure))
+    return 1 - gap_closed(before, left, np.fmin(search.question.noise, least)) > INEXACT
+
+
+def _held_out_rmse(fitted: Refitted) -> np.ndarray:
+    return pooled_rmse(fitted.residuals_select or fitted.residuals_fit)
 
 
 def _with_undecided(steps: tuple[Step, ...], tried: Sequence[Tried]) -> tuple[Step, ...]:

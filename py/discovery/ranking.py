@@ -17,13 +17,20 @@ SHOWN = 12  # candidates of a step in the answer that were not refitted
 
 
 def ranking(
-    ranked: Sequence[Screened], tried: Sequence[Tried], choice: Choice | None, known: Mapping[str, ParameterValue]
+    ranked: Sequence[Screened],
+    tried: Sequence[Tried],
+    choice: Choice | None,
+    known: Mapping[str, ParameterValue],
+    explained: float = 1.0,
 ) -> tuple[Ranked, ...]:
-    """Every candidate of a step, the named first; ``known`` are the declarations of their parameters by path."""
+    """Every candidate of a step, the named first; ``known`` are the declarations of their parameters by path.
+
+    explained : share of the gap that the answer closes; the rest of the probability is that of something else.
+    """
     members = [] if choice is None else list(choice.members)
     rows, done = [], set()
     for t in sorted(tried, key=lambda t: -(t.evidence.bic_gain if t.evidence else -np.inf)):
-        rows.append(_ranked_tried(t, choice, members, known))
+        rows.append(_ranked_tried(t, choice, members, known, explained))
         done.add(label(t))
     for s in [s for s in ranked if s.candidate.label not in done][:SHOWN]:
         rows.append(
@@ -47,7 +54,9 @@ def _held_back(s: Screened, tried: Sequence[str]) -> str:
     return "the screen promises too little"
 
 
-def _ranked_tried(t: Tried, choice: Choice | None, members: Sequence[Tried], known: Mapping) -> Ranked:
+def _ranked_tried(
+    t: Tried, choice: Choice | None, members: Sequence[Tried], known: Mapping, explained: float
+) -> Ranked:
     first = t.members[0]
     share = t.screened.share if t.screened else 0.0
     title = " and ".join(c.effect.title for c in t.members)
@@ -56,7 +65,7 @@ def _ranked_tried(t: Tried, choice: Choice | None, members: Sequence[Tried], kno
     name = " + ".join(c.id for c in t.members)
     if t.evidence is None:
         return Ranked(name, site, title, equation, share, np.nan, np.nan, np.nan, 0.0, "cannot be added", t.reason)
-    probability = choice.probability.get(label(t), 0.0) if choice else 0.0
+    probability = explained * choice.probability.get(label(t), 0.0) if choice else 0.0
     fate, reason = _fate(t, choice, members)
     e = t.evidence
     values = tuple(

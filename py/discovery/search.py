@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 
-from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, compared, has_gap
+from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, coloured, compared, has_gap
 from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
@@ -300,10 +300,9 @@ class Search:
         return not has_gap(residuals, self.question.noise, CLEARLY if now.members else MEASURABLE).any()
 
     def refinable(self, now: Structure) -> bool:
-        """Whether a trace is left that a refinement of a named effect may explain."""
+        """Whether a trace is left that a refinement of a named effect may explain, however small beside the noise."""
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
-        known = any(_refines(c, now) for c in self.candidates)
-        return known and bool(has_gap(residuals, self.question.noise, MEASURABLE).any())
+        return any(_refines(c, now) for c in self.candidates) and bool(coloured(residuals).any())
 
     def refinements(self, now: Structure, ranked: Sequence[Screened]) -> list[Screened]:
         """The candidates that refine a member of the structure and promise something."""

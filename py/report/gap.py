@@ -107,7 +107,7 @@ TITLES = {
 
 def _eyebrow(discovery: Discovery, date: datetime) -> str:
     records = len(discovery.recordings)
-    tried = len({(r.effect, r.site) for r in (*discovery.last_ranked, *(r for s in discovery.steps for r in s.ranked))})
+    tried = discovery.screened
     words = [f"Gap of {discovery.name}"]
     words += [f"{records} recording{'s' * (records != 1)}"] * bool(records)
     words += [f"{tried} candidate{'s' * (tried != 1)}"] * bool(tried)

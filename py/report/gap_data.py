@@ -25,6 +25,7 @@ def gap_data(discovery: Discovery) -> dict:
         "train": _outputs(discovery.outputs.get("train", ())),
         "validate": _outputs(discovery.outputs.get("validate", ())),
         "separating_experiment": _experiment(discovery.experiment),
+        "screened": discovery.screened,
         "seconds": discovery.seconds,
         "candidates": [
             *(_candidate(r, k) for k, s in enumerate(discovery.steps, 1) for r in s.ranked),

@@ -207,6 +207,7 @@ def discovery(verdict, steps=(), *, after=0.0, **more):
         "shifts": (),
         "waterfall": (),
         "not_testable": (AIR,),
+        "screened": 74,
         "seconds": 31.4,
         "timings": {"locate": 1.2, "screen": 2.9, "refit": 19.8},
         "provenance": {"version": "0.3.0", "thresholds": {"bic": 10.0, "paired_t": 2.0}},

@@ -112,7 +112,7 @@ def test_no_gap_is_told_plainly_and_promises_no_more_than_the_recordings_can_hol
     text = first_screen(none())
     assert "No effect is missing: the model agrees with the recordings to within the noise of the sensors." in text
     assert "at most 1.01 times it, on arm_angle" in text
-    assert "5 candidates were screened and 2 of them fitted; none is needed." in text
+    assert "74 candidates were screened and 2 of them fitted; none is needed." in text
     assert "These recordings cannot judge entrained air at cylinder.cap" in text
     assert "closes" not in text
 

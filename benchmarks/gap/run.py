@@ -103,9 +103,10 @@ def chosen_cases(options) -> list:
     found = cases(options.seeds, machines=options.machine, kinds=options.kinds, severities=severities)
     found = [c for c in found if (not options.effects or set(c.effects) & set(options.effects))]
     found = [c for c in found if (not options.sensors or c.sensors in options.sensors)]
+    seed = options.seed or (grid()["seeds"][options.seeds]["single"][0] if options.quick else None)
+    found = [c for c in found if seed in (None, c.seed)]
     if options.quick:
-        first = grid()["seeds"][options.seeds]["single"][0]
-        found = [dataclasses.replace(c, seconds=QUICK["seconds"]) for c in found if c.seed == first]
+        found = [dataclasses.replace(c, seconds=QUICK["seconds"]) for c in found]
     return found[: options.limit]
 
 
@@ -177,6 +178,7 @@ def _options(arguments):
     p.add_argument("--sensors", nargs="+", choices=grid()["sensors"])
     p.add_argument("--effects", nargs="+", help="only cases that hide one of these")
     p.add_argument("--seeds", choices=GRIDS, default="tuning")
+    p.add_argument("--seed", type=int, help="only this one of them; with --quick the first, if not given")
     p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
     p.add_argument("--processes", type=int, default=2)
     p.add_argument("--out", type=Path, default=Path("out/gap"))

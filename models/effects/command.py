@@ -94,10 +94,10 @@ class ActuatorLag(Lagged):
 class RateLimit(Lagged):
     """The command is followed no faster than at a rate R.
 
-        y' = clip((u - y) / T_0, -R, R)
+        z' = clip((u - z) / T_0, -R, R),   y = u where |u - z| < R T_0, else z
 
-    Written as y = u + (z - w) + (clip(u - w, -R T_0, R T_0) - (u - w)), w' = (u - w) / T_0,
-    z' = clip((u - z) / T_0, -R, R): with R far above the rates that occur, z is w and y is u.
+    so that what is slower than R passes unchanged and what is faster becomes a ramp. Between R T_0 and 1.5 R T_0 y goes
+    over from one to the other.
     """
 
     id, title = "rate_limit", "limited rate"
@@ -108,13 +108,13 @@ class RateLimit(Lagged):
     confused_with = ("actuator_lag", "command_saturation", "spool_lag")
     experiment = "large and small steps: a lag scales with the step, a limited rate does not"
     order = 2
+    shortest = 0.5
 
     u = Input("signal", "command")
     y = Output("signal", "what follows it")
-    lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
     limited = State(lambda part: 0.0, "signal", "z", fixed=False)
     rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(commands)
 
@@ -130,13 +130,12 @@ class RateLimit(Lagged):
         return [{"rate": rate} for rate in sorted(set(rates), reverse=True)]
 
     def equations(self):
-        u, w, z, R, T_0 = self.u, self.lagging, self.limited, self.rate, self.resolution
-        yield T_0 * der(w) == u - w
-        yield T_0 * der(z) == clipped(u - z, R * T_0)
-        yield self.y == u + (z - w) + (clipped(u - w, R * T_0) - (u - w))
+        u, z, near = self.u, self.limited, self.rate * self.resolution
+        yield self.resolution * der(z) == clipped(u - z, near)
+        behind = ca.fmin(ca.fmax(2 * ca.fabs(u - z) / near - 2, 0), 1)
+        yield self.y == u - behind * (u - z)
 
     def initial_equations(self):
-        yield self.lagging == self.u
         yield self.limited == self.u
 
 

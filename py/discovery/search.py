@@ -159,7 +159,7 @@ class Search:
         least = max(LEAST_EVIDENCE, LEAST_OF_BEST * max((s.evidence for s in ranked), default=0.0))
         most = max((s.gain for s in ranked), default=0.0)
         by_gain = sorted(ranked, key=lambda s: -s.gain)
-        promising = [s for s in by_gain if s.gain > LARGE_GAIN * most and s.evidence > 0][: SHORTLIST // 2]
+        promising = [s for s in by_gain if s.gain > LARGE_GAIN * most][: SHORTLIST // 2]
         for s in (*promising, *(s for s in ranked if s.evidence > least)):
             same = sum(k.candidate.id == s.candidate.id for k in chosen)
             if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:

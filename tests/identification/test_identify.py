@@ -25,6 +25,15 @@ def test_parameters_come_back_from_the_models_own_simulation():
     assert fit.converged
 
 
+def test_a_parameter_a_thousand_times_its_nominal_moves_by_its_own_size():
+    """A friction that may be nil has no logarithm; half a nominal value a step would take it thousands of steps."""
+    flat = drive()
+    gain = dataclasses.replace(flat.parameters[0], bounds=(0.0, 1e3), nominal=0.01)
+    flat = dataclasses.replace(flat, parameters=(gain, *flat.parameters[1:]))
+    fit = identify(flat, [recorded(drive(), 1)], start={"motor.gain": 0.01}, starts=1, windows=())
+    assert fit.converged and fit.values["motor.gain"] == pytest.approx(10.0, rel=1e-4)
+
+
 def test_the_fit_knows_where_it_started_what_it_used_and_how_long_it_took():
     train, validate = recorded(drive(), 1, noise=NOISE), recorded(drive(), 2, noise=NOISE)
     fit = identify(drive(), [train], start=OFF, validate=[validate])

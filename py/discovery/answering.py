@@ -13,7 +13,7 @@ from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
-from .decide import CLEARLY, closed, has_gap, output_gap_closed
+from .decide import CLEARLY, INEXACT, closed, has_gap, output_gap_closed, share_closed
 from .discovery import Discovery, EffectParameter, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
@@ -61,7 +61,9 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     view = View(flat, data, before, after, shown)
     share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
-    members = [named for step in steps for named in _named(step, after, share, known)]
+    members = [
+        named for step in steps for named in _named(step, after, share * _weight(search, found.base, step), known)
+    ]
     experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit
     unknown = ()
@@ -183,6 +185,13 @@ def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
+def _weight(search: Search, base: Structure, step: Step) -> float:
+    """How sure it is that a step's effect is none of what the inexact forms of those before it leave."""
+    after = step.choice.best.structure
+    left = 1 - share_closed(base.fitted, step.before.fitted, after.fitted, search.question)
+    return left / (left + INEXACT) if left > 0 else 0.0
+
+
 def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> list[NamedStep]:
     """The named effect of a step; two for a pair, the one that explains more alone first."""
     best = step.choice.best

@@ -26,6 +26,7 @@ BIC_NEEDED = 10.0
 T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
+INEXACT = 0.002  # of the gap: what the equation of the right effect may leave, its friction's sign being smooth
 MEASURABLE = 1.02  # MSE over noise^2
 HUGE = 1e6  # times the noise: a run that diverged
 DIVERGED = 700.0  # logarithm of the error of a run that diverged
@@ -127,6 +128,12 @@ def closed(better: Refitted, other: Refitted, q: Question) -> float:
     after = pooled_rmse(better.residuals_select or better.residuals_fit)
     before = pooled_rmse(other.residuals_select or other.residuals_fit)
     return gap_closed(before, after, np.where(np.isfinite(q.noise), np.fmin(q.noise, after), q.noise))
+
+
+def share_closed(base: Refitted, now: Refitted, best: Refitted, q: Question) -> float:
+    """Share of the gap of ``base`` that ``now`` closes, no noise being larger than what ``best`` leaves."""
+    before, left, least = (pooled_rmse(f.residuals_select or f.residuals_fit) for f in (base, now, best))
+    return gap_closed(before, left, np.fmin(q.noise, least))
 
 
 def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> float:

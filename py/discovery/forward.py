@@ -11,15 +11,14 @@ from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
 from .choose import choose, label, leans_to, refines, worth_refining
-from .decide import T_NEEDED, closed, compared, gap_closed
+from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
 from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
-from .refit import Question, RefitJob, Refitted, pooled_rmse, refit
+from .refit import Question, RefitJob, Refitted, refit
 from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
-INEXACT = 0.002  # of the gap: what the equation of the right effect may leave, its friction's sign being smooth
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
@@ -104,12 +103,7 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
 
 def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
     """Whether ``now`` leaves more of the gap that it closes than the inexact form of an effect may leave."""
-    before, left, least = (_held_out_rmse(s.fitted) for s in (base, now, tried.structure))
-    return 1 - gap_closed(before, left, np.fmin(search.question.noise, least)) > INEXACT
-
-
-def _held_out_rmse(fitted: Refitted) -> np.ndarray:
-    return pooled_rmse(fitted.residuals_select or fitted.residuals_fit)
+    return 1 - share_closed(base.fitted, now.fitted, tried.structure.fitted, search.question) > INEXACT
 
 
 def _with_undecided(steps: tuple[Step, ...], tried: Sequence[Tried]) -> tuple[Step, ...]:

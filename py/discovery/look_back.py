@@ -15,9 +15,7 @@ ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender close
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
 
-def settled(
-    search: Search, now: Structure, tried: Sequence[Tried], best: Tried
-) -> tuple[Structure, tuple[Tried, ...]]:
+def settled(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> tuple[Structure, tuple[Tried, ...]]:
     """All sides of a choice fitted again: ``now`` from where the best ended, the contenders from the beginning.
 
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,

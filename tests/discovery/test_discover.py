@@ -69,7 +69,7 @@ def test_every_candidate_has_its_evidence_and_its_fate(rubbing):
     assert rows[0].effect == "coulomb_friction" and rows[0].fate == "named"
     assert {r.fate for r in rows} <= set(FATES) and len(rows) >= 4
     assert all(r.reason for r in rows[1:])
-    assert sum(r.probability for r in rows) == pytest.approx(1.0, abs=1e-3), "the share of the gap that is closed"
+    assert sum(r.probability for r in rows) == pytest.approx(1.0, abs=5e-3), "the share of the gap that is closed"
     assert rows[0].probability == rubbing.steps[0].probability
 
 

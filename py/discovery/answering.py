@@ -200,12 +200,13 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
     def by_itself(c) -> float:
         return alone[c.label].evidence.closed if c.label in alone else -np.inf
 
-    order = sorted(best.members, key=by_itself, reverse=True)
+    there = [c for c in best.members if not c.free or any(n in after.fit.values for n in c.free)]
+    order = sorted(there, key=by_itself, reverse=True)
     named = []
-    for c in [c for c in order if not c.free or any(n in after.fit.values for n in c.free)]:
+    for c in order:
         closed_alone = by_itself(c) if c is not order[-1] and np.isfinite(by_itself(c)) else best.evidence.closed
         members = [(c.id, c.site.name)]
-        if len(order) == 1:
+        if len(best.members) == 1:
             members = [(t.members[0].id, t.members[0].site.name) for t in step.choice.members]
         named.append(
             NamedStep(

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .decide import CLEARLY, T_NEEDED, TOGETHER, Evidence, bic_gain, compared, has_gap
+from .decide import CLEARLY, T_NEEDED, TOGETHER, Evidence, compared, has_gap
 from .refit import Question
 from .search import Tried
 
-TEMPERATURE = 4.0  # by which BIC differences are divided: chosen on the tuning seeds of the benchmark
+TEMPERATURE = 4.0  # by which BIC differences and squares of t are divided: chosen on the tuning seeds of the benchmark
 UNLIKELY = 2 * TEMPERATURE * np.log(20)  # BIC behind the best: a twentieth of its probability
 HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
 EQUAL = 0.05  # of the gap: effects that close it alike, and neither better on held-out recordings, are not told apart
@@ -26,6 +26,13 @@ class Choice:
     best: Tried
     members: tuple[Tried, ...]
     probability: dict[str, float]
+
+    def without_first(self, count: int) -> Choice:
+        """The same without the first so many members."""
+        gone = {label(t) for t in self.members[:count]}
+        likely = {name: p for name, p in self.probability.items() if name not in gone}
+        total = sum(likely.values())
+        return Choice(self.members[count], self.members[count:], {name: p / total for name, p in likely.items()})
 
     def beside(self, other: Tried) -> Choice:
         """The same with one more that may as well be it."""
@@ -134,5 +141,6 @@ def _cosine(one: Tried, other: Tried) -> float:
 def _weight(tried: Tried, best: Tried, q: Question) -> float:
     if tried is best or (_late_somewhere(tried, q) and _late_somewhere(best, q)):
         return 1.0
-    behind = max(bic_gain(best.structure.fitted, tried.structure.fitted, q), 0.0)
+    over = compared(best.structure.fitted, tried.structure.fitted, q)
+    behind = max(over.bic_gain, 0.0) + max(np.nan_to_num(over.paired_t), 0.0) ** 2
     return float(np.exp(-behind / (2 * TEMPERATURE)))

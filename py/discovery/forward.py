@@ -19,6 +19,7 @@ from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
+TURNS = 2  # others of a class that are followed at a dead end
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
@@ -71,7 +72,10 @@ def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step
     return dataclasses.replace(step, choice=choice, tried=tried, before=base)
 
 
-def _forward(search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...]) -> Found:
+def _forward(
+    search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...], *, turning: bool = True
+) -> Found:
+    """Steps from ``now`` on. ``turning``: at a dead end, go on from the others of the last class."""
     screens = []
     if not now.members and search.explained(now):
         search.screened(now)  # nothing is missing; what could not have been seen is told
@@ -89,6 +93,8 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             steps = _with_undecided(steps, open_)
+            if turning and not explained and (turned := _turned(search, base, most, steps)):
+                return dataclasses.replace(turned, screens=(*screens, *turned.screens))
             break
         better, tried = settled(search, now, tried, choice.best)
         if better is not now:  # what was missing was, in part, a better fit of what is there
@@ -99,6 +105,21 @@ def _forward(search: Search, base: Structure, now: Structure, most: int, steps: 
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = reconsidered(search, choice.best.structure)
     return Found(base if now.members else now, now, steps, tuple(screens))
+
+
+def _turned(search: Search, base: Structure, most: int, steps: tuple[Step, ...]) -> Found | None:
+    """Where another of the last class leads, when it leads on: those that led nowhere are no members any more."""
+    if not steps or len(steps[-1].choice.best.members) > 1:
+        return None
+    last, asked, sensors = steps[-1], search.question.noise, search.sensors
+    for i, other in list(enumerate(last.choice.members))[1 : 1 + TURNS]:
+        before = (*steps[:-1], dataclasses.replace(last, choice=last.choice.without_first(i)))
+        found = _forward(search, base, reconsidered(search, other.structure), most, before, turning=False)
+        if len(found.steps) > len(steps):
+            return found
+        search.sensors = sensors
+        search.ask(asked)
+    return None
 
 
 def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:

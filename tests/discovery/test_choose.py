@@ -76,9 +76,10 @@ def test_probabilities_add_up_to_one_and_follow_the_evidence(seed):
 
 def test_bic_differences_are_softened_before_they_become_probabilities():
     a, b = tried("drift"), tried("null_bias", fit=1.002)
-    behind = compared(a.structure.fitted, b.structure.fitted, ASKED).bic_gain
+    over = compared(a.structure.fitted, b.structure.fitted, ASKED)
     choice = choose([a, b], 30, ASKED)
-    assert 0 < behind < 20
+    assert 0 < over.bic_gain < 20
+    behind = over.bic_gain + max(over.paired_t, 0) ** 2
     odds = choice.probability[label(b)] / choice.probability[label(a)]
     assert odds == pytest.approx(np.exp(-behind / (2 * TEMPERATURE)), rel=1e-6)
 

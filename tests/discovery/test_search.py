@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.discovery.answering import Step
+from hydrotwin.discovery import forward
+from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.decide import Evidence, bic_needed
 from hydrotwin.discovery.forward import _more, _with_undecided
@@ -125,6 +126,31 @@ def test_a_refinement_that_may_or_may_not_be_it_is_told_beside_the_simple_effect
     assert found.choice.probability == {label(simple): 0.5, label(refined): 0.5}
     (left,) = _with_undecided((step,), [dataclasses.replace(refined, evidence=against)])
     assert left.choice.members == (simple,)
+
+
+def test_at_a_dead_end_the_search_goes_on_from_another_of_the_class_and_drops_what_led_nowhere(rubbing, monkeypatch):
+    search, base, _, ranked = rubbing
+    by = {s.candidate.id: s for s in ranked}
+    tried = search.singles(base, [by[n] for n in ("coulomb_friction", "stribeck_friction", "drift")])
+    choice = Choice(tried[0], tuple(tried), {label(t): p for t, p in zip(tried, (0.5, 0.3, 0.2), strict=True)})
+    step, seen, asked = Step(choice, (), tuple(tried), base), [], search.question.noise.copy()
+    monkeypatch.setattr(forward, "reconsidered", lambda search, now: now)
+
+    def leading(search, base, now, most, steps, turning):
+        seen.append(now.members[0].id)
+        search.ask(2 * asked)
+        more = (step,) if now.members[0].id in onwards else ()
+        return Found(base, now, (*steps, *more), ())
+
+    monkeypatch.setattr(forward, "_forward", leading)
+    onwards = {"drift"}
+    found = forward._turned(search, base, 3, (step,))
+    assert seen == ["stribeck_friction", "drift"] and found.last is tried[2].structure
+    assert found.steps[0].choice.members == (tried[2],) and found.steps[0].choice.probability == {label(tried[2]): 1.0}
+    search.ask(asked)
+    onwards = set()
+    assert forward._turned(search, base, 3, (step,)) is None
+    assert np.array_equal(search.question.noise, asked), "as if nothing had been tried"
 
 
 @pytest.mark.parametrize("machine", ["cehA", "spool_valve"])

@@ -28,7 +28,7 @@ def test_an_fmu_with_both_is_tried_as_both_and_by_other_programs(systems, tmp_pa
     others = {2: {"libcosimpy"}, 3: {"CasADi importer"}}[fmi]
     halves = {*HALF, "FMPy Model Exchange", "reference (Model Exchange)"}
     assert {row.name for row in check.rows} == (ROWS - {"libcosimpy"}) | halves | others
-    assert all(row.passed for row in check.rows), str(check)
+    assert [row.name for row in check.rows if not row.passed] == {2: ["intermediate update"], 3: []}[fmi], str(check)
     assert "CoSimulation and ModelExchange" in check["readable"].detail
 
 

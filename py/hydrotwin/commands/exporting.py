@@ -52,7 +52,7 @@ def export(
         ),
     ] = "auto",
     step: Annotated[
-        float | None, typer.Option(metavar="S", help="longest internal step [s]; the model's own by default")
+        float | None, typer.Option(metavar="S", help="longest internal step in seconds; the model's own by default")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

@@ -31,6 +31,7 @@ SHORTEST, LONGEST = 10.0, 60.0  # s
 SAMPLES = 4000  # of an experiment, at most
 PAUSE = 0.05  # of the experiment at rest before it begins
 LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
+DIVERGED = 1e9  # times the noise
 FINALISTS = 9  # inputs that the sensitivities are computed for
 OUTSIDE = 0.25  # of the range of an output, by which it may be left
 CLEAR = 3.0  # times the noise: two members are told apart
@@ -324,9 +325,10 @@ def _absorbed(d: np.ndarray, columns: np.ndarray, information: np.ndarray, membe
 
 # -- choosing ----------------------------------------------------------------------------------------------------------
 def _rms(difference: np.ndarray) -> tuple[float, int]:
-    """Root mean square of the output that differs most, and which it is."""
+    """Root mean square of the output that differs most, and which it is; a run that diverges counts as `DIVERGED`."""
     seen = np.isfinite(difference)
-    size = np.sqrt(np.sum(np.where(seen, difference, 0.0) ** 2, axis=0) / np.maximum(seen.sum(axis=0), 1))
+    known = np.where(seen, np.clip(difference, -DIVERGED, DIVERGED), 0.0)
+    size = np.sqrt(np.sum(known**2, axis=0) / np.maximum(seen.sum(axis=0), 1))
     return float(size.max()), int(np.argmax(size))
 
 

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.experiment import candidates, next_experiment, seen_limits
+from hydrotwin.discovery.experiment import DIVERGED, _rms, candidates, next_experiment, seen_limits
 from hydrotwin.discovery.refit import Question, RefitJob, refit
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
@@ -162,3 +162,8 @@ def test_a_member_that_is_the_same_as_another_is_said_to_stay_alike(split):
     twin = ("area_error", *split.members[1][1:])
     found = proposed(split, members=[*split.members, twin])
     assert "displacement_error and area_error stay alike" in found.sentence
+
+
+def test_a_run_that_diverges_is_a_large_difference_and_no_overflow():
+    size, output = _rms(np.array([[1.0, 1e300], [1.0, np.inf]]))
+    assert (size, output) == (DIVERGED, 1)

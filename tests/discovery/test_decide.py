@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from hydrotwin.discovery.answering import _weight
 from hydrotwin.discovery.decide import (
     CLEARLY,
+    INEXACT,
     Evidence,
     bic_gain,
     bic_needed,
@@ -21,8 +24,10 @@ from hydrotwin.discovery.decide import (
     has_gap,
     output_gap_closed,
     paired_t,
+    share_closed,
 )
 from hydrotwin.discovery.refit import Question, Refitted
+from hydrotwin.discovery.search import Structure
 from hydrotwin.identification.problem import Recording
 
 NOISE = np.array([0.5, 2e5])
@@ -173,6 +178,29 @@ def test_held_out_recordings_judge_where_there_are_some():
     good, bad = white(0), 5 * white(1)
     assert closed(structure([bad], [good]), structure([bad], [bad]), q) == pytest.approx(1.0, abs=0.02)
     assert closed(structure([good]), structure([bad]), q) == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_noise_estimated_too_large_does_not_hide_what_is_left_to_close():
+    """Ten times the noise, twice it, once: the noise thought to be three times what the best leaves."""
+    base, now, best = (structure([k * white(seed)]) for seed, k in enumerate((10, 2, 1)))
+    q = dataclasses.replace(asked(), noise=3 * NOISE)
+    assert share_closed(base, now, best, q) == pytest.approx(1 - 3 / 99, abs=0.005)
+    assert share_closed(base, base, best, q) == 0.0
+    assert share_closed(base, best, best, q) == pytest.approx(1.0)
+
+
+def test_a_later_effect_is_trusted_by_its_share_of_the_whole_gap():
+    base, first, second = (Structure((), structure([k * white(s)])) for s, k in enumerate((30, 1.5, 1)))
+    search = SimpleNamespace(question=asked())
+
+    def weight(before, after):
+        step = SimpleNamespace(before=before, choice=SimpleNamespace(best=SimpleNamespace(structure=after)))
+        return _weight(search, base, step)
+
+    assert weight(base, first) == pytest.approx(1.0, abs=0.005)
+    share = 1.25 / 899
+    assert weight(first, second) == pytest.approx(share / (share + INEXACT), abs=0.05) and weight(first, second) < 0.5
+    assert weight(second, second) < 0.02
 
 
 # -- is there a gap ----------------------------------------------------------------------------------------------------

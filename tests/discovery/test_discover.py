@@ -71,6 +71,7 @@ def test_every_candidate_has_its_evidence_and_its_fate(rubbing):
     assert all(r.reason for r in rows[1:])
     assert sum(r.probability for r in rows) == pytest.approx(1.0, abs=5e-3), "the share of the gap that is closed"
     assert rows[0].probability == rubbing.steps[0].probability
+    assert rubbing.screened >= len(rows)
 
 
 def test_a_dead_time_is_named_to_a_thousandth_of_a_second():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -100,6 +101,26 @@ def test_pairs_want_both_names():
     both = row(named("dead_time", "current"), named("coulomb_friction"), truth=truth)
     assert both["in_class"] == [True, True]
     assert row(named("dead_time", "current"), truth=truth)["in_class"] == [False, True]
+
+
+@pytest.mark.parametrize(("lacking", "cases"), [((1.5, 3.0), 1), ((1.02, 3.0), 0), ((), 0)])
+def test_pairs_of_which_one_is_not_needed_are_told_apart(lacking, cases):
+    truth = made("pairs", (("coulomb_friction", {"force": 1.0}), ("dead_time", {"seconds": 0.02})))
+    without = [{name: k * sigma for name, sigma in NOISE.items()} for k in lacking]
+    said = answer(named("dead_time", "current"), named("coulomb_friction"))
+    r = row_of(truth, said, method="discover", oracle=dict(NOISE), lacking=without)
+    (figure,) = [f for f in figures([r]) if "needs both" in f.what]
+    assert figure.cases == cases and (not cases or figure.value == 1.0)
+
+
+def test_an_external_leak_is_compared_where_both_go_to_the_same_place():
+    leak = (("external_leakage", {"cap": 1e-14}),)
+    found = named("external_leakage", "cylinder.cap", parameters=(("external_leakage.conductance", 1e-14, 0.0, 1.0),))
+    assert row(found, truth=made(hidden=leak))["parameters"][0]["true"] is None
+    actuator = dataclasses.replace(
+        made(hidden=leak), case=Case("cehA", "single", ("external_leakage",), 5.0, "all", "drive", 1)
+    )
+    assert row(found, truth=actuator)["parameters"][0]["covered"]
 
 
 def test_a_gap_that_the_base_swallowed_is_not_held_against_silence():

@@ -11,7 +11,7 @@ from .decide import CLEARLY, T_NEEDED, TOGETHER, Evidence, compared, has_gap
 from .refit import Question
 from .search import Tried
 
-TEMPERATURE = 4.0  # by which BIC differences and squares of t are divided: chosen on the tuning seeds of the benchmark
+TEMPERATURE = 4.0  # by which BIC differences and squares of t are divided, for fits end in neighbouring minima: a guess
 UNLIKELY = 2 * TEMPERATURE * np.log(20)  # BIC behind the best: a twentieth of its probability
 HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
 EQUAL = 0.05  # of the gap: effects that close it alike, and neither better on held-out recordings, are not told apart

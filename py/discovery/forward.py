@@ -87,12 +87,12 @@ def _forward(
         tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
         tried += () if explained else search.finer(now, ranked, tried)
         screens.append((screen if not screens else None, ranked, tried))
-        open_ = [t for t in tried if t.evidence and _more(t, now, base, search)]
+        lasting = [t for t in tried if t.evidence and _more(t, now, base, search)]
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
-            tried = [t for t in open_ if worth_refining(t.evidence)]
+            tried = [t for t in lasting if worth_refining(t.evidence)]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
-            steps = _with_undecided(steps, open_)
+            steps = _with_undecided(steps, lasting)
             if turning and not explained and (turned := _turned(search, base, most, steps)):
                 return dataclasses.replace(turned, screens=(*screens, *turned.screens))
             break

@@ -47,7 +47,7 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
     if not passing:
         return None
     best = _best_and_simplest(passing, q)
-    members = [best, *_without_refinements([t for t in passing if t is not best and _as_good(t, best, q)], best)]
+    members = [best, *_without_refinements([t for t in passing if t is not best and as_good(t, best, q)], best)]
     weight = {label(t): _weight(t, best, q) for t in passing}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}
@@ -104,7 +104,7 @@ def _without_refinements(members: Sequence[Tried], best: Tried) -> list[Tried]:
     return [t for t in members if not any(refines(t, other) for other in (best, *members))]
 
 
-def _as_good(tried: Tried, best: Tried, q: Question) -> bool:
+def as_good(tried: Tried, best: Tried, q: Question) -> bool:
     """Whether the recordings cannot tell it from the best.
 
     Where the best leaves only noise, the likelihood tells, as far as two fits find their minima. Where it leaves more,

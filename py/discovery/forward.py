@@ -10,7 +10,7 @@ import numpy as np
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import choose, label, leans_to, refines, worth_refining
+from .choose import as_good, choose, label, leans_to, refines, worth_refining
 from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
 from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
@@ -108,7 +108,10 @@ def _forward(
 
 
 def _turned(search: Search, base: Structure, most: int, steps: tuple[Step, ...]) -> Found | None:
-    """Where another of the last class leads, when it leads on: those that led nowhere are no members any more."""
+    """Where another of the last class leads, when it leads on.
+
+    Those that led nowhere stay members if, beside what was found then, they explain as much.
+    """
     if not steps or len(steps[-1].choice.best.members) > 1:
         return None
     last, asked, sensors = steps[-1], search.question.noise, search.sensors
@@ -116,10 +119,27 @@ def _turned(search: Search, base: Structure, most: int, steps: tuple[Step, ...])
         before = (*steps[:-1], dataclasses.replace(last, choice=last.choice.without_first(i)))
         found = _forward(search, base, reconsidered(search, other.structure), most, before, turning=False)
         if len(found.steps) > len(steps):
-            return found
+            return _rejoined(search, found, len(steps) - 1, last.choice.members[:i])
         search.sensors = sensors
         search.ask(asked)
     return None
+
+
+def _rejoined(search: Search, found: Found, number: int, left: Sequence[Tried]) -> Found:
+    """What was found, with those of the candidates beside a step's best that do as well in its place."""
+    q, step, base = search.question, found.steps[number], found.base
+    best = step.choice.best.members[0]
+    if best not in found.last.members:
+        return found  # refined since
+    last = search.judged(Tried(found.last.members, None, found.last), base)
+    for t in left:
+        members = tuple(t.members[0] if m is best else m for m in found.last.members)
+        known = t.structure.fitted.values
+        start = {**found.last.fitted.values, **{n: known[n] for n in t.members[0].free}}
+        (again,) = search.refitted(base, [(members, [start])])
+        if again.structure and as_good(again, last, q):
+            step = dataclasses.replace(step, choice=step.choice.beside(t))
+    return dataclasses.replace(found, steps=(*found.steps[:number], step, *found.steps[number + 1 :]))
 
 
 def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:

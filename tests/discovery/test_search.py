@@ -143,6 +143,7 @@ def test_at_a_dead_end_the_search_goes_on_from_another_of_the_class_and_drops_wh
         return Found(base, now, (*steps, *more), ())
 
     monkeypatch.setattr(forward, "_forward", leading)
+    monkeypatch.setattr(forward, "_rejoined", lambda search, found, number, left: found)
     onwards = {"drift"}
     found = forward._turned(search, base, 3, (step,))
     assert seen == ["stribeck_friction", "drift"] and found.last is tried[2].structure
@@ -151,6 +152,18 @@ def test_at_a_dead_end_the_search_goes_on_from_another_of_the_class_and_drops_wh
     onwards = set()
     assert forward._turned(search, base, 3, (step,)) is None
     assert np.array_equal(search.question.noise, asked), "as if nothing had been tried"
+
+
+def test_what_led_nowhere_stays_in_the_class_when_it_does_as_well_beside_what_was_found():
+    runs = [r.with_signals({"force": r.signals["force"] - 40.0}) for r in records(3, dry=30.0)]  # 40 N are not recorded
+    search, fitted = searching(question(runs), ("coulomb_friction", "null_bias", "constant_load", "drift"))
+    base = Structure((), fitted)
+    alone = {n: search.refitted(base, [((one(search, n),), [])])[0] for n in ("null_bias", "constant_load", "drift")}
+    last = grown(search, base, "null_bias", "coulomb_friction", null_bias=30.0)
+    best = alone["null_bias"]
+    step = Step(Choice(best, (best,), {label(best): 1.0}), (), (best,), base)
+    found = forward._rejoined(search, Found(base, last, (step,), ()), 0, (alone["constant_load"], alone["drift"]))
+    assert [t.members[0].id for t in found.steps[0].choice.members] == ["null_bias", "constant_load"]
 
 
 @pytest.mark.parametrize("machine", ["cehA", "spool_valve"])

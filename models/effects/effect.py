@@ -35,6 +35,7 @@ class Site:
     frees: str | None = None
     unit: str = "1"
     nominal: float = 1.0
+    holds: tuple[str, ...] = ()
 
     @property
     def place(self) -> frozenset[str]:
@@ -164,7 +165,16 @@ class Candidate:
         """What to give to `Model.plus`."""
         s = self.site
         return Addition(
-            self.name, self.effect.at(s), s.ties or {}, s.reads or {}, s.through, s.between, s.frees, self.id, s.name
+            self.name,
+            self.effect.at(s),
+            s.ties or {},
+            s.reads or {},
+            s.through,
+            s.between,
+            s.frees,
+            self.id,
+            s.name,
+            s.holds,
         )
 
 
@@ -182,7 +192,7 @@ def candidates(
         if not fnmatch.filter(CATALOGUE, word):
             raise DeclarationError(f"effects: none is called '{word}'. {nearest(word, CATALOGUE)}")
     places, found = Places(model), []
-    values = {p.name: p.value for p in model.flat.parameters}
+    values = {p.name: p.value for p in (*model.flat.parameters, *(p for p, _ in model.followers))}
     for effect in sorted(CATALOGUE.values(), key=lambda e: e.order):
         sites = list(effect.sites(places))
         here = {(a.effect, a.site) for a in model.additions}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
@@ -55,7 +57,8 @@ class PayloadError(Effect):
 class LinkageError(Effect):
     """A length of a linkage that is not what was stated; the parameter becomes free.
 
-    Lengths are the parameters in metres that cannot be zero, of parts with a flange; positions are none.
+    Lengths are the parameters in metres that cannot be zero, of parts with a flange; positions are none. A length that
+    follows from others is one as well: it stays where it is when one of them is freed, as the other bars do.
     """
 
     id, title = "linkage_error", "length of the linkage other than stated"
@@ -68,13 +71,19 @@ class LinkageError(Effect):
 
     @classmethod
     def sites(cls, places: Places):
-        least = {p.name: p.bounds[0] for p in places.model.flat.parameters}
+        model = places.model
+        every = (*model.flat.parameters, *(p for p, _ in model.followers))
+        free = {p.name for p in every if p.free}
+        metres = {p.name for p in every if compatible(p.unit, "m") and p.bounds[0] > 0}
         moving = [p.path for p in places.parts if p.ports_of(Flange) or p.ports_of(RotationalFlange)]
+        follows = {p.name: {p.name, *sources} for p, sources in model.followers if not sources & free}
 
         def is_length(path: str) -> bool:
-            return least[path] > 0 and path.rpartition(".")[0] in moving
+            return path in metres and path.rpartition(".")[0] in moving
 
-        yield from parameters("m", is_length)(places)
+        for site in parameters("m", is_length)(places):
+            bars = (name for name, ours in follows.items() if is_length(name) and site.frees in ours)
+            yield replace(site, holds=tuple(bars))
 
 
 class ConstantLoad(Effect):

@@ -97,7 +97,7 @@ def parameters(unit: str, wanted: Callable[[str], bool] = lambda path: True):
     """Fixed parameters of the model in a unit, whose path is ``wanted``: a function of the places that finds them."""
 
     def found(places: Places) -> Iterator[Site]:
-        for p in places.model.flat.parameters:
+        for p in (*places.model.flat.parameters, *(p for p, _ in places.model.followers)):
             added = any(p.name.startswith(f"{a.name}.") for a in places.model.additions if a.part is not None)
             if not p.free and not added and p.value != 0 and compatible(p.unit, unit) and wanted(p.name):
                 yield Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal)

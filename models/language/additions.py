@@ -31,6 +31,7 @@ class Addition:
         was there, its ``y`` goes on. Several by name: ``u_<name>`` and ``y_<name>``.
     between : a port of the model: the part's ``a`` is joined to it, the part's ``b`` to the node it was on.
     frees : a parameter of the model that becomes free; needs no part.
+    holds : parameters that follow others and shall stay as they are from now on.
     effect, site : what a model file calls it.
     """
 
@@ -43,6 +44,7 @@ class Addition:
     frees: str | None = None
     effect: str = ""
     site: str = ""
+    holds: tuple[str, ...] = ()
 
 
 def wire(elaboration: Elaboration, additions: Sequence[Addition], taken: Sequence[str]) -> None:

@@ -82,12 +82,27 @@ class Model:
         return other
 
     def plus(self, additions: Iterable[Addition]) -> Model:
-        """The same model with further parts tied in, and further parameters free; see `Addition`."""
+        """The same model with further parts tied in, and further parameters free or held; see `Addition`."""
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
         other.additions = (*self.additions, *additions)
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
-        return other.with_settings(freed, self.provenance) if freed else other
+        wanted = {path for a in other.additions for path in a.holds}
+        held = {p.name: {"value": p.value} for p, _ in self.followers if p.name in wanted}
+        settings = {path: {**held.get(path, {}), **freed.get(path, {})} for path in (*held, *freed)}
+        return other.with_settings(settings, self.provenance) if settings else other
+
+    @cached_property
+    def followers(self) -> tuple[tuple[ParameterValue, frozenset[str]], ...]:
+        """Parameters that follow others, with the values they have now, each with the paths of those it follows."""
+        solved, found = self._solved, []
+        entries = {q.symbol.element_hash(): q for q in solved.elaboration.parameters}
+        for key, expression in solved.bindings.items():
+            sources = [entries[s.element_hash()] for s in ca.symvar(expression)]
+            values = [self._parameter(q).value for q in sources]
+            value = float(ca.substitute(expression, ca.vertcat(*(q.symbol for q in sources)), ca.vertcat(*values)))
+            found.append((self._parameter(entries[key], value), frozenset(q.path for q in sources)))
+        return tuple(found)
 
     # -- flattening --------------------------------------------------------------------------------------------
     @cached_property
@@ -177,14 +192,14 @@ class Model:
         dead_time = self._solved.dead_times.get(entry.path)
         return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default)
 
-    def _parameter(self, entry) -> ParameterValue:
+    def _parameter(self, entry, follows: float | None = None) -> ParameterValue:
         d, change = entry.declaration, self.settings.get(entry.path, {})
         if not compatible(change.get("unit", entry.unit), entry.unit):
             raise UnitError(
                 f"{self.name}.{entry.path}: the value is in {change['unit']}, the model needs {entry.unit}. "
                 "Correct the unit or the value."
             )
-        value = change.get("value", None if callable(d.value) else d.value)
+        value = change.get("value", follows if callable(d.value) else d.value)
         if value is None:
             raise DeclarationError(
                 f"{self.name}.{entry.path}: this parameter follows others. Give it a value to free it."

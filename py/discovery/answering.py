@@ -26,6 +26,7 @@ from .screen import Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
 
+FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 NAMED = 0.75  # of the gap on held-out recordings: less than that explained is not an explanation
 
@@ -228,13 +229,17 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
 
 
 def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
-    """Values of an effect with their intervals, from the final fit; empty for one that is not in it."""
+    """Values of an effect with their intervals, from the final fit; empty for one that is not in it.
+
+    sigma is that of the fit, as if the law were exact; the interval also holds that it is none (`FORM`).
+    """
     rows = {p.name: p for p in after.fit.parameters}
     found = []
     for name in candidate.free:
         if name in rows:
             p = rows[name]
-            reach = 1.96 * p.sigma if np.isfinite(p.sigma) else np.nan
+            moved = min(abs(p.value), abs(p.value - candidate.neutral[name]) or np.inf)
+            reach = 1.96 * np.hypot(p.sigma, FORM * moved) if np.isfinite(p.sigma) else np.nan
             low, high = np.clip([p.value - reach, p.value + reach], *p.bounds)
             text = next((f.description for f in after.fit.flat.parameters if f.name == name), "")
             typical = candidate.typical.get(name)

@@ -15,7 +15,11 @@ FATES = ("named", "in class", "rejected", "not refitted", "not testable", "canno
 
 @dataclass(frozen=True)
 class EffectParameter:
-    """One parameter of an added effect, SI. ``low``, ``high``: 95 % interval; ``typical``: the catalogue's range."""
+    """One parameter of an added effect, SI; ``typical``: the catalogue's range.
+
+    sigma : of the fit, as if the law were exact. low, high : 95 % interval, which also allows for a law that the
+    machine keeps to within 2 % (one sigma): stick-slip, knees and ripples are never quite the catalogue's.
+    """
 
     name: str
     value: float

@@ -161,7 +161,7 @@ class Search:
         by_gain = sorted(ranked, key=lambda s: -s.gain)
         promising = [s for s in by_gain if s.gain > LARGE_GAIN * most][: SHORTLIST // 2]
         for s in (*promising, *(s for s in ranked if s.evidence > least)):
-            same = sum(k.candidate.id == s.candidate.id for k in chosen)
+            same = 0 if s in promising else sum(k.candidate.id == s.candidate.id for k in chosen)
             if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:
                 chosen.append(s)
         for s in ranked:

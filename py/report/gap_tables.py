@@ -152,8 +152,8 @@ def effect_table(step: Step, id: str) -> Table:
         texts("meaning", "Meaning", [p.description for p in rows]),
         warned(texts("remark", "Remark", remarks), [bool(r) for r in remarks]),
     ]
-    note = f"Source: {sentence(step.source)}" if step.source else ""
-    return table(id, "", _told(columns), note)
+    note = f"Source: {sentence(step.source)} " if step.source else ""
+    return table(id, "", _told(columns), f"{note}The interval also allows 2 % (one sigma) for the form of the law.")
 
 
 def member_table(step: Step, id: str) -> Table:

@@ -35,7 +35,7 @@ def test_dry_friction_is_named_at_its_place_with_its_size(rubbing):
     assert step.probability > 0.95 and not step.is_class and step.gap_closed > 0.98
     (force,) = step.parameters
     assert force.value == pytest.approx(30.0, rel=0.01) and force.unit == "N"
-    assert force.low < force.value < force.high < 1.02 * force.value
+    assert force.low < force.value < force.high < 1.05 * force.value and force.sigma < 0.01 * force.value
 
 
 def test_the_base_parameters_lose_what_they_had_swallowed(rubbing):

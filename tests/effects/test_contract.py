@@ -147,7 +147,8 @@ def test_the_model_itself_is_left_as_it_was(name, label):
 
 
 def _own(chosen, model):
-    return {p.name for p in model.flat.parameters if chosen.name and p.name.startswith(f"{chosen.name}.")}
+    own = {p.name for p in model.flat.parameters if chosen.name and p.name.startswith(f"{chosen.name}.")}
+    return own | set(chosen.site.holds)
 
 
 @pytest.mark.parametrize("name", ["pump_bench", "valve_bench", "tanks"])

@@ -17,7 +17,12 @@ def sites(effect, model):
 
 
 def test_lengths_of_the_linkage_are_found_and_positions_are_not():
-    assert sites("linkage_error", cehA.model()) == {"arm.length", "arm.pin_length", "arm.retracted_length"}
+    assert sites("linkage_error", cehA.model()) == {
+        "arm.length",
+        "arm.pin_length",
+        "arm.retracted_length",
+        "arm.base_length",
+    }
     assert not candidates(benches.pump_bench(), ["linkage_error"])
 
 
@@ -128,3 +133,32 @@ def test_a_soft_joint_starts_at_rest_and_lets_the_rod_run_ahead_of_the_load(effe
     assert force > 1000.0 and rod - load == pytest.approx(expected)
     y = run(model, np.linspace(0, 0.05, 51), start=states)
     assert np.all(np.isfinite(y["position"]))
+
+
+def test_a_bar_longer_than_stated_leaves_the_foot_where_it_is():
+    """The foot's distance follows from two lengths only until one of them is found to be another."""
+    model = cehA.model()
+    foot = np.sqrt(0.3055**2 - 0.225**2)
+    assert "arm.base_length" not in {p.name for p in model.flat.parameters}
+    longer = add_effect(model, "linkage_error", "arm.pin_length", {"arm.pin_length": 0.23})
+    values = {p.name: p.value for p in longer.flat.parameters}
+    assert values["arm.base_length"] == pytest.approx(foot, rel=1e-12)
+    stroke = float(longer.observe(["arm.pin.s"])(0.0, *_at_rest(longer)))
+    assert stroke == pytest.approx(np.hypot(0.23, foot) - 0.3055, rel=1e-9)  # the arm level: a right angle at the joint
+    moved = add_effect(model, "linkage_error", "arm.base_length", {"arm.base_length": 0.2})
+    assert {p.name for p in moved.flat.parameters if p.free} - {p.name for p in model.flat.parameters if p.free} == {
+        "arm.base_length"
+    }
+
+
+def test_a_length_that_follows_one_the_user_fits_goes_on_following():
+    fitted = cehA.model().with_settings({"arm.pin_length": {"free": True}})
+    more = add_effect(fitted, "linkage_error", "arm.retracted_length")
+    assert "arm.base_length" not in {p.name for p in more.flat.parameters}
+
+
+def _at_rest(model):
+    flat = model.flat
+    x = np.array(flat.start_given()([s.default for s in flat.inputs], flat.parameter_vector(), [])).ravel()
+    x[[s.name for s in flat.states].index("arm.angle")] = 0.0
+    return x, [s.default for s in flat.inputs], flat.parameter_vector()

@@ -126,12 +126,11 @@ class Answer:
 
 
 def answer_of(discovery) -> Answer:
-    """A `Discovery` as an Answer; an effect that is named together with another counts as named beside it."""
+    """A `Discovery` as an Answer."""
     named = []
     for step in discovery.steps:
         parameters = tuple((p.name, p.value, p.low, p.high) for p in step.parameters)
         named.append(Named(step.effect, step.site, step.members, step.probability, parameters))
-        named += [Named(e, s, ((e, s),), step.probability, parameters) for e, s in step.together]
     judged = {o.output: o for o in discovery.outputs["validate"]}
     return Answer(
         discovery.verdict,

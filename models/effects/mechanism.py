@@ -15,6 +15,7 @@ from .effect import Effect, Site
 from .sites import flange_joints, flanges, parameters
 from .stepping import Lagged, stepped
 
+CONTACT = "K. L. Johnson, Contact Mechanics, 1985: a pin in its hole, 1e-9 to 1e-7"
 FAR = 1e3  # m, where a stop is that nothing reaches
 TOLERANCES = "tolerances of the geometry"
 MACHINE_ELEMENTS = "Decker, Maschinenelemente: pins and their fits"
@@ -239,24 +240,29 @@ class StructuralCompliance(_Joint):
 
 
 class Backlash(_Joint):
-    """Play of a pin: the load follows only when the other side of the hole is reached.
+    """Play of a pin: the load follows only when the other side of the hole is reached, which gives a little.
 
-        s_a - s_b = h/2 sign(F),   sign smoothed as tanh(F / F_0)
+        s_a - s_b = h/2 sign(F) + c F,   sign smoothed as tanh(F / F_0)
 
-    The force tells the side, so that the play needs no start of its own. Source: Decker, Maschinenelemente.
+    The force tells the side, so that the play needs no start of its own. Sources: Decker, Maschinenelemente (play);
+    Johnson, Contact Mechanics (what a pin in its hole gives).
     """
 
     id, title = "backlash", "play of a joint"
-    equation = "s_a - s_b = h/2 sign(F)"
+    equation = "s_a - s_b = h/2 sign(F) + c F"
     source = MACHINE_ELEMENTS
-    typical = {"gap": (1e-4, 2e-3)}
-    probes = ({"gap": 2e-4}, {"gap": 1e-3})
+    typical = {"gap": (1e-4, 2e-3), "compliance": (0.0, 1e-7)}
+    probes = ({"gap": 2e-4, "compliance": 2e-8}, {"gap": 1e-3, "compliance": 2e-8})
+    refines = {"structural_compliance": {"compliance": "compliance"}}
     confused_with = ("structural_compliance", "command_deadband", "presliding_friction")
     experiment = "reverse the load slowly: position jumps by the play where the force changes sign"
 
     gap = Parameter(0.0, "m", "play h", bounds=(0, 0.01), nominal=5e-4, source=MACHINE_ELEMENTS, free=True)
+    compliance = Parameter(
+        0.0, "m/N", "compliance c of the contact", bounds=(0, 1e-6), nominal=1e-8, source=CONTACT, free=True
+    )
     resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
     force_scale = Parameter(200.0, "N", "F_0", bounds=(1, 1e5), source="numerical: 1-10 % of the forces")
 
     def stretch(self, force):
-        return self.gap / 2 * ca.tanh(force / self.force_scale)
+        return self.gap / 2 * ca.tanh(force / self.force_scale) + self.compliance * force

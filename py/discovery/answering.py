@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -33,12 +33,21 @@ NAMED = 0.75  # of the gap on held-out recordings: less than that explained is n
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """One step of the search: what was chosen out of what, and the structure before."""
+    """One step of the search: what was chosen out of what, and the structure before.
+
+    revised : label of an effect -> the same made again with all the others in place.
+    """
 
     choice: Choice
     ranked: tuple[Screened, ...]
     tried: tuple[Tried, ...]
     before: Structure
+    revised: Mapping[str, Step] = field(default_factory=dict)
+
+    def choices(self) -> list[Choice]:
+        """The last choice of every effect of the step; of those named together, only where it was made again."""
+        last = [self.revised[c.label].choice for c in self.choice.best.members if c.label in self.revised]
+        return last or [self.choice]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +123,8 @@ def _verdict(search: Search, found: Found) -> str:
         return "unknown" if gap else "none"
     if closed(found.last.fitted, base, q) < NAMED:
         return "unknown"
-    several = any(len({c.id for t in step.choice.members for c in t.members[:1]}) > 1 for step in found.steps)
+    choices = (choice for step in found.steps for choice in step.choices())
+    several = any(len({c.id for t in choice.members for c in t.members[:1]}) > 1 for choice in choices)
     return "class" if several else "named"
 
 
@@ -206,9 +216,10 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
     named = []
     for c in order:
         closed_alone = by_itself(c) if c is not order[-1] and np.isfinite(by_itself(c)) else best.evidence.closed
-        members = [(c.id, c.site.name)]
-        if len(best.members) == 1:
-            members = [(t.members[0].id, t.members[0].site.name) for t in step.choice.members]
+        last = step.revised.get(c.label, step)
+        choice = last.choice
+        alike = [t for t in choice.members if len(t.members) == 1]
+        members = [(t.members[0].id, t.members[0].site.name) for t in alike] or [(c.id, c.site.name)]
         named.append(
             NamedStep(
                 effect=c.id,
@@ -217,10 +228,10 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
                 equation=c.effect.equation,
                 source=c.effect.source,
                 members=tuple(members),
-                probability=step.choice.probability[label(best)] * explained,
+                probability=choice.probability[label(choice.best)] * explained,
                 parameters=_parameters(c, after),
                 gap_closed=closed_alone,
-                ranked=ranking(step.ranked, step.tried, step.choice, known, explained),
+                ranked=ranking(last.ranked, last.tried, choice, known, explained),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
             )
@@ -249,10 +260,10 @@ def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
 
 def _experiment(search: Search, data: Split, steps: Sequence[Step]):
     """The input that separates the members of the last class best."""
-    step = next(s for s in reversed(steps) if len(s.choice.members) > 1)
+    choice = next(choice for step in reversed(steps) for choice in step.choices() if len(choice.members) > 1)
     members = [
         (label(t), search.model(t.structure.members).flat, dict(t.structure.fitted.values), t.structure.fitted.states)
-        for t in step.choice.members[:3]
+        for t in choice.members[:3]
     ]
     return next_experiment(members, search.base.flat.inputs, data.fit, search.question)
 

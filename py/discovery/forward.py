@@ -15,6 +15,7 @@ from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
 from .look_back import from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
+from .revise import revised
 from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
@@ -26,9 +27,17 @@ PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must c
 def searched(search: Search, base: Structure, most: int) -> Found:
     """Forward steps while something passes; pairs from the base when that does not explain most of the gap.
 
-    When not even a pair does, candidates take part in the identification of the base.
+    When not even a pair does, candidates take part in the identification of the base. Of several effects each is
+    looked for again beside the others; where another stands then, the search goes on from there.
     """
-    return _pruned(search, _best_of_singles_and_pairs(search, base, most))
+    found = _pruned(search, _best_of_singles_and_pairs(search, base, most))
+    found, replaced = revised(search, found)
+    if not replaced:
+        return found
+    search.ask(search.sensors)
+    last = reconsidered(search, found.last)
+    further = _forward(search, found.base, last, most, found.steps, turning=False)
+    return _pruned(search, dataclasses.replace(further, screens=(*found.screens, *further.screens)))
 
 
 def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Found:
@@ -58,6 +67,7 @@ def _pruned(search: Search, found: Found) -> Found:
     if last is found.last:
         return found
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
+    steps = [dataclasses.replace(s, revised={}) for s in steps]  # made with the others in place
     if len(steps) == 1:  # it explains what all of them did
         steps = [_alone(search, steps[0], found.base, last)]
     return dataclasses.replace(found, last=last, steps=tuple(steps))

@@ -172,8 +172,12 @@ class Search:
     @staticmethod
     def _no_better_than_simple(one: Screened, chosen: Sequence[Screened]) -> bool:
         """A refinement that promises no more than the simple effect at its site waits until that is named."""
-        simple = [s.evidence for s in chosen if one.candidate.refines(s.candidate)]
-        return bool(simple) and one.evidence < max(simple) + max(LEAST_EVIDENCE, REFINED * max(simple))
+        simple = [s for s in chosen if one.candidate.refines(s.candidate)]
+        if not simple:
+            return False
+        evidence, gain = max(s.evidence for s in simple), max(s.gain for s in simple)
+        more = one.evidence > evidence + max(LEAST_EVIDENCE, REFINED * evidence)
+        return not (more or one.gain > (1 + REFINED) * gain + LEAST_EVIDENCE)
 
     # -- refits -------------------------------------------------------------------------------------------------
     def refitted(self, now: Structure, groups: Sequence[tuple[Sequence[Candidate], Sequence[Mapping]]]) -> list[Tried]:

@@ -135,7 +135,7 @@ def test_a_base_that_could_not_follow_makes_the_gap_count():
     assert row_of(made(visible=0.05), answer(), method="discover")["seen"]
 
 
-def test_the_answer_of_a_discovery_keeps_sites_members_and_partners():
+def test_the_answer_of_a_discovery_keeps_sites_and_members():
     parameter = SimpleNamespace(name="coulomb_friction.force", value=99.0, low=90.0, high=120.0)
     step = SimpleNamespace(
         effect="coulomb_friction",
@@ -143,10 +143,12 @@ def test_the_answer_of_a_discovery_keeps_sites_members_and_partners():
         members=(("coulomb_friction", "cylinder.rod"), ("stribeck_friction", "cylinder.rod")),
         probability=0.8,
         parameters=(parameter,),
-        together=(("dead_time", "current"),),
+    )
+    late = SimpleNamespace(
+        effect="dead_time", site="current", members=(("dead_time", "current"),), probability=0.9, parameters=()
     )
     gaps = tuple(SimpleNamespace(output=n, rmse_before=2 * s, rmse_after=s) for n, s in NOISE.items())
-    found = SimpleNamespace(verdict="class", steps=(step,), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3})
+    found = SimpleNamespace(verdict="class", steps=(step, late), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3})
     a = answer_of(found)
     assert [n.effect for n in a.named] == ["coulomb_friction", "dead_time"]
     r = row_of(made(), a, method="discover")

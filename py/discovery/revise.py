@@ -1,0 +1,116 @@
+"""Revise: each of several named effects looked for again with all the others in place.
+
+A forward search names the first effect while the others are still missing: what was chosen then, and what could not be
+told from it, may be another once they are there. So one effect after the other is taken out, and the best of all
+candidates put in its place.
+Source: P. Pudil, J. Novovicova and J. Kittler, Floating search methods in feature selection, 1994.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from .answering import Found, Step
+from .choose import Choice, choose, label
+from .look_back import settled
+from .refit import RefitJob, refit
+from .search import Search, Structure, Tried, label_of
+
+ROUNDS = 2
+
+
+def revised(search: Search, found: Found) -> tuple[Found, bool]:
+    """What was found with the class of every effect computed anew, and whether an effect was replaced."""
+    rounds = 0
+    while len(found.last.members) > 1 and rounds < ROUNDS:
+        found, replaced = _once(search, found, replaced=rounds > 0)
+        if not replaced:
+            break
+        rounds += 1
+    return found, rounds > 0
+
+
+def _once(search: Search, found: Found, replaced: bool) -> tuple[Found, bool]:
+    """One round; ``replaced``: an effect has been replaced since the last of the steps was chosen."""
+    anything = False
+    for number, step in enumerate(found.steps):
+        for old in step.choice.best.members:
+            known = number == len(found.steps) - 1 and len(step.choice.best.members) == 1 and not replaced
+            if old not in found.last.members or known:  # refined since, or chosen with all the others in place
+                continue
+            others = _without(search, found.last, old)
+            again = others and _chosen(search, others, old, found.last)
+            if not again:
+                continue
+            if old in again.choice.best.members:
+                step = dataclasses.replace(step, revised={**step.revised, old.label: again})
+                found = _with_step(found, number, step)
+            else:
+                found = _replaced(search, found, number, old, again)
+                step, replaced, anything = found.steps[number], True, True
+    return found, anything
+
+
+def _without(search: Search, now: Structure, old) -> Structure | None:
+    """``now`` without one member, fitted."""
+    members = tuple(m for m in now.members if m is not old)
+    names = search.names(members)
+    values = {n: v for n, v in now.fitted.values.items() if n in names}
+    flat, states, size = search.model(members).flat, now.fitted.states, now.fitted.size
+    job = RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members))
+    fitted = search.run(refit, [job], "look back")[0]
+    return None if isinstance(fitted, str) else search.keep(Structure(members, fitted))
+
+
+def _chosen(search: Search, others: Structure, old, now: Structure) -> Step | None:
+    """What is best beside the others, the present effect among those tried."""
+    _, ranked = search.screened(others)
+    tried = search.singles(others, search.shortlist(ranked))
+    tried = _with_present([*tried, *search.finer(others, ranked, tried)], old, now, ranked)
+    tried = [search.judged(t, others) for t in tried]
+    choice = choose(tried, len(search.candidates), search.question)
+    if choice and len(choice.probability) > 1:
+        _, tried = settled(search, others, tried, choice.best)
+        choice = choose(tried, len(search.candidates), search.question)
+    return choice and Step(choice, tuple(ranked), tuple(tried), others)
+
+
+def _with_present(tried: Sequence[Tried], old, now: Structure, ranked) -> list[Tried]:
+    """The candidates with the present effect as well fitted as it is."""
+    again = next((t for t in tried if t.members == (old,)), None)
+    if again and again.structure and again.structure.fitted.likelihood <= now.fitted.likelihood:
+        return list(tried)
+    screened = next((s for s in ranked if s.candidate is old), None)
+    return [*(t for t in tried if t is not again), Tried((old,), screened, now)]
+
+
+def _with_step(found: Found, number: int, step: Step) -> Found:
+    return dataclasses.replace(found, steps=(*found.steps[:number], step, *found.steps[number + 1 :]))
+
+
+def _replaced(search: Search, found: Found, number: int, old, again: Step) -> Found:
+    """What was found with another effect in the place of one, and the structures on the way there fitted again."""
+    (new,) = again.choice.best.members
+    last, steps, before = again.choice.best.structure, list(found.steps), found.steps[number].before
+    for k in range(number, len(steps)):
+        step = steps[k]
+        members = tuple(new if m is old else m for m in step.choice.best.members)
+        structure = last if k == len(steps) - 1 else _fitted(search, search.joined(before, members), last)
+        best = search.judged(Tried(members, again.choice.best.screened if k == number else None, structure), before)
+        likely = {label(best): step.choice.probability[label(step.choice.best)]}
+        steps[k] = dataclasses.replace(step, choice=Choice(best, (best,), likely), before=before)
+        before = structure
+    revised = {name: s for name, s in steps[number].revised.items() if name != old.label}
+    steps[number] = dataclasses.replace(steps[number], revised={**revised, new.label: again})
+    return dataclasses.replace(found, last=last, steps=tuple(steps))
+
+
+def _fitted(search: Search, members, last: Structure) -> Structure:
+    """A part of a structure, fitted."""
+    names = search.names(members)
+    values = {n: v for n, v in last.fitted.values.items() if n in names}
+    flat, states, size = search.model(members).flat, last.fitted.states, last.fitted.size
+    job = RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members))
+    fitted = search.run(refit, [job], "look back")[0]
+    return last if isinstance(fitted, str) else search.keep(Structure(tuple(members), fitted))

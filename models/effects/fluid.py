@@ -31,12 +31,6 @@ def oil_pressures(places: Places) -> list[str]:
     return [s for part in places.parts if part.ports_of(HydraulicPort) for s in part.states if s in pressures]
 
 
-def volumes(places: Places):
-    """Every volume of oil: its pressure ``p``, the rate of which passes through the effect."""
-    for path in oil_pressures(places):
-        yield Site(path, reads={"p": path}, through=f"der({path})")
-
-
 @dataclass(frozen=True)
 class OilSite(Site):
     """All volumes of a machine: one oil. ``stiffness`` is its bulk modulus [Pa] as far as the model tells."""
@@ -279,69 +273,71 @@ class ReturnCheckValve(Lagged):
         yield self.a.q + self.b.q == 0
 
 
-class _Limited(Lagged):
-    """A valve that opens a volume at a set pressure; on the rate of pressure, with a lag T_0 instead of its size."""
+class _Valve(Effect):
+    """A valve that opens a volume beyond a set pressure, wider the further beyond."""
 
-    u = Input("Pa/s", "rate of pressure without the valve", nominal=1e6)
-    y = Output("Pa/s", "rate of pressure", nominal=1e6)
-    p = Input("Pa", "pressure", nominal=1e6)
+    port = HydraulicPort("the volume")
+    conductance = Parameter(
+        1e-11, "m3/(s.Pa)", "G once it is open", bounds=(1e-15, 1e-8), nominal=1e-11, source=WATTON, free=True
+    )
 
-    sites = stepped(volumes)
+    sites = staticmethod(hydraulic_nodes)
+
+    @staticmethod
+    def _at(pressures) -> list[dict]:
+        """Every pressure with every size of valve."""
+        return [{"pressure": float(p), "conductance": G} for p in pressures for G in (1e-13, 1e-11, 1e-10)]
 
 
-class CheckValveCracking(_Limited):
+class CheckValveCracking(_Valve):
     """A check valve feeds a volume from a low-pressure reservoir: anti-cavitation, make-up oil of a closed circuit.
 
-        dp/dt = (dp/dt without it) + max(p_o - p, 0)/T_0,   p_o = p_reservoir - p_cracking
+        q = G max(p_o - p, 0) into the volume,   p_o = p_reservoir - p_cracking
 
-    Only p_o can be told where the reservoir is not measured. The pressure falls short of p_o by T_0 times the rate
-    that the valve makes up for. Source: Watton 2009.
+    Only p_o can be told where the reservoir is not measured. Source: Watton 2009.
     """
 
     id, title = "check_valve_cracking", "check valve that feeds a volume"
-    equation = "oil comes in below p_o = p_reservoir - p_cracking"
+    equation = "q = G max(p_o - p, 0) comes in, p_o = p_reservoir - p_cracking"
     source = WATTON
-    typical = {"pressure": (0.0, 2e6)}
+    typical = {"pressure": (0.0, 2e6), "conductance": (1e-13, 1e-9)}
     probes = ({"pressure": 5e4}, {"pressure": 3e5}, {"pressure": 1e6})
     confused_with = ("cavitation", "external_leakage", "return_check_valve")
     experiment = "pull so that the pressure falls, with it measured: after a feed the mean pressure is higher for good"
 
     pressure = Parameter(-BEYOND, "Pa", "p_o", bounds=(-BEYOND, 1e7), nominal=1e5, source="far below: none", free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     def equations(self):
-        yield self.y == self.u + ca.fmax(self.pressure - self.p, 0) / self.resolution
+        yield self.port.q == -self.conductance * ca.fmax(self.pressure - self.port.p, 0)
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """Opening pressures that the pressure seen falls below now and then."""
-        return [{"pressure": float(v)} for v in np.quantile(np.asarray(seen["p"]), (0.03, 0.1, 0.25))]
+        return cls._at(np.quantile(np.asarray(seen["port.p"]), (0.03, 0.1, 0.25)))
 
 
-class ReliefSaturation(_Limited):
-    """A relief valve lets oil out of a volume above a pressure.
+class ReliefSaturation(_Valve):
+    """A relief valve lets oil out of a volume above a pressure, the more the higher it is.
 
-        dp/dt = (dp/dt without it) - max(p - p_r, 0)/T_0
+        q = G max(p - p_r, 0) out of the volume;   1/G is its override
 
-    The pressure exceeds p_r by T_0 times the rate that the valve takes away. Source: Watton 2009.
+    Source: Watton 2009.
     """
 
     id, title = "relief_saturation", "relief valve"
-    equation = "oil leaves above p_r"
+    equation = "q = G max(p - p_r, 0) leaves"
     source = WATTON
-    typical = {"pressure": (2e6, 3.5e7)}
+    typical = {"pressure": (2e6, 3.5e7), "conductance": (1e-13, 1e-9)}
     probes = ({"pressure": 3e6}, {"pressure": 1e7}, {"pressure": 2e7})
     confused_with = ("command_saturation", "end_stop", "turbulent_leakage")
     experiment = "push against a stop or a blocked load, with pressures: the pressure levels off"
 
     pressure = Parameter(BEYOND, "Pa", "p_r", bounds=(1e4, BEYOND), nominal=1e6, source="far above: none", free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     def equations(self):
-        yield self.y == self.u - ca.fmax(self.p - self.pressure, 0) / self.resolution
+        yield self.port.q == self.conductance * ca.fmax(self.port.p - self.pressure, 0)
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """Relief pressures that the pressure seen exceeds now and then."""
-        wanted = np.quantile(np.asarray(seen["p"]), (0.97, 0.9, 0.75))
-        return [{"pressure": float(v)} for v in np.clip(wanted, 1e4, BEYOND)]
+        return cls._at(np.clip(np.quantile(np.asarray(seen["port.p"]), (0.97, 0.9, 0.75)), 1e4, BEYOND))

@@ -15,6 +15,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 
@@ -23,6 +25,10 @@ from .refit import Question, Refitted, pooled_rmse
 BLOCKS = 40  # over all held-out recordings
 SHORTEST = 25  # samples of a block
 BIC_NEEDED = 10.0
+FEWEST_BLOCKS = 3  # that leave more than noise
+NOISY = 4.0  # sigmas of the mean square of noise: what a block must leave to count
+MOST_SAY = np.log(2)  # of one block: its mean square halved
+LEAST_SPREAD = 0.05  # of that, between blocks
 T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
@@ -56,7 +62,7 @@ def compared(better: Refitted, other: Refitted, q: Question) -> Evidence:
     """Evidence for ``better`` over ``other``."""
     return Evidence(
         bic_gain(better, other, q),
-        paired_t(better.residuals_select, other.residuals_select, other.size),
+        paired_t(better.residuals_select, other.residuals_select, other.size, q.noise),
         closed(better, other, q),
     )
 
@@ -96,27 +102,56 @@ def _correlation_time(r: np.ndarray) -> float:
     return float(max(tau[stop], 1.0))
 
 
-def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
-    """Logarithm of the mean square of every block that holds a measurement, outputs in units of ``size`` averaged."""
-    total = sum(len(r) for r in residuals)
-    length = max(SHORTEST, total // BLOCKS)
-    errors = []
+def blocks(residuals: Sequence[np.ndarray], unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean square of every output in every block, in ``unit`` (ny,), nan where not measured, and how many samples."""
+    length = max(SHORTEST, sum(len(r) for r in residuals) // BLOCKS)
+    squares, counts = [], []
     for r in residuals:
         for piece in np.array_split(r, max(1, len(r) // length)):
-            seen = ~np.isnan(piece).all(axis=0) & np.isfinite(size)
-            if seen.any():
-                squares = np.nanmean((piece[:, seen] / size[seen]) ** 2, axis=0)
-                errors.append(np.log(max(float(np.mean(squares)), 1e-300)) if np.isfinite(squares).all() else DIVERGED)
-    return np.array(errors)
+            known = ~np.isnan(piece) & np.isfinite(unit)
+            count = known.sum(axis=0)
+            square = np.square(np.where(known, piece / unit, 0.0)).sum(axis=0)
+            squares.append(np.where(count > 0, square / np.maximum(count, 1), np.nan))
+            counts.append(count)
+    return np.array(squares), np.array(counts)
 
 
-def paired_t(better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray) -> float:
-    """t of the paired differences of log block errors; positive when ``better`` is. nan without held-out recordings."""
+def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarray:
+    """Logarithm of the mean square of every block that holds a measurement, outputs in units of ``size`` averaged."""
+    squares, counts = blocks(residuals, size)
+    rows = squares[(counts > 0).any(axis=1)]
+    finite = ~np.isinf(rows).any(axis=1)
+    mean = np.nanmean(np.where(finite[:, None], rows, 1.0), axis=1)
+    return np.where(finite, np.log(np.maximum(mean, 1e-300)), DIVERGED)
+
+
+def paired_t(
+    better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray, noise: np.ndarray
+) -> float:
+    """t of the paired differences of log block errors; positive when ``better`` is. nan without held-out recordings.
+
+    A block in which both leave but noise says nothing about either, and fifty of them would hide what a few say: where
+    some leave more than noise (ny,), they decide, and none has more say than one whose error is halved. With few blocks
+    t is that of the normal deviate as improbable.
+    """
     if not better:
         return np.nan
     difference = block_errors(other, size) - block_errors(better, size)
-    spread = np.std(difference, ddof=1) / np.sqrt(len(difference)) if len(difference) > 1 else 0.0
-    return float(np.mean(difference) / max(spread, 1e-12))
+    telling = _more_than_noise(better, noise) | _more_than_noise(other, noise)
+    difference = difference[telling] if telling.sum() >= FEWEST_BLOCKS else difference
+    count, difference = len(difference), np.clip(difference, -MOST_SAY, MOST_SAY)
+    if count < 2:
+        return 0.0
+    t = float(np.mean(difference) / (max(np.std(difference, ddof=1), LEAST_SPREAD * MOST_SAY) / np.sqrt(count)))
+    return float(np.sign(t) * norm.isf(student.sf(abs(t), count - 1)))
+
+
+def _more_than_noise(residuals: Sequence[np.ndarray], noise: np.ndarray) -> np.ndarray:
+    """Blocks that hold a measurement: whether an output leaves more in it than noise does."""
+    squares, counts = blocks(residuals, noise)
+    known = (counts > 0).any(axis=1)
+    with np.errstate(invalid="ignore"):
+        return (squares > 1 + NOISY * np.sqrt(2 / np.maximum(counts, 1)))[known].any(axis=1)
 
 
 def closed(better: Refitted, other: Refitted, q: Question) -> float:

@@ -12,7 +12,7 @@ Source: C. R. Rao, Proc. Cambridge Phil. Soc. 1948 (score test).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
@@ -34,6 +34,7 @@ from .refit import Question, Refitted, likelihood_by_output
 TESTABLE = 3.0  # predicted |t| of an effect at its largest usual amplitude
 BLIND = 1e-6  # of the largest projected column: no derivative
 ABSORBED = 1e-6  # of the plain column: what the base parameters leave of it is rounding
+FARTHEST = 0.7  # in q of a base parameter: a factor of two
 LONGEST = 3.0  # in units of the largest probe: how far a linear prediction is followed
 
 
@@ -45,6 +46,7 @@ class Screened:
     share : of the squared gap in noise units.
     visible : predicted |t| at its largest usual amplitude.
     start : parameter values that the prediction suggests; column : its projected, normalised prediction (m,).
+    beside : values of the base parameters that it suggests with them.
     """
 
     candidate: object
@@ -54,6 +56,7 @@ class Screened:
     visible: float
     start: Mapping[str, float]
     column: np.ndarray
+    beside: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def testable(self) -> bool:
@@ -114,6 +117,7 @@ class Screen:
         J = np.concatenate(rows)
         nuisance = J[:, [*self._base, *range(shared, J.shape[1])]]
         size = np.linalg.norm(nuisance, axis=0)
+        self._nuisance = nuisance
         nuisance = nuisance[:, size > 1e-12 * size.max(initial=1e-300)] if nuisance.shape[1] else nuisance
         nuisance = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
         basis, sizes, _ = scipy.linalg.svd(nuisance, full_matrices=False)
@@ -149,7 +153,17 @@ class Screen:
         q[index] += step
         values = self.free.values(q)[index]
         start = dict(zip(candidate.free, values.tolist(), strict=True))
-        return self._judged(candidate, columns @ step, visible, start)
+        return self._judged(candidate, columns @ step, visible, start, self._beside(self.jacobian[:, index] @ step))
+
+    def _beside(self, change: np.ndarray) -> dict[str, float]:
+        """Values of the base parameters where the weighted outputs (m,) change by so much, as far as they may go."""
+        size = np.maximum(np.linalg.norm(self._nuisance, axis=0), 1e-300)
+        step, *_ = np.linalg.lstsq(self._nuisance / size, -(self.residual + change), rcond=1e-8)
+        q = self.free.scaled(self.free.start).copy()
+        low, high = (self.free.scaled(b) for b in (self.free.lower, self.free.upper))
+        q[self._base] += np.clip((step / size)[: len(self._base)], -FARTHEST, FARTHEST)
+        values = self.free.values(np.clip(q, low, high))
+        return {self.free.names[k]: float(values[k]) for k in self._base}
 
     def by_amplitude(self, candidate, values: Mapping[str, float], change: np.ndarray) -> Screened:
         """A candidate run at a finite amplitude: ``change`` (m,) of the weighted simulated outputs."""
@@ -158,7 +172,8 @@ class Screen:
         if not energy > BLIND or not np.isfinite(energy):
             return Screened(candidate, 0.0, 0.0, 0.0, 0.0, dict(values), np.zeros(len(self.left)))
         factor = float(np.clip(-(column @ self.left) / energy, 0.0, 1.5))
-        return self._judged(candidate, factor * column, self._in_noise(column[:, None]), dict(values))
+        beside = self._beside(factor * change)
+        return self._judged(candidate, factor * column, self._in_noise(column[:, None]), dict(values), beside)
 
     def joint_gain(self, one: Screened, other: Screened) -> float:
         """Predicted drop of L when two candidates act together, beyond the better of them alone."""
@@ -195,7 +210,7 @@ class Screen:
         back = (self.size / self.question.noise)[self.output]
         return float(np.max(np.linalg.norm(columns * back[:, None], axis=0), initial=0.0))
 
-    def _judged(self, candidate, change: np.ndarray, visible: float, start) -> Screened:
+    def _judged(self, candidate, change: np.ndarray, visible: float, start, beside) -> Screened:
         after = self.left + change
         rmse = self.rmse(after)
         gain, evidence = self._gains(rmse)
@@ -205,7 +220,7 @@ class Screen:
         share = 1 - gap(rmse) / before if before > 0 else 0.0
         norm = np.linalg.norm(change)
         unit = change / norm if norm > 0 else change
-        return Screened(candidate, gain, evidence, float(np.clip(share, 0, 1)), visible, start, unit)
+        return Screened(candidate, gain, evidence, float(np.clip(share, 0, 1)), visible, start, unit, beside)
 
     def _gains(self, rmse: np.ndarray) -> tuple[float, float]:
         """Drop of L to an RMSE per output, plain and with effective sample sizes."""

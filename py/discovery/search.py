@@ -239,7 +239,9 @@ class Search:
         Never at neutral itself: where the derivative is nil there, a refit would not leave it.
         """
         c = screened.candidate
-        return [screened.start, *c.probes] if screened.gain > 0 else [*c.probes]
+        if not screened.gain > 0:
+            return [*c.probes]
+        return [{**screened.beside, **screened.start}, screened.start, *c.probes]
 
     def singles(self, now: Structure, shortlist: Sequence[Screened]) -> list[Tried]:
         """Every shortlisted candidate alone."""

@@ -191,7 +191,9 @@ def test_starts_are_the_proposal_and_the_probes_never_neutral(rubbing):
     search, _, _, ranked = rubbing
     starts = search.starts_of(next(s for s in ranked if s.candidate.id == "coulomb_friction"))
     forces = [start["coulomb_friction.force"] for start in starts]
-    assert forces[1:] == [50.0, 500.0] and min(forces) > 10.0
+    assert forces[0] == forces[1] and forces[2:] == [50.0, 500.0] and min(forces) > 10.0
+    beside = {n: v for n, v in starts[0].items() if n in search.free}
+    assert set(beside) == set(search.free)  # the base moves with it: what it had absorbed is given back
 
 
 def test_a_base_that_came_to_rest_too_early_is_caught_by_the_look_back():

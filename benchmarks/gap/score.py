@@ -21,6 +21,7 @@ VISIBLE = (
 # Names that are the same physics at that place, by (machine, rig effect). Everything else must match by id.
 SAME = {
     ("spool_valve", "spool_lag"): {"actuator_lag"},  # a slower slide is a slower actuator of the same signal
+    ("spool_valve", "line_friction"): {"flow_saturation"},  # a line behind every edge: its equation with n = 2
     ("spool_valve", "asymmetric_friction"): {"coulomb_friction"},  # the rest of it is the load force, which is free
 }
 # Where the rig puts an effect, as words that must all stand in the name of the catalogue's site. Sensor effects: the

@@ -177,15 +177,16 @@ class SpoolLag(Lagged):
 
 
 class FlowSaturation(Effect):
-    """The flow grows less and less with the opening: a passage lies in series, or the edges are open all the way.
+    """The flow grows less and less with the opening: a passage or a line lies in series, or the edges end.
 
         y = u / (1 + c^(n/2) |u/u_0|^n)^(1/n)
 
-    With n = 2 exact for two sharp edges in series, c = (k_q / k_fixed)^2; a larger n bends more suddenly, as edges do
-    that end. The largest equivalent opening is u_0 / sqrt(c). Source: Merritt 1967, section 3.3.
+    With n = 2 exact for two sharp edges in series and for turbulent friction in both lines, c = (k_q / k_fixed)^2; a
+    larger n bends more suddenly, as edges do that end. The largest equivalent opening is u_0 / sqrt(c).
+    Source: Merritt 1967, section 3.3.
     """
 
-    id, title = "flow_saturation", "flow that saturates with the opening"
+    id, title = "flow_saturation", "flow that saturates with the opening: a passage or line in series"
     equation = "y = u / (1 + c^(n/2) |u/u_0|^n)^(1/n)"
     source = MERRITT
     typical = {"ratio": (0.05, 3.0), "sharpness": (2.0, 8.0)}
@@ -195,7 +196,7 @@ class FlowSaturation(Effect):
         {"ratio": 1.5, "sharpness": 5.0},
         {"ratio": 6.0, "sharpness": 5.0},
     )
-    confused_with = ("supply_droop", "command_saturation", "load_dependent_flow")
+    confused_with = ("line_friction", "supply_droop", "command_saturation", "load_dependent_flow")
     experiment = "constant openings up to the largest at one load, with the supply's pressure measured"
     order = 8
 

@@ -13,7 +13,7 @@ from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
-from .decide import CLEARLY, INEXACT, closed, has_gap, output_gap_closed, share_closed
+from .decide import CLEARLY, INEXACT, LARGE, closed, gap_closed, has_gap, output_gap_closed, share_closed
 from .discovery import Discovery, EffectParameter, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
@@ -28,6 +28,7 @@ from .unknown import describe_unknown
 
 FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
+CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
 NAMED = 0.75  # of the gap on held-out recordings: less than that explained is not an explanation
 
 
@@ -64,12 +65,15 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     """The Discovery of a finished search; ``model`` is what the user gave, with its own bounds."""
     verdict = _verdict(search, found)
     kept = found.last if verdict in ("named", "class") else found.base
-    steps = found.steps if kept is found.last else ()
     before, after = _concluded(search, data, found.base, kept)
+    shown = _closed_where_it_counts(before, after, data)
+    if kept is found.last and shown < CONFIRMED:
+        verdict, kept, after = "unknown", found.base, before
+    steps = found.steps if kept is found.last else ()
     flat = search.base.flat
-    shown = data.report or data.select
-    view = View(flat, data, before, after, shown)
-    share = max(closed(found.last.fitted, found.base.fitted, search.question), 0.0)
+    judging = data.report or data.select
+    view = View(flat, data, before, after, judging)
+    share = max(min(closed(found.last.fitted, found.base.fitted, search.question), shown), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
     members = [
         named for step in steps for named in _named(step, after, share * _weight(search, found.base, step), known)
@@ -78,7 +82,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     residual = after.refitted.residuals_fit
     unknown = ()
     if verdict == "unknown" or has_gap(residual, data.noise, CLEARLY).any():
-        unknown = describe_unknown(flat, data.train, residual, shown, _seen(after, data), data.noise)
+        unknown = describe_unknown(flat, data.train, residual, judging, _seen(after, data), data.noise)
     last = found.screens[-1] if found.screens else (None, (), ())
     named = any(c in kept.members for t in last[2] for c in t.members)  # what was looked at last was not in vain
     final = model.plus(search.model(kept.members).additions) if kept.members else model
@@ -104,7 +108,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         experiment=experiment,
         findings=(
             *data.findings,
-            *_findings(search, found, verdict),
+            *_findings(search, found, verdict, shown),
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
@@ -128,12 +132,20 @@ def _verdict(search: Search, found: Found) -> str:
     return "class" if several else "named"
 
 
+def _closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> float:
+    """Share of the gap closed on the recordings that took no part; 1 where they show no gap or there are none."""
+    if not data.report:
+        return 1.0
+    was, now = pooled_rmse(before.residuals_report), pooled_rmse(after.residuals_report)
+    return gap_closed(was, now, data.noise) if np.any(was**2 > LARGE * data.noise**2) else 1.0
+
+
 def _of_fit(after: Concluded) -> list[str]:
     """What the final fit says, but for how it was weighed: always by what is left."""
     return [str(finding) for finding in after.fit.findings if finding.kind != "weights"]
 
 
-def _findings(search: Search, found: Found, verdict: str) -> list[str]:
+def _findings(search: Search, found: Found, verdict: str, shown: float) -> list[str]:
     said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
     tested = [c for c in search.candidates if c.label not in search.not_testable]
     if not tested:
@@ -156,9 +168,10 @@ def _findings(search: Search, found: Found, verdict: str) -> list[str]:
     if verdict == "unknown" and found.steps:
         names = ", ".join(label(step.choice.best) for step in found.steps)
         share = closed(found.last.fitted, found.base.fitted, search.question)
+        also = "" if share < NAMED else f", but only {100 * shown:.0f} % on the recordings that judge"
         said.append(
-            f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings. That is too little for a "
-            "name: something else is missing."
+            f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings{also}. That is too little "
+            "for a name: something else is missing."
         )
     return said
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydrotwin.discovery.answering import _weight
+from hydrotwin.discovery.answering import CONFIRMED, _closed_where_it_counts, _weight
 from hydrotwin.discovery.decide import (
     CLEARLY,
     INEXACT,
@@ -262,3 +262,16 @@ def test_a_noise_estimated_too_large_does_not_hide_what_a_better_structure_expla
     assert gap_closed(other.rmse_select, better.rmse_select, NOISE) == 0.0, "both lie under the estimate"
     assert closed(better, other, asked()) == pytest.approx(1.0)
     assert closed(other, better, asked()) <= 0.0
+
+
+def test_a_name_must_hold_on_recordings_that_took_no_part():
+    """What was closed on the recordings of the search is taken back where those that judge show the gap as before."""
+
+    def concluded(factor):
+        return SimpleNamespace(residuals_report=(factor * white(3),))
+
+    judged = SimpleNamespace(report=("r",), noise=NOISE)
+    assert _closed_where_it_counts(concluded(10.0), concluded(1.0), judged) > 0.99
+    assert _closed_where_it_counts(concluded(10.0), concluded(9.0), judged) < CONFIRMED
+    assert _closed_where_it_counts(concluded(1.0), concluded(1.0), judged) == 1.0  # there is no gap to close
+    assert _closed_where_it_counts(concluded(10.0), concluded(9.0), SimpleNamespace(report=(), noise=NOISE)) == 1.0

@@ -115,7 +115,7 @@ def as_good(tried: Tried, best: Tried, q: Question) -> bool:
     if _late_somewhere(tried, q) and _late_somewhere(best, q):
         return True
     over = compared(best.structure.fitted, tried.structure.fitted, q)
-    untold = not abs(over.paired_t) > T_NEEDED
+    untold = not over.paired_t > T_NEEDED  # one that is better there, though less likely on the fit, is not told apart
     apart = best.evidence.closed - tried.evidence.closed
     fitted = best.structure.fitted
     if not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any():

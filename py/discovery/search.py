@@ -281,8 +281,7 @@ class Search:
         fitted = {t.members[0].label: t for t in singles if t.structure}
         scored = []
         for one, other in itertools.combinations(usable, 2):
-            if one.candidate.id != other.candidate.id:
-                scored.append((screen.joint_gain(one, other), one, other))
+            scored.append((screen.joint_gain(one, other), one, other))
         scored.sort(key=lambda row: -row[0])
         groups = []
         for beyond, one, other in scored[:PAIRS]:

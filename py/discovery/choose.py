@@ -47,7 +47,9 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
     if not passing:
         return None
     best = _best_and_simplest(passing, q)
-    members = [best, *_without_refinements([t for t in passing if t is not best and as_good(t, best, q)], best)]
+    likely = max(passing, key=lambda t: _score(t, q))  # the best, unless held-out recordings say otherwise
+    alike = [t for t in passing if t is not best and (t is likely or as_good(t, best, q) or as_good(t, likely, q))]
+    members = [best, *_without_refinements(alike, best)]
     weight = {label(t): _weight(t, best, q) for t in passing}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}

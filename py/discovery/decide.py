@@ -15,8 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
 
 from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 
@@ -25,10 +23,10 @@ from .refit import Question, Refitted, pooled_rmse
 BLOCKS = 40  # over all held-out recordings
 SHORTEST = 25  # samples of a block
 BIC_NEEDED = 10.0
-FEWEST_BLOCKS = 3  # that leave more than noise
+FEWEST_BLOCKS = 4  # that leave more than noise
 NOISY = 4.0  # sigmas of the mean square of noise: what a block must leave to count
 MOST_SAY = np.log(2)  # of one block: its mean square halved
-LEAST_SPREAD = 0.05  # of that, between blocks
+LEAST_SPREAD = 0.03  # between blocks
 T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
@@ -125,25 +123,26 @@ def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarra
     return np.where(finite, np.log(np.maximum(mean, 1e-300)), DIVERGED)
 
 
-def paired_t(
-    better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray, noise: np.ndarray
-) -> float:
+def paired_t(better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray, noise: np.ndarray) -> float:
     """t of the paired differences of log block errors; positive when ``better`` is. nan without held-out recordings.
 
     A block in which both leave but noise says nothing about either, and fifty of them would hide what a few say: where
-    some leave more than noise (ny,), they decide, and none has more say than one whose error is halved. With few blocks
-    t is that of the normal deviate as improbable.
+    some leave more than noise (ny,), they decide. How much better they are may be ruled by few of them, how often by
+    those that hardly differ: the clearer counts of all as they are and of all with no more say than a halved error.
     """
     if not better:
         return np.nan
     difference = block_errors(other, size) - block_errors(better, size)
     telling = _more_than_noise(better, noise) | _more_than_noise(other, noise)
     difference = difference[telling] if telling.sum() >= FEWEST_BLOCKS else difference
-    count, difference = len(difference), np.clip(difference, -MOST_SAY, MOST_SAY)
-    if count < 2:
+    return max(_t(difference), _t(np.clip(difference, -MOST_SAY, MOST_SAY)), key=abs)
+
+
+def _t(difference: np.ndarray) -> float:
+    """Student's t of these numbers, 0 for fewer than two."""
+    if len(difference) < 2:
         return 0.0
-    t = float(np.mean(difference) / (max(np.std(difference, ddof=1), LEAST_SPREAD * MOST_SAY) / np.sqrt(count)))
-    return float(np.sign(t) * norm.isf(student.sf(abs(t), count - 1)))
+    return float(np.mean(difference) / max(np.std(difference, ddof=1), LEAST_SPREAD) * np.sqrt(len(difference)))
 
 
 def _more_than_noise(residuals: Sequence[np.ndarray], noise: np.ndarray) -> np.ndarray:

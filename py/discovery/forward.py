@@ -63,7 +63,7 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
 
 def _pruned(search: Search, found: Found) -> Found:
     """What was found without the steps whose effects have become idle."""
-    last = pruned(search, found.last)
+    last = pruned(search, found.last, found.base)
     if last is found.last:
         return found
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]

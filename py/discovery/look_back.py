@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
-from .decide import WORTH, compared
+from .decide import INEXACT, WORTH, compared, share_closed
 from .refit import RefitJob, refit
 from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
 
@@ -88,8 +88,11 @@ def from_the_beginning(search: Search, base: Structure) -> list[Tried]:
     return tried
 
 
-def pruned(search: Search, now: Structure) -> Structure:
-    """``now`` without the members that have become idle since others were added."""
+def pruned(search: Search, now: Structure, base: Structure) -> Structure:
+    """``now`` without the members that have become idle since others were added.
+
+    Idle is also what closes no more of the gap of ``base`` than the inexact form of another effect may leave.
+    """
     while len(now.members) > 1:
         smaller = [tuple(m for m in now.members if m is not left) for left in now.members]
         jobs = []
@@ -103,7 +106,8 @@ def pruned(search: Search, now: Structure) -> Structure:
         for members, fitted in zip(smaller, search.run(refit, jobs, "look back"), strict=True):
             if not isinstance(fitted, str):
                 over = compared(now.fitted, fitted, search.question)
-                if not (over.bic_gain > search.needed and over.closed > WORTH):
+                share = 1 - share_closed(base.fitted, fitted, now.fitted, search.question)
+                if not (over.bic_gain > search.needed and over.closed > WORTH and share > INEXACT):
                     idle.append((over.bic_gain, Structure(members, fitted)))
         if not idle:
             break

@@ -34,8 +34,9 @@ def revised(search: Search, found: Found) -> tuple[Found, bool]:
 def _once(search: Search, found: Found, replaced: bool) -> tuple[Found, bool]:
     """One round; ``replaced``: an effect has been replaced since the last of the steps was chosen."""
     anything = False
-    for number, step in enumerate(found.steps):
-        for old in step.choice.best.members:
+    for number in range(len(found.steps)):
+        for old in found.steps[number].choice.best.members:
+            step = found.steps[number]
             known = number == len(found.steps) - 1 and len(step.choice.best.members) == 1 and not replaced
             if old not in found.last.members or known:  # refined since, or chosen with all the others in place
                 continue
@@ -47,8 +48,7 @@ def _once(search: Search, found: Found, replaced: bool) -> tuple[Found, bool]:
                 step = dataclasses.replace(step, revised={**step.revised, old.label: again})
                 found = _with_step(found, number, step)
             else:
-                found = _replaced(search, found, number, old, again)
-                step, replaced, anything = found.steps[number], True, True
+                found, replaced, anything = _replaced(search, found, number, old, again), True, True
     return found, anything
 
 

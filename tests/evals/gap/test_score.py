@@ -148,7 +148,9 @@ def test_the_answer_of_a_discovery_keeps_sites_and_members():
         effect="dead_time", site="current", members=(("dead_time", "current"),), probability=0.9, parameters=()
     )
     gaps = tuple(SimpleNamespace(output=n, rmse_before=2 * s, rmse_after=s) for n, s in NOISE.items())
-    found = SimpleNamespace(verdict="class", steps=(step, late), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3})
+    found = SimpleNamespace(
+        verdict="class", steps=(step, late), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3}
+    )
     a = answer_of(found)
     assert [n.effect for n in a.named] == ["coulomb_friction", "dead_time"]
     r = row_of(made(), a, method="discover")

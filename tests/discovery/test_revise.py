@@ -1,0 +1,73 @@
+"""Named effects looked for again beside the others: what was chosen too early is replaced, classes computed anew."""
+
+from __future__ import annotations
+
+import pytest
+
+from hydrotwin.discovery.answering import Found, Step
+from hydrotwin.discovery.choose import Choice, label
+from hydrotwin.discovery.revise import revised
+from hydrotwin.discovery.search import Structure
+from tests.discovery.slides import question, records, searching
+
+EFFECTS = ("coulomb_friction", "dead_time", "actuator_lag", "null_bias")
+
+
+@pytest.fixture(scope="module")
+def late_and_rubbing():
+    """30 N of dry friction and a dead time of 60 ms: search and base."""
+    search, fitted = searching(question(records(3, dry=30.0, late=3)), EFFECTS)
+    return search, Structure((), fitted)
+
+
+def found_by(search, base, *names) -> Found:
+    """As if a forward search had named these, one after the other."""
+    steps, now = [], base
+    for name in names:
+        candidate = next(c for c in search.candidates if c.id == name)
+        (tried,) = search.refitted(now, [((candidate,), candidate.probes)])
+        steps.append(Step(Choice(tried, (tried,), {label(tried): 1.0}), (), (tried,), now))
+        now = tried.structure
+    return Found(base, now, tuple(steps), ())
+
+
+def test_what_was_named_too_early_is_replaced_once_the_other_is_there(late_and_rubbing):
+    search, base = late_and_rubbing
+    before = found_by(search, base, "actuator_lag", "coulomb_friction")
+    after, replaced = revised(search, before)
+    assert replaced
+    assert {c.id for c in after.last.members} == {"dead_time", "coulomb_friction"}
+    assert after.last.fitted.likelihood < before.last.fitted.likelihood - 100
+    assert [c.id for s in after.steps for c in s.choice.best.members] == ["dead_time", "coulomb_friction"]
+    assert after.last.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)
+    assert after.steps[-1].choice.best.structure is after.last
+    assert search.explained(after.last)
+
+
+def test_what_is_right_stays_and_its_class_is_that_beside_the_others(late_and_rubbing):
+    search, base = late_and_rubbing
+    before = found_by(search, base, "dead_time", "coulomb_friction")
+    after, replaced = revised(search, before)
+    assert not replaced and after.last is before.last
+    (again,) = after.steps[0].revised.values()
+    assert [c.id for c in again.before.members] == ["coulomb_friction"]
+    assert {label(t) for t in again.tried} >= {"dead_time at force", "actuator_lag at force"}
+    assert [label(t) for t in after.steps[0].choices()[0].members] == ["dead_time at force"]
+    assert not after.steps[1].revised, "chosen with the other in place already"
+
+
+def test_a_single_effect_is_left_alone(late_and_rubbing):
+    search, base = late_and_rubbing
+    before = found_by(search, base, "coulomb_friction")
+    assert revised(search, before) == (before, False)
+
+
+def test_of_two_named_together_each_gets_a_class_of_its_own(late_and_rubbing):
+    search, base = late_and_rubbing
+    members = tuple(next(c for c in search.candidates if c.id == n) for n in ("dead_time", "coulomb_friction"))
+    start = {n: v for c in members for n, v in c.probes[0].items()}
+    (pair,) = search.refitted(base, [(members, [start])])
+    step = Step(Choice(pair, (pair,), {label(pair): 1.0}), (), (pair,), base)
+    after, replaced = revised(search, Found(base, pair.structure, (step,), ()))
+    assert not replaced
+    assert {label(c.best) for c in after.steps[0].choices()} == {c.label for c in members}

@@ -247,6 +247,7 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
                 ranked=ranking(last.ranked, last.tried, choice, known, explained),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
+                beside=tuple((m.id, m.site.name) for m in last.before.members),
             )
         )
     return named

@@ -66,6 +66,7 @@ class Step:
     """One effect that was named and added, the first of ``ranked`` that was; its class in order of probability.
 
     together : other (effect, site) of the same step when only the pair explains anything.
+    beside : the other (effect, site) that were in place when it was looked for, which ``ranked`` shows.
     """
 
     effect: str
@@ -80,6 +81,7 @@ class Step:
     ranked: tuple[Ranked, ...]
     together: tuple[tuple[str, str], ...] = ()
     sentence: str = ""
+    beside: tuple[tuple[str, str], ...] = ()
 
     @property
     def is_class(self) -> bool:

@@ -136,11 +136,19 @@ def _candidates(discovery: Discovery) -> Section:
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
-        title = "First look" if k == 1 else f"Look {k}: after {joined([placed(s) for s in discovery.steps[: k - 1]])}"
-        parts += _look(step.ranked, f"candidates_{k}", title)
+        parts += _look(step.ranked, f"candidates_{k}", _title(discovery, k, step))
     if discovery.last_ranked:
         parts += _look(discovery.last_ranked, "candidates_last", "Last look" if discovery.steps else "")
     return Section("candidates", "Candidates and their evidence", tuple(parts), lead)
+
+
+def _title(discovery: Discovery, number: int, step: Step) -> str:
+    """Which look a table of candidates shows: after what was named before, or again beside all the others."""
+    there = [s for s in discovery.steps if (s.effect, s.site) in step.beside]
+    if not there:
+        return "First look" if number == 1 else f"Look {number}"
+    again = any(s in there for s in discovery.steps[number:])
+    return f"Look {number}{', again: beside' if again else ': after'} {joined([placed(s) for s in there])}"
 
 
 def _look(ranked, id: str, title: str) -> list:

@@ -60,6 +60,7 @@ def _step(step: Step) -> dict:
         "class": list(effects),
         "members": _places(step.members),
         "together": _places(step.together),
+        "beside": _places(step.beside),
         "probability": step.probability,
         "parameters": _parameters(step.parameters),
         "gap_closed": step.gap_closed,

@@ -14,10 +14,11 @@ import pytest
 
 from hydrotwin.discovery.discovery import OutputGap, Rung
 from hydrotwin.report import gap_data, gap_page, gap_text, write_gap_report
+from hydrotwin.report.gap import _title
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
 from hydrotwin.report.gap_text import interval_words, percent, typical_remark, value_text
-from hydrotwin.report.gap_words import display_units, notices, results
+from hydrotwin.report.gap_words import display_units, notices, placed, results
 from tests.report.gap_discoveries import (
     ALL,
     CONDUCTANCE,
@@ -383,3 +384,17 @@ def test_many_outputs_are_told_by_their_range():
     text = first_screen(replace(named(), outputs={"validate": rows}))
     assert "97\u00a0% of the gap of y0 (RMSE 10.0 N to 2.00 N) and " in text
     assert "and from 65\u00a0% (y4) to 92\u00a0% (y1) of those of the 4 others" in text
+
+
+def test_a_table_of_candidates_says_what_was_in_place_when_they_were_looked_for():
+    found = two_effects()
+    first, second = found.steps
+    one, other = ((s.effect, s.site) for s in found.steps)
+
+    def titles(*steps):
+        shown = replace(found, steps=steps)
+        return [_title(shown, k, s) for k, s in enumerate(steps, 1)]
+
+    assert titles(first, replace(second, beside=(one,))) == ["First look", f"Look 2: after {placed(first)}"]
+    again = titles(replace(first, beside=(other,)), replace(second, beside=(one,)))
+    assert again == [f"Look 1, again: beside {placed(second)}", f"Look 2: after {placed(first)}"]

@@ -11,10 +11,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from hydrotwin.models.effects import Candidate
+
 from .answering import Found, Step
 from .choose import Choice, choose, label
 from .look_back import settled
 from .refit import RefitJob, refit
+from .screen import Screened
 from .search import Search, Structure, Tried, label_of
 
 ROUNDS = 2
@@ -40,7 +43,7 @@ def _once(search: Search, found: Found, replaced: bool) -> tuple[Found, bool]:
             known = number == len(found.steps) - 1 and len(step.choice.best.members) == 1 and not replaced
             if old not in found.last.members or known:  # refined since, or chosen with all the others in place
                 continue
-            others = _without(search, found.last, old)
+            others = _fitted(search, [m for m in found.last.members if m is not old], found.last)
             again = others and _chosen(search, others, old, found.last)
             if not again:
                 continue
@@ -52,18 +55,7 @@ def _once(search: Search, found: Found, replaced: bool) -> tuple[Found, bool]:
     return found, anything
 
 
-def _without(search: Search, now: Structure, old) -> Structure | None:
-    """``now`` without one member, fitted."""
-    members = tuple(m for m in now.members if m is not old)
-    names = search.names(members)
-    values = {n: v for n, v in now.fitted.values.items() if n in names}
-    flat, states, size = search.model(members).flat, now.fitted.states, now.fitted.size
-    job = RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members))
-    fitted = search.run(refit, [job], "look back")[0]
-    return None if isinstance(fitted, str) else search.keep(Structure(members, fitted))
-
-
-def _chosen(search: Search, others: Structure, old, now: Structure) -> Step | None:
+def _chosen(search: Search, others: Structure, old: Candidate, now: Structure) -> Step | None:
     """What is best beside the others, the present effect among those tried."""
     _, ranked = search.screened(others)
     tried = search.singles(others, search.shortlist(ranked))
@@ -76,7 +68,7 @@ def _chosen(search: Search, others: Structure, old, now: Structure) -> Step | No
     return choice and Step(choice, tuple(ranked), tuple(tried), others)
 
 
-def _with_present(tried: Sequence[Tried], old, now: Structure, ranked) -> list[Tried]:
+def _with_present(tried: Sequence[Tried], old: Candidate, now: Structure, ranked: Sequence[Screened]) -> list[Tried]:
     """The candidates with the present effect as well fitted as it is."""
     again = next((t for t in tried if t.members == (old,)), None)
     if again and again.structure and again.structure.fitted.likelihood <= now.fitted.likelihood:
@@ -89,14 +81,15 @@ def _with_step(found: Found, number: int, step: Step) -> Found:
     return dataclasses.replace(found, steps=(*found.steps[:number], step, *found.steps[number + 1 :]))
 
 
-def _replaced(search: Search, found: Found, number: int, old, again: Step) -> Found:
+def _replaced(search: Search, found: Found, number: int, old: Candidate, again: Step) -> Found:
     """What was found with another effect in the place of one, and the structures on the way there fitted again."""
     (new,) = again.choice.best.members
     last, steps, before = again.choice.best.structure, list(found.steps), found.steps[number].before
     for k in range(number, len(steps)):
         step = steps[k]
         members = tuple(new if m is old else m for m in step.choice.best.members)
-        structure = last if k == len(steps) - 1 else _fitted(search, search.joined(before, members), last)
+        part = None if k == len(steps) - 1 else _fitted(search, search.joined(before, members), last)
+        structure = part or last
         best = search.judged(Tried(members, again.choice.best.screened if k == number else None, structure), before)
         likely = {label(best): step.choice.probability[label(step.choice.best)]}
         steps[k] = dataclasses.replace(step, choice=Choice(best, (best,), likely), before=before)
@@ -106,11 +99,11 @@ def _replaced(search: Search, found: Found, number: int, old, again: Step) -> Fo
     return dataclasses.replace(found, last=last, steps=tuple(steps))
 
 
-def _fitted(search: Search, members, last: Structure) -> Structure:
-    """A part of a structure, fitted."""
+def _fitted(search: Search, members: Sequence[Candidate], larger: Structure) -> Structure | None:
+    """A part of a structure, fitted from where that ended; None when it diverges."""
     names = search.names(members)
-    values = {n: v for n, v in last.fitted.values.items() if n in names}
-    flat, states, size = search.model(members).flat, last.fitted.states, last.fitted.size
+    values = {n: v for n, v in larger.fitted.values.items() if n in names}
+    flat, states, size = search.model(members).flat, larger.fitted.states, larger.fitted.size
     job = RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members))
     fitted = search.run(refit, [job], "look back")[0]
-    return last if isinstance(fitted, str) else search.keep(Structure(tuple(members), fitted))
+    return None if isinstance(fitted, str) else search.keep(Structure(tuple(members), fitted))

@@ -9,7 +9,7 @@ from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, de
 
 from .effect import Effect, Site
 from .sites import commands, drives, model_inputs, valve_spools
-from .stepping import Lagged, stepped
+from .stepping import Lagged, followed, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
@@ -61,8 +61,7 @@ class ActuatorLag(Lagged):
 
         T y' + y = u
 
-    Written as u + T/(T + T_0) (w - u), (T + T_0) w' + w = u, with a small T_0: no stiff state where T is zero, the
-    same delay T for slow signals, the same lag for T much longer than T_0.
+    Written as in `followed`, with a small T_0: no stiff state where T is zero.
     """
 
     id, title = "actuator_lag", "lag of the drive"
@@ -83,9 +82,9 @@ class ActuatorLag(Lagged):
     sites = stepped(commands)
 
     def equations(self):
-        T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
-        yield (T + T_0) * der(w) == u - w
-        yield self.y == u + T / (T + T_0) * (w - u)
+        rate, y = followed(self.u, self.lagging, self.time_constant, self.resolution)
+        yield der(self.lagging) == rate
+        yield self.y == y
 
     def initial_equations(self):
         yield self.lagging == self.u

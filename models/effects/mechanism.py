@@ -193,6 +193,8 @@ class _Joint(Lagged):
     T_0 f_1' = f_a - f_1,   T_0 f_2' = f_1 - f_2,   s_a - s_b = stretch(f_2)
     """
 
+    shortest = 0.5
+
     a = Flange("the port of the part")
     b = Flange("what it was joined to")
     first = State(0.0, "N", "f_1", nominal=1e3, fixed=False)
@@ -233,7 +235,7 @@ class StructuralCompliance(_Joint):
     experiment = "steps of force with position measured on both sides, or with pressures"
 
     compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     def stretch(self, force):
         return self.compliance * force

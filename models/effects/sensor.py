@@ -11,13 +11,13 @@ from hydrotwin.models.language import Input, Output, Parameter, State, der
 from .command import clipped, limits
 from .effect import Effect
 from .sites import model_outputs
-from .stepping import Lagged, stepped
+from .stepping import Lagged, followed, stepped
 
 FRADEN = "J. Fraden, Handbook of Modern Sensors, 2016"
 
 
 class SensorLag(Lagged):
-    """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `ActuatorLag`."""
+    """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `followed`."""
 
     id, title = "sensor_lag", "lag of the sensor"
     equation = "T y' + y = u"
@@ -37,9 +37,9 @@ class SensorLag(Lagged):
     sites = stepped(model_outputs)
 
     def equations(self):
-        T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
-        yield (T + T_0) * der(w) == u - w
-        yield self.y == u + T / (T + T_0) * (w - u)
+        rate, y = followed(self.u, self.lagging, self.time_constant, self.resolution)
+        yield der(self.lagging) == rate
+        yield self.y == y
 
     def initial_equations(self):
         yield self.lagging == self.u

@@ -10,7 +10,7 @@ from hydrotwin.models.language import HydraulicPort, Input, Output, Parameter, S
 
 from .effect import Effect, Site
 from .sites import sources, valve_signals, valve_spools
-from .stepping import Lagged, stepped
+from .stepping import Lagged, followed, stepped
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 JELALI = "M. Jelali and A. Kroll, Hydraulic Servo-systems, 2003"
@@ -143,7 +143,7 @@ def _slow_spools(places):
 class SpoolLag(Lagged):
     """The spool is slower than stated: its natural frequency where that is fixed, else a lag ``T y' + y = u``.
 
-    Written as u + T/(T + T_0) (w - u), (T + T_0) w' + w = u, see `ActuatorLag`.
+    Written as in `followed`.
     """
 
     id, title = "spool_lag", "lag of the spool"
@@ -168,9 +168,9 @@ class SpoolLag(Lagged):
         return (0.6 * value, 0.8 * value, 1.3 * value), (0.3 * value, 1.5 * value)
 
     def equations(self):
-        T, T_0, u, w = self.time_constant, self.resolution, self.u, self.lagging
-        yield (T + T_0) * der(w) == u - w
-        yield self.y == u + T / (T + T_0) * (w - u)
+        rate, y = followed(self.u, self.lagging, self.time_constant, self.resolution)
+        yield der(self.lagging) == rate
+        yield self.y == y
 
     def initial_equations(self):
         yield self.lagging == self.u

@@ -281,7 +281,7 @@ class MotorDroop(Lagged):
     source = "W. Leonhard, Control of Electrical Drives, 2001"
     typical = {"slope": (0.5, 100.0)}
     probes = ({"slope": 2.0}, {"slope": 20.0})
-    confused_with = ("internal_leakage", "pump_slip", "actuator_lag")
+    confused_with = ("internal_leakage", "external_leakage", "turbulent_leakage", "pump_slip", "null_bias")
     experiment = "constant speeds at two loads, with the shaft's speed measured"
 
     a = Shaft("drive")

@@ -30,7 +30,7 @@ class InternalLeakage(Effect):
     source = MERRITT
     typical = {"conductance": (1e-14, 1e-11)}
     probes = ({"conductance": 1e-13}, {"conductance": 2e-12})
-    confused_with = ("external_leakage", "pump_slip", "turbulent_leakage", "motor_droop")
+    confused_with = ("external_leakage", "pump_slip", "turbulent_leakage", "motor_droop", "null_bias")
     experiment = "hold under load, in several positions and at several pressures"
 
     a = HydraulicPort("one side")
@@ -62,7 +62,7 @@ class ExternalLeakage(Effect):
     source = MERRITT
     typical = {"conductance": (1e-14, 1e-11)}
     probes = ({"conductance": 1e-13}, {"conductance": 2e-12})
-    confused_with = ("internal_leakage", "pump_slip", "turbulent_leakage", "null_bias")
+    confused_with = ("internal_leakage", "pump_slip", "turbulent_leakage", "motor_droop", "null_bias")
     experiment = "hold under load and without, with both pressures: an internal leak feeds the other side"
 
     port = HydraulicPort("what leaks")
@@ -109,7 +109,7 @@ class TurbulentLeakage(Effect):
     source = MERRITT
     typical = {"coefficient": (1e-11, 1e-8)}
     probes = ({"coefficient": 2e-10}, {"coefficient": 4e-9})
-    confused_with = ("internal_leakage", "external_leakage", "pump_slip")
+    confused_with = ("internal_leakage", "external_leakage", "pump_slip", "motor_droop", "null_bias")
     experiment = "hold at a small and at a large load: the laminar leak is proportional to the pressure"
 
     a = HydraulicPort("one side")

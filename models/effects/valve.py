@@ -269,7 +269,7 @@ class LoadDependentFlow(Effect):
     source = MERRITT
     typical = {"share": (-0.3, 0.3)}
     probes = ({"share": 0.1}, {"share": -0.1})
-    confused_with = ("supply_droop", "flow_saturation", "internal_leakage")
+    confused_with = ("supply_droop", "flow_saturation", "internal_leakage", "area_error")
     experiment = "the same openings against several loads, with both pressures and the supply's"
     order = 9
 

@@ -11,6 +11,7 @@ from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 6  # fitted again beside the best
+CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
@@ -19,8 +20,10 @@ def settled(search: Search, now: Structure, tried: Sequence[Tried], best: Tried)
     """All sides of a choice fitted again: ``now`` from where the best ended, the contenders from the beginning.
 
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
-    leave something for the next effect to explain, or be held for worse than another.
+    leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
+    the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
     """
+    tried = (*tried, *_confusable(search, now, tried, best))
     fitted = best.structure.fitted
     names = search.names(now.members)
     values = {n: v for n, v in fitted.values.items() if n in names}
@@ -38,6 +41,22 @@ def settled(search: Search, now: Structure, tried: Sequence[Tried], best: Tried)
         if not isinstance(found, str) and found.likelihood < t.structure.fitted.likelihood
     }
     return now, tuple(search.judged(better.get(id(t), t), now) for t in tried)
+
+
+def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> list[Tried]:
+    """What is listed as easily confused with the best and was not fitted yet, begun where the base stands beside it."""
+    if len(best.members) > 1:
+        return []
+    (chosen,), known = best.members, {c.label for t in tried for c in t.members} | set(now.key)
+    alike = [
+        c for c in search.candidates
+        if c.label not in known | search.not_testable.keys() and not c.refines(chosen)
+        and (c.id in chosen.effect.confused_with or chosen.id in c.effect.confused_with)
+    ][:CONFUSABLE]  # fmt: skip
+    beside = {n: v for n, v in best.structure.fitted.values.items() if n not in chosen.free}
+    groups = [((c,), [{**beside, **probe} for probe in c.probes]) for c in alike]
+    found = search.refitted(Structure(now.members, best.structure.fitted), groups) if groups else []
+    return [search.judged(t, now) for t in found]
 
 
 def _contenders(search: Search, tried: Sequence[Tried], best: Tried) -> list[Tried]:

@@ -323,3 +323,16 @@ def test_a_member_that_closes_no_more_than_an_inexact_form_may_leave_is_dropped(
     both = grown(search, base, "dead_time", "coulomb_friction", coulomb_friction=30.0, dead_time=0.05)
     larger = dataclasses.replace(base.fitted, residuals_select=tuple(1e3 * r for r in base.fitted.residuals_select))
     assert len(pruned(search, both, Structure((), larger)).members) < 2
+
+
+def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passed_it_over():
+    """A base without the effect may have bent until the screen sees nothing of the right one."""
+    search, fitted = searching(question(records(3, late=3)), ("dead_time", "actuator_lag", "sensor_lag", "null_bias"))
+    base = Structure((), fitted)
+    _, ranked = search.screened(base)
+    (lag,) = search.singles(base, [s for s in ranked if s.candidate.id == "actuator_lag"])
+    _, after = settled(search, base, [lag], lag)
+    assert {t.members[0].id for t in after} == {"actuator_lag", "dead_time", "sensor_lag"}  # a null bias is no lag
+    best = max(after, key=lambda t: t.evidence.bic_gain)
+    assert best.members[0].id == "dead_time"
+    assert best.structure.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)

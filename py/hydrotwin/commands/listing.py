@@ -131,7 +131,7 @@ def fitting_rows(model: Model) -> list[dict]:
     """What fits where in a model: name of the part, its equation, its free parameters with unit and typical range."""
     from hydrotwin.models.effects import candidates
 
-    known = {p.name: p for p in model.flat.parameters}
+    known = {p.name: p for p in (*model.flat.parameters, *(p for p, _ in model.followers))}
     return [
         {
             "effect": c.id,

@@ -115,7 +115,7 @@ ROLES = {"fit": "fitted", "select": "for choosing", "report": "never used", "tra
 def step_sentence(step: Step) -> str:
     """The effect, where, its equation with values and intervals in engineering units, and how sure that is."""
     pair = [f"{effect} at {site}" for effect, site in step.together]
-    with_it = f" Only together with {joined(pair)} does it explain anything." if pair else ""
+    with_it = f" Found together with {joined(pair)}; alone it explains less." if pair else ""
     return f"{capital(placed(step))}: {_formula(step)}. Probability {certainty(step.probability)}.{with_it}"
 
 

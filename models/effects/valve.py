@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import casadi as ca
 
-from hydrotwin.models.language import HydraulicPort, Input, Output, Parameter, State, der
+from hydrotwin.models.language import Component, HydraulicPort, Input, Output, Parameter, State, der
 
 from .effect import Effect, Site
 from .sites import sources, valve_signals, valve_spools
@@ -14,6 +14,7 @@ from .stepping import Lagged, followed, stepped
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 JELALI = "M. Jelali and A. Kroll, Hydraulic Servo-systems, 2003"
+MOST_LOST = 0.95  # of the flow of an edge
 NOTHING = 1e-16  # keeps the power of a share differentiable where there is none
 
 
@@ -247,25 +248,30 @@ class SupplyDroop(Effect):
 
 
 def _load_sites(places):
-    """Valves and the pressures of the two ports that no supply or tank holds."""
+    """Where a valve is opened, and the valve itself: one that lies between two work ports, a supply and a tank."""
     for site in valve_signals(places):
         part = places.part(site.through.rpartition(".")[0])
-        ports = [f"{part.path}.{name}" for name in part.ports_of(HydraulicPort)]
-        work = [p for p in ports if (node := places.node_at(p)) and not places.is_prescribed(node)]
+        ports = {f"{part.path}.{name}": places.node_at(f"{part.path}.{name}") for name in part.ports_of(HydraulicPort)}
+        work = [p for p, node in ports.items() if node and not places.is_prescribed(node)]
+        held = [p for p, node in ports.items() if node and places.is_prescribed(node)]
         if len(work) == 2:
             yield replace(site, reads={"p_a": f"{work[0]}.p", "p_b": f"{work[1]}.p"})
+        if len(work) == len(held) == 2:
+            ties = dict(zip(("a", "b", "one", "other"), (*work, *held), strict=True))
+            yield Site(part.path, ties=ties, reads={"q_a": f"{work[0]}.q", "q_b": f"{work[1]}.q"})
 
 
 class LoadDependentFlow(Effect):
-    """The opening gives way to the load, or to the flow forces that go with it.
+    """The flow depends on the load otherwise than as the root of the pressure drop: the opening gives way to the load
 
         y = u + |u| tanh(c (p_a - p_b) / p_0)
 
+    or to the flow forces that go with it, or every edge passes less at its own drop than it should (`EdgesUnderLoad`).
     With c > 0 a resisting load opens it, with c < 0 it closes it. Source: Merritt 1967, section 5.6 (flow forces).
     """
 
-    id, title = "load_dependent_flow", "opening that depends on the load"
-    equation = "y = u + |u| tanh(c (p_a - p_b) / p_0)"
+    id, title = "load_dependent_flow", "flow of a valve that depends on the load"
+    equation = "y = u + |u| tanh(c (p_a - p_b) / p_0), or q = q_0 (1 - c dp / p_0) at every edge"
     source = MERRITT
     typical = {"share": (-0.3, 0.3)}
     probes = ({"share": 0.1}, {"share": -0.1})
@@ -278,12 +284,47 @@ class LoadDependentFlow(Effect):
     p_a = Input("Pa", "pressure at the first work port", nominal=1e6)
     p_b = Input("Pa", "pressure at the second work port", nominal=1e6)
     share = Parameter(
-        0.0, "1", "change c of the opening at p_0", bounds=(-0.9, 0.9), nominal=0.1, source=MERRITT, free=True
+        0.0, "1", "change c of the flow at p_0", bounds=(-0.9, 0.9), nominal=0.1, source=MERRITT, free=True
     )
     reference = Parameter(1e7, "Pa", "load pressure p_0", bounds=(1e5, 1e9), source="100 bar")
 
     sites = staticmethod(_load_sites)
 
+    @classmethod
+    def at(cls, site: Site):
+        """The part for an opening, or for the edges of a valve."""
+        return EdgesUnderLoad() if site.ties else super().at(site)
+
     def equations(self):
         bent = ca.tanh(self.share * (self.p_a - self.p_b) / self.reference)
         yield self.y == self.u + ca.fabs(self.u) * bent
+
+
+class EdgesUnderLoad(Component):
+    """Flow coefficients that fall with the pressure drop of their own edge: ``q = q_0 (1 - c dp / p_0)``.
+
+    What the valve passes at a work port comes from or goes to the one of the other two ports that the pressures allow;
+    the share that is lost flows back there. Source: Merritt 1967 (discharge coefficients).
+    """
+
+    a = HydraulicPort("first work port")
+    b = HydraulicPort("second work port")
+    one = HydraulicPort("supply or tank")
+    other = HydraulicPort("the other of them")
+    q_a = Input("m3/s", "flow into the valve at a", nominal=1e-4)
+    q_b = Input("m3/s", "flow into the valve at b", nominal=1e-4)
+    share = LoadDependentFlow.share
+    reference = LoadDependentFlow.reference
+
+    def equations(self):
+        p_s, p_t = ca.fmax(self.one.p, self.other.p), ca.fmin(self.one.p, self.other.p)
+        c = self.share / self.reference
+        back, drawn = 0, 0
+        for port, q in ((self.a, self.q_a), (self.b, self.q_b)):
+            lost = ca.fmin(c * (p_s - port.p), MOST_LOST) * ca.fmax(-q, 0)
+            kept = ca.fmin(c * (port.p - p_t), MOST_LOST) * ca.fmax(q, 0)
+            yield port.q == lost - kept
+            back, drawn = back + lost, drawn + kept
+        from_one = ca.if_else(self.one.p > self.other.p, back, -drawn)
+        yield self.one.q == -from_one
+        yield self.other.q == -(back - drawn - from_one)

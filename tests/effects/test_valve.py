@@ -13,6 +13,7 @@ from hydrotwin.models.language.places import Places
 from hydrotwin.simulation import prepare
 from tests.effects.benches import ValveBench, run, seen, valve_bench
 
+OPENING = "valve.spool"
 CAP, ROD = "cylinder__cap_pressure", "cylinder__rod_pressure"
 
 
@@ -158,11 +159,23 @@ def test_a_return_line_backs_up_when_oil_flows_to_the_tank():
 
 
 def test_a_resisting_load_opens_a_valve_whose_flow_depends_on_it_so():
-    model = add_effect(valve_bench(), "load_dependent_flow", values={"share": 0.5})
+    model = add_effect(valve_bench(), "load_dependent_flow", OPENING, values={"share": 0.5})
     more, same = flow(model, 0.5, 4e6, 1e6), flow(valve_bench(), 0.5, 4e6, 1e6)
     assert more / same == pytest.approx(1 + np.tanh(0.5 * 0.3), rel=1e-6)
     back, as_before = flow(model, -0.5, 4e6, 1e6), flow(valve_bench(), -0.5, 4e6, 1e6)
     assert back / as_before == pytest.approx(1 - np.tanh(0.5 * 0.3), rel=1e-6)
+
+
+def test_every_edge_passes_less_at_its_own_pressure_drop_and_what_it_keeps_does_not_get_lost():
+    model = add_effect(valve_bench(), "load_dependent_flow", "valve", values={"share": 0.3})
+    part = "load_dependent_flow_valve"
+    for spool, drops in ((0.5, (1e7 - 4e6, 1e6 - 2e5)), (-0.5, (4e6 - 2e5, 1e7 - 1e6))):
+        names = ["valve.a.q", "valve.b.q", *(f"{part}.{port}.q" for port in ("a", "b", "one", "other"))]
+        through_a, through_b, *own = seen(model, names, [spool], **{CAP: 4e6, ROD: 1e6})
+        assert own[0] == pytest.approx(-0.3 * drops[0] / 1e7 * through_a, rel=1e-9)
+        assert own[1] == pytest.approx(-0.3 * drops[1] / 1e7 * through_b, rel=1e-9)
+        assert sum(own) == pytest.approx(0.0, abs=1e-18)
+        assert own[2] < 0 < own[3]  # back to the supply, and less into the tank
 
 
 def test_a_valve_that_the_input_moves_itself_has_no_overlap_of_its_own_beside_the_commands_deadband():

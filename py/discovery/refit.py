@@ -31,6 +31,8 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
 ROUNDS = 5
+LONGEST = 30  # iterations in all rounds together: a cost with kinks can take every one of them and gain nothing
+FAR = 2.0  # times the noise: beyond it what may be left weighs a first fit, too
 FEWEST = 3  # iterations of the slowest structures
 IMPLICIT = 10  # times an explicit run: an implicit one
 LAST_WORD = 40  # iterations of a fit that is reported
@@ -187,12 +189,25 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
     found, stopped = [], None
     for _, q in points[: job.follow]:
         try:
-            found.append(minimise(shooting, q, z, **FIRST, most=most))
+            found.append(_first(task, job, q, z, most))
         except SolveError as error:
             stopped = error
     if not found:
         raise stopped
     return found, most
+
+
+def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -> Minimum:
+    """A first minimum from one start: weighed by what may be left, or by the noise, whichever the likelihood prefers.
+
+    Far from the noise its weights sacrifice every output to the best sensor; near it they see all that there is to see.
+    """
+    noise, found, tasks = job.question.noise, [], [task]
+    if job.size is not None and np.nanmax(job.size / noise) > FAR:
+        tasks.append(dataclasses.replace(task, weights=weights(np.fmax(job.size, noise))))
+    for one in tasks:
+        found.append(minimise(whole_runs(one)[0], q, z, **FIRST, most=most))
+    return min(found, key=lambda f: _likelihood(task, job.question, f)) if len(found) > 1 else found[0]
 
 
 def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np.ndarray:
@@ -212,13 +227,14 @@ def _settled(task: Task, q: Question, found: Minimum, most: int):
     """
     if not task.flat.black_box:
         task = dataclasses.replace(task, propagator=task.propagator.undecided())
-    size = _sizes(task, q, found)
+    size, left = _sizes(task, q, found), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))
         shooting, _ = whole_runs(task)
-        found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=most)
+        found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, left))
+        left -= found.iterations
         before, size = size, _sizes(task, q, found)
-        if number and np.nanmax(np.abs(np.log(size / before))) < STEADY:
+        if left <= 0 or (number and np.nanmax(np.abs(np.log(size / before))) < STEADY):
             break
     return task, found, _likelihood(task, q, found)
 

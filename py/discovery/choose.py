@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from .search import Tried
 
 TEMPERATURE = 4.0  # by which BIC differences and squares of t are divided, for fits end in neighbouring minima: a guess
 UNLIKELY = 2 * TEMPERATURE * np.log(20)  # BIC behind the best: a twentieth of its probability
+CREDIBLE = 0.95  # of the probability: what the members of a class hold at least
 HELD_OUT = 0.2  # of what the most likely leaves on held-out recordings: what another must close to replace it
 EQUAL = 0.05  # of the gap: effects that close it alike, and neither better on held-out recordings, are not told apart
 PARALLEL, SAME = 0.98, 0.01  # cosine of what two effects do to the outputs; share of the gap by which they then differ
@@ -48,11 +49,13 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
         return None
     best = _best_and_simplest(passing, q)
     likely = max(passing, key=lambda t: _score(t, q))  # the best, unless held-out recordings say otherwise
-    alike = [t for t in passing if t is not best and (t is likely or as_good(t, best, q) or as_good(t, likely, q))]
-    members = [best, *_without_refinements(alike, best)]
-    weight = {label(t): _weight(t, best, q) for t in passing}
+    told = [t for t in passing if t is best or not _idly_refined(t, best, passing, q)]
+    weight = {label(t): _weight(t, best, q) for t in told}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}
+    credible = _credible(told, probability)
+    alike = [t for t in told if t in credible or t is likely or as_good(t, best, q) or as_good(t, likely, q)]
+    members = [best, *(t for t in alike if t is not best)]
     members[1:] = sorted(members[1:], key=lambda t: -probability[label(t)])
     return Choice(best, tuple(members), probability)
 
@@ -60,6 +63,17 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
 def label(tried: Tried) -> str:
     """``id at site``, several joined by `` + ``."""
     return " + ".join(c.label for c in tried.members)
+
+
+def _credible(tried: Sequence[Tried], probability: Mapping[str, float]) -> list[Tried]:
+    """The most probable that together hold nearly all of the probability."""
+    found, held = [], 0.0
+    for t in sorted(tried, key=lambda t: -probability[label(t)]):
+        if held >= CREDIBLE:
+            break
+        found.append(t)
+        held += probability[label(t)]
+    return found
 
 
 def _best(passing: Sequence[Tried], q: Question) -> Tried:
@@ -101,9 +115,11 @@ def refines(tried: Tried, other: Tried) -> bool:
     return len(other.members) == 1 and any(c.refines(other.members[0]) for c in tried.members)
 
 
-def _without_refinements(members: Sequence[Tried], best: Tried) -> list[Tried]:
-    """Those that are no refinement of another: the same effect with more parameters is no alternative."""
-    return [t for t in members if not any(refines(t, other) for other in (best, *members))]
+def _idly_refined(tried: Tried, best: Tried, passing: Sequence[Tried], q: Question) -> bool:
+    """Whether it is the best, or another that passes, with more parameters to no avail: that is no alternative."""
+    simple = [t for t in passing if refines(tried, t)]
+    idle = (not worth_refining(compared(tried.structure.fitted, t.structure.fitted, q)) for t in simple)
+    return best in simple or any(idle)
 
 
 def as_good(tried: Tried, best: Tried, q: Question) -> bool:

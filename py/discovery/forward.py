@@ -106,7 +106,7 @@ def _forward(
             if turning and not explained and (turned := _turned(search, base, most, steps)):
                 return dataclasses.replace(turned, screens=(*screens, *turned.screens))
             break
-        better, tried = settled(search, now, tried, choice.best)
+        better, tried = settled(search, now, tried, choice)
         if better is not now:  # what was missing was, in part, a better fit of what is there
             now, steps = better, _refounded(steps, better)
         choice = choose(tried, len(search.candidates), search.question)

@@ -5,24 +5,30 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from .choose import Choice, choose
 from .decide import INEXACT, WORTH, compared, share_closed
 from .refit import RefitJob, refit
 from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 6  # fitted again beside the best
+ALIKE = 5  # members of a class that look along their valleys
 CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
 
-def settled(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> tuple[Structure, tuple[Tried, ...]]:
+def settled(
+    search: Search, now: Structure, tried: Sequence[Tried], choice: Choice
+) -> tuple[Structure, tuple[Tried, ...]]:
     """All sides of a choice fitted again: ``now`` from where the best ended, the contenders from the beginning.
 
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
     leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
     the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
+    Those that still cannot be told apart then look along their valleys for lower minima.
     """
+    best = choice.best
     tried = (*tried, *_confusable(search, now, tried, best))
     fitted = best.structure.fitted
     names = search.names(now.members)
@@ -31,16 +37,31 @@ def settled(search: Search, now: Structure, tried: Sequence[Tried], best: Tried)
         search.model(now.members).flat, names, search.question, (values,), fitted.states, now.fitted.size,
         label=" + ".join(now.key),
     )  # fmt: skip
-    again = _contenders(search, tried, best)
+    again = _contenders(search, tried, choice)
     smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
+    return now, _along_valleys(search, now, _improved(search, now, tried, again, larger))
+
+
+def _along_valleys(search: Search, now: Structure, tried: tuple[Tried, ...]) -> tuple[Tried, ...]:
+    """Members of a class of several effects fitted once more."""
+    choice = choose(tried, len(search.candidates), search.question)
+    if choice is None or len(choice.members) < 2:
+        return tried
+    again = choice.members[:ALIKE]
+    jobs = [_from_where_it_is(search, t.structure) for t in again]
+    return _improved(search, now, tried, again, search.run(refit, jobs, "look back"))
+
+
+def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
+    """``tried`` with those fitted ``again`` that are better for it."""
     better = {
         id(t): dataclasses.replace(t, structure=search.keep(Structure(t.structure.members, found)))
-        for t, found in zip(again, larger, strict=True)
+        for t, found in zip(again, fits, strict=True)
         if not isinstance(found, str) and found.likelihood < t.structure.fitted.likelihood
     }
-    return now, tuple(search.judged(better.get(id(t), t), now) for t in tried)
+    return tuple(search.judged(better.get(id(t), t), now) for t in tried)
 
 
 def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> list[Tried]:
@@ -59,12 +80,13 @@ def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tr
     return [search.judged(t, now) for t in found]
 
 
-def _contenders(search: Search, tried: Sequence[Tried], best: Tried) -> list[Tried]:
-    """The best and those that explain almost as much, the most likely first."""
+def _contenders(search: Search, tried: Sequence[Tried], choice: Choice) -> list[Tried]:
+    """The best and those of its class or that explain almost as much, the most likely first."""
+    best = choice.best
     near = [
         t for t in tried
         if t is not best and t.evidence and t.evidence.passes(len(search.candidates))
-        and t.evidence.closed > best.evidence.closed - ALMOST_ALIKE
+        and (t in choice.members or t.evidence.closed > best.evidence.closed - ALMOST_ALIKE)
     ]  # fmt: skip
     return [best, *sorted(near, key=lambda t: t.structure.fitted.likelihood)[:CONTENDERS]]
 
@@ -76,6 +98,15 @@ def _from_first(search: Search, structure: Structure) -> RefitJob:
     starts = ({**structure.fitted.values, **first},)
     flat, names, label = search.model(members).flat, search.names(members), label_of(members)
     return RefitJob(flat, names, search.question, starts, coarse=True, iterations=40, label=label)
+
+
+def _from_where_it_is(search: Search, structure: Structure) -> RefitJob:
+    """A structure's fit again, with a look along its valleys."""
+    members, fitted = structure.members, structure.fitted
+    return RefitJob(
+        search.model(members).flat, search.names(members), search.question, (fitted.values,), fitted.states, fitted.size,
+        label=label_of(members), valleys=True,
+    )  # fmt: skip
 
 
 def from_the_beginning(search: Search, base: Structure) -> list[Tried]:

@@ -25,6 +25,7 @@ from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.problem import Recording, free_parameters
+from hydrotwin.identification.valley import AVERAGED, along_the_valleys
 from hydrotwin.identification.weighing import broadly_weighed
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
@@ -65,6 +66,7 @@ class RefitJob:
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
     coarse : lead the start through short windows first.
+    valleys : look along the valleys of the minimum for a lower one.
     """
 
     flat: FlatModel
@@ -77,6 +79,7 @@ class RefitJob:
     follow: int = 1
     iterations: int = 15
     label: str = ""
+    valleys: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +147,10 @@ def _refit(job: RefitJob) -> Refitted:
         found = [descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)]
     else:
         found, iterations = _from_starts(task, job)
-    best = min((_settled(task, q, one, iterations) for one in found), key=lambda pair: pair[2])
+    best = min((_settled(task, q, one, iterations) for one in found), key=lambda answer: answer[2])
+    if job.valleys:
+        lower = along_the_valleys(best[0], best[1], rounds=1, averaged=AVERAGED[:1])[0][0]
+        best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[2])
     return _answer(best[0], q, best[1], best[2])
 
 

@@ -63,7 +63,7 @@ def _chosen(search: Search, others: Structure, old: Candidate, now: Structure) -
     tried = [search.judged(t, others) for t in tried]
     choice = choose(tried, len(search.candidates), search.question)
     if choice and len(choice.probability) > 1:
-        _, tried = settled(search, others, tried, choice.best)
+        _, tried = settled(search, others, tried, choice)
         choice = choose(tried, len(search.candidates), search.question)
     return choice and Step(choice, tuple(ranked), tuple(tried), others)
 

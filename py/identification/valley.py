@@ -36,14 +36,16 @@ BLIND = 1e-14  # of the largest information: an axis without any
 LOWER = 0.5  # units of cost worth another round
 
 
-def along_the_valleys(task: Task, found: Minimum) -> tuple[list[Minimum], bool]:
+def along_the_valleys(
+    task: Task, found: Minimum, rounds: int = ROUNDS, averaged: Sequence[float] = AVERAGED
+) -> tuple[list[Minimum], bool]:
     """``found`` or what is lower, after it other minima that explain the recordings as well; whether it has settled."""
     if longest_axis(found) < LONG:
         return [found], found.iterations < TROUBLE
     shooting, _ = whole_runs(task)
     minima, since = [found], found.cost
-    for number in range(ROUNDS):
-        for periods in AVERAGED:
+    for number in range(rounds):
+        for periods in averaged:
             task.report("along the valleys", 0, minima[0].cost)
             smooth = dataclasses.replace(shooting, averaged=_samples(task, minima[0], periods))
             points = _points(task, smooth, minima[0], seed=number)

@@ -208,7 +208,7 @@ def test_a_base_that_came_to_rest_too_early_is_caught_by_the_look_back():
     poor = Structure((), stuck)
     tried = search.refitted(poor, [([one(search, "coulomb_friction")], [{"coulomb_friction.force": 20.0}])])[0]
     assert tried.evidence.passes(2), "the trap is set"
-    now, (judged,) = settled(search, poor, [tried], tried)
+    now, (judged,) = settled(search, poor, [tried], choose([tried], 2, search.question))
     assert now.fitted.likelihood < stuck.likelihood - 100
     assert now.fitted.values["mass.mass"] == pytest.approx(50.0, rel=0.01)
     assert not judged.evidence.passes(2)
@@ -218,7 +218,7 @@ def test_the_look_back_leaves_a_base_that_was_at_rest_alone(rubbing):
     search, base, _, ranked = rubbing
     coulomb = next(s for s in ranked if s.candidate.id == "coulomb_friction")
     (tried,) = search.singles(base, [coulomb])
-    now, (judged,) = settled(search, base, [tried], tried)
+    now, (judged,) = settled(search, base, [tried], choose([tried], 5, search.question))
     assert now is base and judged.evidence.passes(5)
 
 
@@ -229,7 +229,7 @@ def test_the_look_back_fits_contenders_again_as_it_does_the_best(rubbing):
     fitted = stribeck.structure.fitted
     early = dataclasses.replace(fitted, likelihood=fitted.likelihood + 20)
     resting = dataclasses.replace(stribeck, structure=Structure(stribeck.structure.members, early))
-    _, (_, again) = settled(search, base, [coulomb, resting], coulomb)
+    _, (_, again) = settled(search, base, [coulomb, resting], choose([coulomb], 5, search.question))
     assert again.structure.fitted.likelihood < early.likelihood - 10
 
 
@@ -331,7 +331,7 @@ def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passe
     base = Structure((), fitted)
     _, ranked = search.screened(base)
     (lag,) = search.singles(base, [s for s in ranked if s.candidate.id == "actuator_lag"])
-    _, after = settled(search, base, [lag], lag)
+    _, after = settled(search, base, [lag], choose([lag], 5, search.question))
     assert {t.members[0].id for t in after} == {"actuator_lag", "dead_time", "sensor_lag"}  # a null bias is no lag
     best = max(after, key=lambda t: t.evidence.bic_gain)
     assert best.members[0].id == "dead_time"

@@ -103,10 +103,9 @@ def _from_first(search: Search, structure: Structure) -> RefitJob:
 def _from_where_it_is(search: Search, structure: Structure) -> RefitJob:
     """A structure's fit again, with a look along its valleys."""
     members, fitted = structure.members, structure.fitted
-    return RefitJob(
-        search.model(members).flat, search.names(members), search.question, (fitted.values,), fitted.states, fitted.size,
-        label=label_of(members), valleys=True,
-    )  # fmt: skip
+    flat, names, label = search.model(members).flat, search.names(members), label_of(members)
+    start, states, size = (fitted.values,), fitted.states, fitted.size
+    return RefitJob(flat, names, search.question, start, states, size, label=label, valleys=True)
 
 
 def from_the_beginning(search: Search, base: Structure) -> list[Tried]:

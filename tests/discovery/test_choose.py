@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.choose import EQUAL, TEMPERATURE, _late_somewhere, choose, label, worth_refining
+from hydrotwin.discovery.choose import CREDIBLE, EQUAL, TEMPERATURE, _late_somewhere, choose, label, worth_refining
 from hydrotwin.discovery.decide import TOGETHER, Evidence, compared
 from hydrotwin.discovery.refit import Question, Refitted, likelihood
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
@@ -62,6 +62,21 @@ def test_what_explains_as_well_is_in_the_class_with_the_same_probability():
     assert {t.members[0].id for t in choice.members} == {"null_bias", "constant_load"}
     assert choice.members[0] is choice.best
     assert choice.probability["null_bias at force"] == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_class_holds_nearly_all_of_the_probability():
+    sizes = {"drift": 1.0, "null_bias": 1.0032, "constant_load": 1.0062, "coulomb_friction": 1.5}
+    choice = choose([tried(n, fit=f) for n, f in sizes.items()], 30, ASKED)
+    held = [choice.probability[label(t)] for t in choice.members]
+    assert sum(held) >= CREDIBLE and 1 < len(held) < 4
+    assert held == sorted(held, reverse=True)
+
+
+def test_a_refinement_that_explains_little_more_has_no_share_in_the_probability():
+    simple, refined = tried("coulomb_friction", fit=1.01), tried("stribeck_friction", fit=1.005, parameters=5)
+    choice = choose([simple, refined, tried("drift", fit=1.5)], 30, ASKED)
+    assert choice.members == (simple,) and label(refined) not in choice.probability
+    assert choice.probability[label(simple)] > 0.99
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import numpy as np
 import pytest
 
 from hydrotwin.discovery.decide import bic_gain, correlation_times
-from hydrotwin.discovery.refit import RefitJob, conclude, likelihood, pooled_rmse, refit
+from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
 from hydrotwin.models.language import Model
 from tests.discovery.slides import (
     DAMPING,
@@ -26,6 +27,7 @@ from tests.discovery.slides import (
 from tests.discovery.slides import drive_records as driven
 
 FREE = ("mass.mass", "mass.damping")
+MODULE = sys.modules["hydrotwin.discovery.refit"]  # the function has its name in the package
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +92,57 @@ def test_of_several_starts_the_one_in_the_right_valley_is_followed():
     flat, free, delay = started("dead_time")
     best = refit(RefitJob(flat, free, late, ({delay: 0.0}, {delay: 0.4}, {delay: 0.1})))
     assert best.values[delay] == pytest.approx(0.12, abs=2e-3)
+
+
+def spied(monkeypatch, **changes):
+    """What every minimisation of a fit was given: weights (ny,) and iterations; ``changes`` to what it finds."""
+    minimise, asked = MODULE.minimise, []
+
+    def spy(shooting, q, z, *, most, **rest):
+        found = minimise(shooting, q, z, most=most, **rest)
+        asked.append((shooting.weights, most, rest.get("hold", False)))
+        return dataclasses.replace(found, iterations=most) if changes.get("tired") else found
+
+    monkeypatch.setattr(MODULE, "minimise", spy)
+    return asked
+
+
+def test_far_from_the_noise_a_first_fit_is_weighed_by_what_may_be_left_too(monkeypatch, plain, fitted):
+    asked = spied(monkeypatch)
+    refit(RefitJob(slide().flat, FREE, plain, (fitted.values,), fitted.states, 50 * plain.noise))
+    (one, _, _), (other, _, _) = asked[:2]
+    assert one == pytest.approx(1 / plain.noise) and other == pytest.approx(0.02 / plain.noise)
+    asked.clear()
+    refit(RefitJob(slide().flat, FREE, plain, (fitted.values,), fitted.states, fitted.size))
+    assert asked[1][0] == pytest.approx(1 / fitted.size), "near it the noise alone is enough"
+
+
+def test_a_cost_that_never_comes_to_rest_does_not_take_every_iteration_of_every_round(monkeypatch, plain, fitted):
+    asked = spied(monkeypatch, tired=True)
+    slow = dataclasses.replace(plain, noise=plain.noise / 50)
+    refit(RefitJob(slide().flat, FREE, slow, ({"mass.mass": 20.0},), fitted.states))
+    rounds = [most for _, most, hold in asked[1:] if not hold]
+    assert sum(rounds) <= LONGEST
+
+
+def test_a_fit_may_look_along_its_valleys_and_takes_only_what_is_lower(monkeypatch, plain, fitted):
+    minimise, looks = MODULE.minimise, []
+
+    def look(task, found, rounds, averaged):
+        looks.append(found)
+        values = np.array([seen[n] for n in task.free.names])
+        return [dataclasses.replace(found, q=task.free.scaled(values))], False
+
+    monkeypatch.setattr(MODULE, "minimise", lambda *a, most, **k: minimise(*a, most=0, **k))  # it rests where it is
+    monkeypatch.setattr(MODULE, "along_the_valleys", look)
+    start = {**fitted.values, "mass.mass": 60.0}
+    job = RefitJob(slide().flat, FREE, plain, (start,), fitted.states, valleys=True)
+    seen = fitted.values
+    assert refit(job).values == pytest.approx(fitted.values)
+    seen = {**start, "mass.mass": 70.0}
+    assert refit(job).values["mass.mass"] == pytest.approx(60.0)
+    refit(dataclasses.replace(job, valleys=False))
+    assert len(looks) == 2
 
 
 def test_a_start_outside_the_bounds_is_moved_inside_and_a_value_at_its_bound_is_told():

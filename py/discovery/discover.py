@@ -10,6 +10,7 @@ from concurrent.futures import Executor
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
 
@@ -88,8 +89,8 @@ def discover(
     data = split(flat, records, validate, outputs, noise)
     if len(records) == 1 and initial_states == "auto":
         initial_states = "free"  # the pieces of a lone recording begin in motion
-    question = Question(data.fit, data.select, data.noise, initial_states, step)
     names = _free_names(flat, free)
+    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(flat, names))
     bounded = _bounded(model, names)
     flat = bounded.flat
     with reporting(progress, flat.name) as report, executor_for(executor) as pool:
@@ -115,6 +116,11 @@ def _bounded(model: Model, names: Sequence[str]) -> Model:
             factor = NARROW if compatible(p.unit, "m3") or compatible(p.unit, "Pa") else WIDE
             changes[p.name] = {"bounds": (max(low, p.value / factor), min(high, p.value * factor))}
     return model.with_settings(changes, model.provenance) if changes else model
+
+
+def usual_of(flat: FlatModel, names: Sequence[str]) -> dict[str, float]:
+    """The values of these parameters that a model comes with."""
+    return {p.name: p.value for p in flat.parameters if p.name in names}
 
 
 def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
 
 from .answering import answer
-from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner
+from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner, usual_of
 from .discovery import Discovery
 from .executor import executor_for
 from .forward import reconsidered, searched
@@ -69,8 +69,8 @@ def discover_around(
     fitting = [at_pace(c, period) for c in around_only(model, candidates(model, effects, exclude), seen)]
     data = split(model.flat, pieces, validate, outputs, noise)
     data = dataclasses.replace(data, findings=(*said, *data.findings))
-    question = Question(data.fit, data.select, data.noise, initial_states, step)
     names = _free_names(model.flat, free or ())
+    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(model.flat, names))
     bounded = _bounded(model, names)
     with reporting(progress, model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory)

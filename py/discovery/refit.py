@@ -14,7 +14,7 @@ import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,8 @@ from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
-from hydrotwin.identification.problem import Recording, free_parameters
+from hydrotwin.identification.problem import FreeParameters, Recording, free_parameters
+from hydrotwin.identification.shooting import Prior
 from hydrotwin.identification.valley import AVERAGED, along_the_valleys
 from hydrotwin.identification.weighing import broadly_weighed
 from hydrotwin.models.language.errors import SolveError
@@ -37,6 +38,7 @@ FAR = 2.0  # times the noise: beyond it what may be left weighs a first fit, too
 FEWEST = 3  # iterations of the slowest structures
 IMPLICIT = 10  # times an explicit run: an implicit one
 LAST_WORD = 40  # iterations of a fit that is reported
+KNOWN_TO = np.log(2.0)
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
@@ -44,13 +46,17 @@ FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights
 
 @dataclass(frozen=True, eq=False)
 class Question:
-    """What is the same for every structure: the recordings, the noise (ny,) SI, what is estimated of the starts."""
+    """What is the same for every structure: the recordings, the noise (ny,) SI, what is estimated of the starts.
+
+    usual : base parameters by path at the values that the model came with, from which they do not go far unasked.
+    """
 
     fit: tuple[Recording, ...]
     select: tuple[Recording, ...]
     noise: np.ndarray
     initial_states: str = "auto"
     step: float | None = None
+    usual: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def counts(self) -> np.ndarray:
@@ -88,7 +94,8 @@ class Refitted:
 
     values : free parameters by path; states : start states by name per fit recording; size (ny,) as in L.
     residuals_fit, residuals_select : (n, ny) per recording, simulated minus measured, SI, nan where not measured.
-    likelihood : L, with its constant chosen so that a structure that leaves s_j = noise_j everywhere has n/2.
+    likelihood : L, with its constant chosen so that a structure that leaves s_j = noise_j everywhere has n/2, and what
+        unusual base parameters cost.
     """
 
     values: Mapping[str, float]
@@ -136,10 +143,10 @@ def _refit(job: RefitJob) -> Refitted:
     flat = job.flat
     free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
-    silent = lambda stage, number, cost: None  # noqa: E731
     task = Task(
-        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, 1, silent, q.noise
-    )
+        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise,
+        prior=_prior(free, q),
+    )  # fmt: skip
     iterations = job.iterations
     if job.coarse:
         task = broadly_weighed(task, np.isfinite(q.noise))
@@ -160,8 +167,20 @@ def _task(job: RefitJob) -> Task:
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
     size = np.fmax(q.noise if job.size is None else job.size, q.noise)
     return Task(
-        flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise
-    )
+        flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise,
+        prior=_prior(free, q),
+    )  # fmt: skip
+
+
+def _prior(free: FreeParameters, q: Question) -> Prior:
+    """Positive base parameters are known to within a factor of two (one sigma); nothing is known of the others.
+
+    A mode that the recordings barely show makes many minima; the lowest of them may lie far from the machine, follow
+    the noise and miss every other recording. So weak a knowledge decides between those that are almost equal.
+    """
+    known = np.array([n in q.usual and positive for n, positive in zip(free.names, free.logarithmic, strict=True)])
+    usual = np.array([q.usual[n] if k else 1.0 for n, k in zip(free.names, known, strict=True)])
+    return Prior(np.log(usual), known / KNOWN_TO**2)
 
 
 def _silent(stage: str, number: int, cost: float) -> None:
@@ -273,7 +292,7 @@ def _sizes(task: Task, q: Question, found: Minimum) -> np.ndarray:
 
 
 def _likelihood(task: Task, q: Question, found: Minimum) -> float:
-    return likelihood(pooled_rmse(residuals_of(task, found)), q)
+    return likelihood(pooled_rmse(residuals_of(task, found)), q) + task.prior.cost(found.q)
 
 
 def likelihood(rmse: np.ndarray, q: Question) -> float:

@@ -17,7 +17,7 @@ from .fit import Iteration
 from .least_squares import Minimum, minimise
 from .loss import Loss
 from .problem import FreeParameters, Recording
-from .shooting import Shooting, StartStates
+from .shooting import Prior, Shooting, StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage
@@ -31,7 +31,10 @@ SLIDE_LENGTHS = (-0.4, -0.2, -0.1, 0.1, 0.2, 0.4)  # in q of the parameter that 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What stays the same over a descent; noise (ny,) is the sensors', weights (ny,) what a residual costs."""
+    """What stays the same over a descent; noise (ny,) is the sensors', weights (ny,) what a residual costs.
+
+    prior : what is known of the parameters beforehand.
+    """
 
     flat: FlatModel
     free: FreeParameters
@@ -44,6 +47,7 @@ class Task:
     report: Callable[[str, int, float], None]
     noise: np.ndarray
     history: list[Iteration] = field(default_factory=list)
+    prior: Prior | None = None
 
     def step_report(self, stage: str):
         """What the solver calls after each accepted step."""
@@ -71,8 +75,9 @@ def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tup
     z = np.array([x[start.columns] for x in guess]).reshape(len(recordings), -1) / start.nominal
     segments = horizon.cut(recordings, np.inf)
     shooting = Shooting(
-        task.propagator, task.free, recordings, tuple(segments), task.weights, start, z, task.loss, task.threads
-    )
+        task.propagator, task.free, recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
+        prior=task.prior,
+    )  # fmt: skip
     return shooting, z
 
 
@@ -89,8 +94,9 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
     segments = segments[:: min(stride, max(1, len(segments) // FEWEST_WINDOWS))]
     z = horizon.window_starts(segments, states, start)
     shooting = Shooting(
-        task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads
-    )
+        task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
+        prior=task.prior,
+    )  # fmt: skip
     return shooting, shooting.clip(z)
 
 

@@ -94,6 +94,17 @@ class Linearisation:
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the scaled parameters q (np,) beforehand: costs ``1/2 sum weight (q - centre)^2``."""
+
+    centre: np.ndarray
+    weight: np.ndarray
+
+    def cost(self, q: np.ndarray) -> float:
+        return 0.5 * float(self.weight @ (q - self.centre) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
 class Shooting:
     """Segments of recordings with everything needed to run them; ``z`` is scaled by the states' nominals.
 
@@ -110,6 +121,7 @@ class Shooting:
     loss: Loss
     threads: int = 1
     averaged: int = 1
+    prior: Prior | None = None
 
     @property
     def locals(self) -> int:
@@ -131,12 +143,18 @@ class Shooting:
         at = self._point(q)
         rows = self._over_segments(lambda i: self._expand(i, at, z[i]))
         costs, diverged, gradient, hessian = (np.array(c) for c in zip(*rows, strict=True))
+        if self.prior:  # it belongs to no segment: the first carries it
+            n = np.arange(len(q))
+            costs[0] += self.prior.cost(q)
+            gradient[0, n] += self.prior.weight * (q - self.prior.centre)
+            hessian[0, n, n] += self.prior.weight
         return Linearisation(float(costs.sum()), costs, diverged, gradient, hessian)
 
     def cost(self, q: np.ndarray, z: np.ndarray) -> float:
         """Cost alone."""
         at = self._point(q)
-        return float(sum(self._over_segments(lambda i: self._cost(i, at, z[i]))))
+        known = self.prior.cost(q) if self.prior else 0.0
+        return known + float(sum(self._over_segments(lambda i: self._cost(i, at, z[i]))))
 
     def residuals(self, i: int, q: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Weighted residuals (samples, ny) of segment i, nan where nothing was measured; None when it diverged."""
@@ -239,7 +257,7 @@ class Shooting:
         if r is None:
             return self._limits[i]
         with np.errstate(all="ignore"):  # a run on its way out may overflow: it then counts as diverged
-            cost = self.loss.cost(self._pooled(i, r[self._measured[i]])) + self._prior(i, z)[0]
+            cost = self.loss.cost(self._pooled(i, r[self._measured[i]])) + self._start_prior(i, z)[0]
         return min(cost, self._limits[i]) if np.isfinite(cost) else self._limits[i]
 
     def _expand(self, i: int, at, z: np.ndarray):
@@ -247,7 +265,7 @@ class Shooting:
         diverged = limit, True, np.zeros(k), np.zeros((k, k))
         gradient, hessian = np.zeros(k), np.zeros((k, k))
         with np.errstate(all="ignore"):
-            cost, by_z, curvature = self._prior(i, z)
+            cost, by_z, curvature = self._start_prior(i, z)
             try:
                 for r, J in self._pieces(i, at, z):
                     cost += self.loss.cost(r)
@@ -298,13 +316,13 @@ class Shooting:
         seeds[:, shared : shared + self.locals] = by_z[:, : self.locals]
         return x0, seeds
 
-    def _prior(self, i: int, z: np.ndarray):
-        weight = self._prior_weight
+    def _start_prior(self, i: int, z: np.ndarray):
+        weight = self._start_weight
         away = z - self.centre[i]
         return 0.5 * float(weight @ away**2), (weight * away), weight
 
     @cached_property
-    def _prior_weight(self) -> np.ndarray:
+    def _start_weight(self) -> np.ndarray:
         return np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:

@@ -145,6 +145,22 @@ def test_a_fit_may_look_along_its_valleys_and_takes_only_what_is_lower(monkeypat
     assert len(looks) == 2
 
 
+def test_what_the_recordings_do_not_show_stays_where_the_model_came_with_it(plain, fitted):
+    """Mass and damping of one motionless recording: nothing but the prior speaks, and it asks for a factor of two."""
+    still = dataclasses.replace(plain.fit[0], u=0 * plain.fit[0].u, y=0 * plain.fit[0].y)
+    nothing = dataclasses.replace(plain, fit=(still,), select=(), usual={"mass.mass": 40.0, "mass.damping": 260.0})
+    found = refit(RefitJob(slide().flat, FREE, nothing, ({"mass.mass": 90.0, "mass.damping": 100.0},)))
+    assert found.values == pytest.approx({"mass.mass": 40.0, "mass.damping": 260.0}, rel=0.05)
+
+
+def test_what_the_recordings_show_does_not_mind_where_the_model_came_from(plain, fitted):
+    far = dataclasses.replace(plain, usual={"mass.mass": 5.0, "mass.damping": 2000.0})
+    found = refit(RefitJob(slide().flat, FREE, far, coarse=True))
+    assert found.values == pytest.approx(fitted.values, rel=1e-3)
+    asked = 0.5 * ((np.log(MASS / 5.0) / np.log(2)) ** 2 + (np.log(DAMPING / 2000.0) / np.log(2)) ** 2)
+    assert found.likelihood - fitted.likelihood == pytest.approx(asked, abs=0.5)
+
+
 def test_a_start_outside_the_bounds_is_moved_inside_and_a_value_at_its_bound_is_told():
     tight = Model(Drive()).with_settings({"gain": {"value": 5.0, "bounds": (1.0, 6.0)}}, {})
     asked = question(driven(3), tight)

@@ -65,6 +65,18 @@ def test_averaged_residuals_have_the_gradient_of_their_cost():
     assert gradient == pytest.approx(slope, rel=1e-4)
 
 
+def test_what_is_known_beforehand_has_the_gradient_of_its_cost():
+    known = shooting.Prior(np.array([2.0, -2.0]), np.array([3.0, 0.5]))
+    t = dataclasses.replace(task(20.0), prior=known)
+    runs, z = descent.whole_runs(t)
+    q = t.free.scaled(t.free.start * [1.05, 0.9])
+    at, plain = runs.linearise(q, z), dataclasses.replace(runs, prior=None).linearise(q, z)
+    assert at.cost - plain.cost == pytest.approx(known.cost(q)) and runs.cost(q, z) == pytest.approx(at.cost)
+    more = (at.gradient - plain.gradient).sum(axis=0)[:2], (at.hessian - plain.hessian).sum(axis=0)[:2, :2]
+    assert more[0] == pytest.approx(known.weight * (q - known.centre), rel=1e-6)
+    assert more[1] == pytest.approx(np.diag(known.weight), rel=1e-6, abs=1e-6)
+
+
 def test_a_well_determined_minimum_is_not_searched_around():
     t = task()
     runs, z = descent.whole_runs(t)

@@ -210,14 +210,14 @@ class Search:
 
     def _job(self, now: Structure, members: Sequence[Candidate], starts: Sequence[Mapping[str, float]]) -> RefitJob:
         flat = self.model(members).flat
-        known = {p.name for p in flat.parameters}
-        base = {n: v for n, v in now.fitted.values.items() if n in known}
+        known, free = {p.name for p in flat.parameters}, self.names(members)
+        base = {n: v for n, v in now.fitted.values.items() if n in free}  # not what only ``now`` frees
         neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
         points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
         label = " + ".join(c.label for c in members)
         several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in members)
         return RefitJob(
-            flat, self.names(members), self.question, points, now.fitted.states, now.fitted.size,
+            flat, free, self.question, points, now.fitted.states, now.fitted.size,
             follow=SEVERAL if several else 1, label=label,
         )  # fmt: skip
 

@@ -336,3 +336,11 @@ def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passe
     best = max(after, key=lambda t: t.evidence.bic_gain)
     assert best.members[0].id == "dead_time"
     assert best.structure.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)
+
+
+def test_a_refit_never_moves_what_only_another_structure_frees():
+    """A displacement freed as an effect is a number again in the structures without that effect."""
+    search, fitted = searching(question(records(3)), ("null_bias",), free=("mass.damping",))
+    there = Structure((), dataclasses.replace(fitted, values={**fitted.values, "mass.mass": 99.0}))
+    job = search._job(there, (one(search, "null_bias"),), [{"null_bias.offset": 0.1}])
+    assert all("mass.mass" not in start for start in job.starts)

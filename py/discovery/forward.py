@@ -12,13 +12,14 @@ from hydrotwin.records.noise import channel_noise
 from .answering import Found, Step
 from .choose import as_good, choose, label, leans_to, refines, worth_refining
 from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
-from .look_back import from_the_beginning, pruned, settled
+from .look_back import LOOK_BACK, from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
 from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
+SHARPENED = 3  # times in a row
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
 TURNS = 2  # others of a class that are followed at a dead end
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
@@ -86,7 +87,7 @@ def _forward(
     search: Search, base: Structure, now: Structure, most: int, steps: tuple[Step, ...], *, turning: bool = True
 ) -> Found:
     """Steps from ``now`` on. ``turning``: at a dead end, go on from the others of the last class."""
-    screens = []
+    screens, again = [], False
     if not now.members and search.explained(now):
         search.screened(now)  # nothing is missing; what could not have been seen is told
     while len(now.members) < most:
@@ -108,7 +109,11 @@ def _forward(
             break
         better, tried = settled(search, now, tried, choice)
         if better is not now:  # what was missing was, in part, a better fit of what is there
-            now, steps = better, _refounded(steps, better)
+            now, steps, base = better, _refounded(steps, better), base if better.members else better
+            if search.near_noise(now) and not again:  # all others began in the hollow that it has left
+                again = search.forget()
+                continue
+        again = False
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             continue
@@ -181,23 +186,37 @@ def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:
 def reconsidered(search: Search, now: Structure) -> Structure:
     """``now`` judged by the noise that it reveals: what seemed to be noise was motion, which it follows.
 
-    What its smoothed signs leave by themselves counts as noise from here on.
+    The better it follows, the less is left that looks like noise: until both come to rest. Near the noise it looks
+    along its valleys, for whatever is tried next begins where it stands. What its smoothed signs leave by themselves
+    counts as noise from here on.
     """
+    for _ in range(SHARPENED):
+        less = _noise_of_residuals(now.fitted, search.question, search.sensors)
+        search.sensors = np.where(search.told, search.sensors, less)
+        changed = search.ask(search.sensors)
+        now = _again(search, now) if changed else now
+        lower = _again(search, now, valleys=True) if search.near_noise(now) and not search.explained(now) else now
+        if lower.fitted.likelihood < now.fitted.likelihood - LOOK_BACK:
+            now = lower
+        elif not changed:
+            break
     flat, names, fitted = search.model(now.members).flat, search.names(now.members), now.fitted
-    less = _noise_of_residuals(fitted, search.question, search.sensors)
-    search.sensors = np.where(search.told, search.sensors, less)
-    changed = search.ask(search.sensors)
     smoothing = smoothed_signs(flat, now.members)
-    if smoothing and not search.explained(now):
-        job = TwinJob(flat, names, search.question, fitted, smoothing, label_of(now.members))
-        floor = search.run(floor_of, [job], "twin")[0]
-        changed |= not isinstance(floor, str) and search.ask(with_floor(search.sensors, floor))
-    if not changed:
+    if not smoothing or search.explained(now):
         return now
-    start, states, label = (fitted.values,), fitted.states, label_of(now.members)
-    job = RefitJob(flat, names, search.question, start, states, fitted.size, label=label)
-    again = search.run(refit, [job], "look back" if now.members else "identify the base")[0]
-    return now if isinstance(again, str) else search.keep(Structure(now.members, again))
+    job = TwinJob(flat, names, search.question, fitted, smoothing, label_of(now.members))
+    floor = search.run(floor_of, [job], "twin")[0]
+    changed = not isinstance(floor, str) and search.ask(with_floor(search.sensors, floor))
+    return _again(search, now) if changed else now
+
+
+def _again(search: Search, now: Structure, valleys: bool = False) -> Structure:
+    """``now`` fitted under the present noise from where it stands."""
+    flat, names, label = search.model(now.members).flat, search.names(now.members), label_of(now.members)
+    start, states, size = (now.fitted.values,), now.fitted.states, now.fitted.size
+    job = RefitJob(flat, names, search.question, start, states, size, label=label, valleys=valleys)
+    found = search.run(refit, [job], "look back" if now.members else "identify the base")[0]
+    return now if isinstance(found, str) else search.keep(Structure(now.members, found))
 
 
 def _noise_of_residuals(fitted: Refitted, q: Question, noise: np.ndarray) -> np.ndarray:

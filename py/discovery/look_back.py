@@ -26,9 +26,10 @@ def settled(
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
     leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
     the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
-    Those that still cannot be told apart then look along their valleys for lower minima.
+    Near the noise, where the hollows of a cost matter, the best looks along its valleys for lower minima, as do those
+    that still cannot be told apart.
     """
-    best = choice.best
+    best, near = choice.best, search.near_noise(now)
     tried = (*tried, *_confusable(search, now, tried, best))
     fitted = best.structure.fitted
     names = search.names(now.members)
@@ -38,7 +39,10 @@ def settled(
         label=" + ".join(now.key),
     )  # fmt: skip
     again = _contenders(search, tried, choice)
-    smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
+    jobs = [back, *(_from_first(search, t.structure) for t in again)]
+    if near:
+        again, jobs = [*again, best], [*jobs, _from_where_it_is(search, best.structure)]
+    smaller, *larger = search.run(refit, jobs, "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
     return now, _along_valleys(search, now, _improved(search, now, tried, again, larger))
@@ -56,11 +60,11 @@ def _along_valleys(search: Search, now: Structure, tried: tuple[Tried, ...]) -> 
 
 def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
     """``tried`` with those fitted ``again`` that are better for it."""
-    better = {
-        id(t): dataclasses.replace(t, structure=search.keep(Structure(t.structure.members, found)))
-        for t, found in zip(again, fits, strict=True)
-        if not isinstance(found, str) and found.likelihood < t.structure.fitted.likelihood
-    }
+    better: dict[int, Tried] = {}
+    for t, found in zip(again, fits, strict=True):
+        known = better.get(id(t), t).structure
+        if not isinstance(found, str) and found.likelihood < known.fitted.likelihood:
+            better[id(t)] = dataclasses.replace(t, structure=search.keep(Structure(known.members, found)))
     return tuple(search.judged(better.get(id(t), t), now) for t in tried)
 
 

@@ -26,7 +26,7 @@ from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.problem import FreeParameters, Recording, free_parameters
 from hydrotwin.identification.shooting import Prior
-from hydrotwin.identification.valley import AVERAGED, along_the_valleys
+from hydrotwin.identification.valley import along_the_valleys
 from hydrotwin.identification.weighing import broadly_weighed
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
@@ -156,7 +156,7 @@ def _refit(job: RefitJob) -> Refitted:
         found, iterations = _from_starts(task, job)
     best = min((_settled(task, q, one, iterations) for one in found), key=lambda answer: answer[2])
     if job.valleys:
-        lower = along_the_valleys(best[0], best[1], rounds=1, averaged=AVERAGED[:1])[0][0]
+        lower = along_the_valleys(best[0], best[1], rounds=1)[0][0]
         best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[2])
     return _answer(best[0], q, best[1], best[2])
 

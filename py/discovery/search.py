@@ -30,6 +30,7 @@ ALMOST = 0.1  # of the gap: how much less than the most an effect explains whose
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
 SEVERAL = 3  # starts followed for limits, thresholds and refinements, whose first cost says little
+NEAR = 2.0  # times the noise: where the hollows of a cost are as deep as what is to be told apart
 IMPLAUSIBLE = 10.0  # times the largest usual value
 
 
@@ -94,6 +95,10 @@ class Search:
         if np.array_equal(noise, self.question.noise, equal_nan=True):
             return False
         self.question = dataclasses.replace(self.question, noise=noise)
+        return self.forget()
+
+    def forget(self) -> bool:
+        """Fit every structure anew from here on. True."""
         self._known.clear()
         return True
 
@@ -303,6 +308,11 @@ class Search:
         """
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
         return not has_gap(residuals, self.question.noise, CLEARLY if now.members else MEASURABLE).any()
+
+    def near_noise(self, now: Structure) -> bool:
+        """Whether every output leaves little more than noise."""
+        with np.errstate(invalid="ignore"):
+            return bool(np.nanmax(now.fitted.rmse / self.question.noise) < NEAR)
 
     def refinable(self, now: Structure) -> bool:
         """Whether a trace is left that a refinement of a named effect may explain, however small beside the noise."""

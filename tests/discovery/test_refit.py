@@ -128,7 +128,7 @@ def test_a_cost_that_never_comes_to_rest_does_not_take_every_iteration_of_every_
 def test_a_fit_may_look_along_its_valleys_and_takes_only_what_is_lower(monkeypatch, plain, fitted):
     minimise, looks = MODULE.minimise, []
 
-    def look(task, found, rounds, averaged):
+    def look(task, found, rounds):
         looks.append(found)
         values = np.array([seen[n] for n in task.free.names])
         return [dataclasses.replace(found, q=task.free.scaled(values))], False

@@ -29,7 +29,7 @@ from .unknown import describe_unknown
 FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
-NAMED = 0.75  # of the gap on held-out recordings: less than that explained is not an explanation
+NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +125,8 @@ def _verdict(search: Search, found: Found) -> str:
     if not found.steps:
         gap = has_gap((*base.residuals_fit, *base.residuals_select), q.noise, CLEARLY).any()
         return "unknown" if gap else "none"
-    if closed(found.last.fitted, base, q) < NAMED:
+    left = has_gap(found.last.fitted.residuals_fit, q.noise, CLEARLY).any()
+    if closed(found.last.fitted, base, q) < (NAMED if left else CONFIRMED):
         return "unknown"
     choices = (choice for step in found.steps for choice in step.choices())
     several = any(len({c.id for t in choice.members for c in t.members[:1]}) > 1 for choice in choices)
@@ -168,7 +169,7 @@ def _findings(search: Search, found: Found, verdict: str, shown: float) -> list[
     if verdict == "unknown" and found.steps:
         names = ", ".join(label(step.choice.best) for step in found.steps)
         share = closed(found.last.fitted, found.base.fitted, search.question)
-        also = "" if share < NAMED else f", but only {100 * shown:.0f} % on the recordings that judge"
+        also = f", but only {100 * shown:.0f} % on the recordings that judge" if shown < CONFIRMED <= share else ""
         said.append(
             f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings{also}. That is too little "
             "for a name: something else is missing."

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydrotwin.discovery.answering import CONFIRMED, _closed_where_it_counts, _weight
+from hydrotwin.discovery.answering import CONFIRMED, _closed_where_it_counts, _verdict, _weight
 from hydrotwin.discovery.decide import (
     CLEARLY,
     INEXACT,
@@ -275,3 +275,19 @@ def test_a_name_must_hold_on_recordings_that_took_no_part():
     assert _closed_where_it_counts(concluded(10.0), concluded(9.0), judged) < CONFIRMED
     assert _closed_where_it_counts(concluded(1.0), concluded(1.0), judged) == 1.0  # there is no gap to close
     assert _closed_where_it_counts(concluded(10.0), concluded(9.0), SimpleNamespace(report=(), noise=NOISE)) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("fit", "select", "verdict"),
+    [(1.0, 0.6, "named"), (3.0, 0.6, "unknown"), (3.0, 0.9, "named"), (1.0, 0.4, "unknown")],
+)
+def test_what_leaves_but_noise_where_it_was_fitted_may_miss_the_rest_by_more(fit, select, verdict):
+    """``select``: share closed of a gap of 10 on what was held out; a slightly wrong rate misses a faster recording."""
+    base = Structure((), structure([10 * coloured(0.9, 1) * NOISE], [10 * coloured(0.9, 2) * NOISE]))
+    left = np.sqrt(1 + (1 - select) * 99)
+    last = Structure(
+        (), structure([fit * (coloured(0.9, 1) if fit > 1 else white(1) / NOISE) * NOISE], [left * white(2)])
+    )
+    step = SimpleNamespace(choices=lambda: [SimpleNamespace(members=())])
+    search = SimpleNamespace(question=asked())
+    assert _verdict(search, SimpleNamespace(base=base, last=last, steps=(step,))) == verdict

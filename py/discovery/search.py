@@ -29,6 +29,7 @@ PAIRS = 6
 ALMOST = 0.1  # of the gap: how much less than the most an effect explains whose refinements are tried
 CONVINCING = 0.8  # closed by one effect alone: pairs need not be tried
 REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise beyond it
+HEAVY = 5.0  # times the operations of the base
 SEVERAL = 3  # starts followed for limits, thresholds and refinements, whose first cost says little
 NEAR = 2.0  # times the noise: where the hollows of a cost are as deep as what is to be told apart
 IMPLAUSIBLE = 10.0  # times the largest usual value
@@ -220,11 +221,16 @@ class Search:
         neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
         points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
         label = " + ".join(c.label for c in members)
-        several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in members)
+        several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in members) and not self._heavy(flat)
         return RefitJob(
             flat, free, self.question, points, now.fitted.states, now.fitted.size,
             follow=SEVERAL if several else 1, label=label,
         )  # fmt: skip
+
+    def _heavy(self, flat: FlatModel) -> bool:
+        """Whether its equations cost many times those of the base: a loop is solved at every step."""
+        base = self.base.flat
+        return not base.black_box and flat.ode.n_instructions() > HEAVY * base.ode.n_instructions()
 
     def keep(self, structure: Structure) -> Structure:
         """Remember a better fit of a structure."""

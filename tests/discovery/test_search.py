@@ -344,3 +344,12 @@ def test_a_refit_never_moves_what_only_another_structure_frees():
     there = Structure((), dataclasses.replace(fitted, values={**fitted.values, "mass.mass": 99.0}))
     job = search._job(there, (one(search, "null_bias"),), [{"null_bias.offset": 0.1}])
     assert all("mass.mass" not in start for start in job.starts)
+
+
+def test_a_structure_that_costs_many_times_the_base_is_followed_from_one_start(monkeypatch):
+    """Dry friction on a rod without mass is a loop to be solved at every step: nine times the operations."""
+    search, fitted = searching(question(records(3)), ("coulomb_friction", "stribeck_friction"))
+    now, members = Structure((), fitted), (one(search, "stribeck_friction"),)
+    assert search._job(now, members, [{}]).follow > 1
+    monkeypatch.setattr("hydrotwin.discovery.search.HEAVY", 0.5)
+    assert search._job(now, members, [{}]).follow == 1

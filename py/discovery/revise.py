@@ -21,6 +21,7 @@ from .screen import Screened
 from .search import Search, Structure, Tried, label_of
 
 ROUNDS = 2
+HARDLY = 0.5  # of the probability of the best: what the present effect must have to stay
 
 
 def revised(search: Search, found: Found) -> tuple[Found, bool]:
@@ -65,7 +66,15 @@ def _chosen(search: Search, others: Structure, old: Candidate, now: Structure) -
     if choice and len(choice.probability) > 1:
         _, tried = settled(search, others, tried, choice)
         choice = choose(tried, len(search.candidates), search.question)
-    return choice and Step(choice, tuple(ranked), tuple(tried), others)
+    return choice and Step(_keeping(choice, old), tuple(ranked), tuple(tried), others)
+
+
+def _keeping(choice: Choice, old: Candidate) -> Choice:
+    """The choice with the present effect for the best where another is hardly more probable."""
+    again = next((t for t in choice.members if t.members == (old,)), None)
+    if again is None or choice.probability[label(again)] < HARDLY * choice.probability[label(choice.best)]:
+        return choice
+    return dataclasses.replace(choice, best=again, members=(again, *(t for t in choice.members if t is not again)))
 
 
 def _with_present(tried: Sequence[Tried], old: Candidate, now: Structure, ranked: Sequence[Screened]) -> list[Tried]:

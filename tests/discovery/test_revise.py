@@ -6,8 +6,8 @@ import pytest
 
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
-from hydrotwin.discovery.revise import revised
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.revise import _keeping, revised
+from hydrotwin.discovery.search import Structure, Tried
 from tests.discovery.slides import question, records, searching
 
 EFFECTS = ("coulomb_friction", "dead_time", "actuator_lag", "null_bias")
@@ -54,6 +54,17 @@ def test_what_is_right_stays_and_its_class_is_that_beside_the_others(late_and_ru
     assert {label(t) for t in again.tried} >= {"dead_time at force", "actuator_lag at force"}
     assert [label(t) for t in after.steps[0].choices()[0].members] == ["dead_time at force"]
     assert not after.steps[1].revised, "chosen with the other in place already"
+
+
+@pytest.mark.parametrize(("odds", "first"), [(0.9, "dead_time"), (0.1, "actuator_lag")])
+def test_of_two_that_are_hardly_told_apart_the_present_one_stays(late_and_rubbing, odds, first):
+    search, _ = late_and_rubbing
+    one, other = (next(c for c in search.candidates if c.id == name) for name in ("actuator_lag", "dead_time"))
+    tried = (Tried((one,), None), Tried((other,), None))
+    choice = Choice(tried[0], tried, {label(tried[0]): 1 / (1 + odds), label(tried[1]): odds / (1 + odds)})
+    kept = _keeping(choice, other)
+    assert kept.best.members[0].id == kept.members[0].members[0].id == first
+    assert set(kept.members) == set(tried) and kept.probability == choice.probability
 
 
 def test_a_single_effect_is_left_alone(late_and_rubbing):

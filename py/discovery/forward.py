@@ -43,6 +43,7 @@ def searched(search: Search, base: Structure, most: int) -> Found:
 
 def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Found:
     found = _forward(search, base, base, most, ())
+    base = found.base  # it may have come to a better rest
     if most < 2 or closed(found.last.fitted, base.fitted, search.question) > CONVINCING or not found.screens:
         return found
     screen, ranked, tried = found.screens[0]

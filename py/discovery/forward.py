@@ -191,16 +191,18 @@ def reconsidered(search: Search, now: Structure) -> Structure:
     along its valleys, for whatever is tried next begins where it stands. What its smoothed signs leave by themselves
     counts as noise from here on.
     """
+    looked = None
     for _ in range(SHARPENED):
         less = _noise_of_residuals(now.fitted, search.question, search.sensors)
         search.sensors = np.where(search.told, search.sensors, less)
         changed = search.ask(search.sensors)
         now = _again(search, now) if changed else now
-        lower = _again(search, now, valleys=True) if search.near_noise(now) and not search.explained(now) else now
-        if lower.fitted.likelihood < now.fitted.likelihood - LOOK_BACK:
-            now = lower
-        elif not changed:
+        if now is looked or not search.near_noise(now) or search.explained(now):
             break
+        lower = looked = _again(search, now, valleys=True)
+        if not lower.fitted.likelihood < now.fitted.likelihood - LOOK_BACK:
+            break
+        now = lower
     flat, names, fitted = search.model(now.members).flat, search.names(now.members), now.fitted
     smoothing = smoothed_signs(flat, now.members)
     if not smoothing or search.explained(now):

@@ -72,7 +72,8 @@ def bic_gain(better: Refitted, other: Refitted, q: Question) -> float:
     tau = correlation_times(better.residuals_fit)
     worth = np.where(used, q.counts / tau, 0.0)
     size_after, size_before = np.fmax(after, q.noise), np.fmax(before, q.noise)
-    drop = np.log(size_before / size_after) + 0.5 * ((before / size_before) ** 2 - (after / size_after) ** 2)
+    with np.errstate(invalid="ignore"):
+        drop = np.log(size_before / size_after) + 0.5 * ((before / size_before) ** 2 - (after / size_after) ** 2)
     extra = better.parameters - other.parameters
     return float(2 * np.nansum(worth[used] * drop[used]) - extra * np.log(max(worth.sum(), 2.0)))
 

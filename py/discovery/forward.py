@@ -12,7 +12,7 @@ from hydrotwin.records.noise import channel_noise
 from .answering import Found, Step
 from .choose import as_good, choose, label, leans_to, refines, worth_refining
 from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
-from .look_back import LOOK_BACK, from_the_beginning, pruned, settled
+from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
@@ -124,14 +124,15 @@ def _forward(
 
 
 def _turned(search: Search, base: Structure, most: int, steps: tuple[Step, ...]) -> Found | None:
-    """Where another of the last class leads, when it leads on.
+    """Where another of the last class leads, when it leads on; a refinement of the best leads where the best does.
 
     Those that led nowhere stay members if, beside what was found then, they explain as much.
     """
     if not steps or len(steps[-1].choice.best.members) > 1:
         return None
     last, asked, sensors = steps[-1], search.question.noise, search.sensors
-    for i, other in list(enumerate(last.choice.members))[1 : 1 + TURNS]:
+    others = [(i, t) for i, t in enumerate(last.choice.members) if i and not refines(t, last.choice.best)]
+    for i, other in others[:TURNS]:
         before = (*steps[:-1], dataclasses.replace(last, choice=last.choice.without_first(i)))
         found = _forward(search, base, reconsidered(search, other.structure), most, before, turning=False)
         if len(found.steps) > len(steps):
@@ -199,7 +200,7 @@ def reconsidered(search: Search, now: Structure) -> Structure:
         now = _again(search, now) if changed else now
         if now is looked or not search.near_noise(now) or search.explained(now):
             break
-        lower = looked = _again(search, now, valleys=True)
+        lower = looked = _lower(search, now, along_valleys(search, now))
         if not lower.fitted.likelihood < now.fitted.likelihood - LOOK_BACK:
             break
         now = lower
@@ -213,13 +214,16 @@ def reconsidered(search: Search, now: Structure) -> Structure:
     return _again(search, now) if changed else now
 
 
-def _again(search: Search, now: Structure, valleys: bool = False) -> Structure:
+def _again(search: Search, now: Structure) -> Structure:
     """``now`` fitted under the present noise from where it stands."""
-    flat, names, label = search.model(now.members).flat, search.names(now.members), label_of(now.members)
-    start, states, size = (now.fitted.values,), now.fitted.states, now.fitted.size
-    job = RefitJob(flat, names, search.question, start, states, size, label=label, valleys=valleys)
-    found = search.run(refit, [job], "look back" if now.members else "identify the base")[0]
-    return now if isinstance(found, str) else search.keep(Structure(now.members, found))
+    return _lower(search, now, [search.refit_of(now)])
+
+
+def _lower(search: Search, now: Structure, jobs: Sequence[RefitJob]) -> Structure:
+    """The lowest of several fits of ``now``."""
+    answers = search.run(refit, jobs, "look back" if now.members else "identify the base")
+    found = [f for f in answers if not isinstance(f, str)]
+    return search.keep(Structure(now.members, min(found, key=lambda f: f.likelihood))) if found else now
 
 
 def _noise_of_residuals(fitted: Refitted, q: Question, noise: np.ndarray) -> np.ndarray:

@@ -5,14 +5,19 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+import numpy as np
+
+from hydrotwin.identification.valley import AVERAGED
+from hydrotwin.models.effects import Candidate
+
 from .choose import Choice, choose
-from .decide import INEXACT, WORTH, compared, share_closed
+from .decide import INEXACT, WORTH, bic_gain, compared, share_closed
 from .refit import RefitJob, refit
 from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 6  # fitted again beside the best
-ALIKE = 5  # members of a class that look along their valleys
+ALIKE = 5  # members of a class that are fitted once more
 CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
@@ -26,8 +31,8 @@ def settled(
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
     leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
     the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
-    Near the noise, where the hollows of a cost matter, the best looks along its valleys for lower minima, as do those
-    that still cannot be told apart.
+    Near the noise, where the hollows of a cost matter, the best looks along its valleys for lower minima; what cannot
+    be told from it goes on from where it ended, for the hollows are those of the base.
     """
     best, near = choice.best, search.near_noise(now)
     tried = (*tried, *_confusable(search, now, tried, best))
@@ -40,22 +45,25 @@ def settled(
     )  # fmt: skip
     again = _contenders(search, tried, choice)
     jobs = [back, *(_from_first(search, t.structure) for t in again)]
-    if near:
-        again, jobs = [*again, best], [*jobs, _from_where_it_is(search, best.structure)]
+    looks = along_valleys(search, best.structure) if near else []
+    again, jobs = [*again, *(best for _ in looks)], [*jobs, *looks]
     smaller, *larger = search.run(refit, jobs, "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
-    return now, _along_valleys(search, now, _improved(search, now, tried, again, larger))
+    return now, _in_one_hollow(search, now, _improved(search, now, tried, again, larger))
 
 
-def _along_valleys(search: Search, now: Structure, tried: tuple[Tried, ...]) -> tuple[Tried, ...]:
-    """Members of a class of several effects fitted once more."""
+def _in_one_hollow(search: Search, now: Structure, tried: tuple[Tried, ...]) -> tuple[Tried, ...]:
+    """Members of a class of several effects fitted once more, each from where the base of the others came to rest."""
     choice = choose(tried, len(search.candidates), search.question)
     if choice is None or len(choice.members) < 2:
         return tried
-    again = choice.members[:ALIKE]
-    jobs = [_from_where_it_is(search, t.structure) for t in again]
-    return _improved(search, now, tried, again, search.run(refit, jobs, "look back"))
+    likely = min(choice.members[:ALIKE], key=lambda t: t.structure.fitted.likelihood)
+    others = [t for t in choice.members[:ALIKE] if t is not likely]
+    there, base = likely.structure.fitted, search.names(now.members)
+    values = {n: v for n, v in there.values.items() if n in base}
+    jobs = [search.refit_of(t.structure, values, states=there.states) for t in others]
+    return _improved(search, now, tried, others, search.run(refit, jobs, "look back"))
 
 
 def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
@@ -77,11 +85,21 @@ def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tr
         c for c in search.candidates
         if c.label not in known | search.not_testable.keys() and not c.refines(chosen)
         and (c.id in chosen.effect.confused_with or chosen.id in c.effect.confused_with)
+        and not _seen_beyond(search, now, best.structure, c)
     ][:CONFUSABLE]  # fmt: skip
     beside = {n: v for n, v in best.structure.fitted.values.items() if n not in chosen.free}
     groups = [((c,), [{**beside, **probe} for probe in c.probes]) for c in alike]
     found = search.refitted(Structure(now.members, best.structure.fitted), groups) if groups else []
     return [search.judged(t, now) for t in found]
+
+
+def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Candidate) -> bool:
+    """Whether the best explains more than a fault of this sensor could: something that other outputs show."""
+    own = np.array([candidate.site.through == o.name for o in search.base.flat.outputs])
+    if not own.any():
+        return False
+    others = dataclasses.replace(search.question, noise=np.where(own, np.inf, search.question.noise))
+    return bic_gain(best.fitted, now.fitted, others) > search.needed
 
 
 def _contenders(search: Search, tried: Sequence[Tried], choice: Choice) -> list[Tried]:
@@ -97,19 +115,13 @@ def _contenders(search: Search, tried: Sequence[Tried], choice: Choice) -> list[
 
 def _from_first(search: Search, structure: Structure) -> RefitJob:
     """A structure's fit again, its base parameters from where the identification began."""
-    members = structure.members
     first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
-    starts = ({**structure.fitted.values, **first},)
-    flat, names, label = search.model(members).flat, search.names(members), label_of(members)
-    return RefitJob(flat, names, search.question, starts, coarse=True, iterations=40, label=label)
+    return search.refit_of(structure, first, states=(), size=None, coarse=True, iterations=40)
 
 
-def _from_where_it_is(search: Search, structure: Structure) -> RefitJob:
-    """A structure's fit again, with a look along its valleys."""
-    members, fitted = structure.members, structure.fitted
-    flat, names, label = search.model(members).flat, search.names(members), label_of(members)
-    start, states, size = (fitted.values,), fitted.states, fitted.size
-    return RefitJob(flat, names, search.question, start, states, size, label=label, valleys=True)
+def along_valleys(search: Search, structure: Structure) -> list[RefitJob]:
+    """A structure's fit again, each with a look along its valleys as averages over other times show them."""
+    return [search.refit_of(structure, valley=periods) for periods in AVERAGED]
 
 
 def from_the_beginning(search: Search, base: Structure) -> list[Tried]:

@@ -102,6 +102,8 @@ def untestable(s: Screened) -> Ranked:
     """A candidate that would not show in these recordings."""
     c = s.candidate
     reason = f"at its largest usual size it would show with |t| = {s.visible:.1f} (needed {TESTABLE:g})"
+    if not s.column.size:
+        reason = f"{c.site.name} was not recorded"
     return Ranked(
         c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, np.nan, np.nan, np.nan, 0.0, "not testable", reason
     )

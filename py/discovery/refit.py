@@ -72,7 +72,7 @@ class RefitJob:
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
     coarse : lead the start through short windows first.
-    valleys : look along the valleys of the minimum for a lower one.
+    valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods.
     """
 
     flat: FlatModel
@@ -85,7 +85,7 @@ class RefitJob:
     follow: int = 1
     iterations: int = 15
     label: str = ""
-    valleys: bool = False
+    valley: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +155,8 @@ def _refit(job: RefitJob) -> Refitted:
     else:
         found, iterations = _from_starts(task, job)
     best = min((_settled(task, q, one, iterations) for one in found), key=lambda answer: answer[2])
-    if job.valleys:
-        lower = along_the_valleys(best[0], best[1], rounds=1)[0][0]
+    if job.valley:
+        lower = along_the_valleys(best[0], best[1], rounds=1, averaged=[job.valley])[0][0]
         best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[2])
     return _answer(best[0], q, best[1], best[2])
 

@@ -45,7 +45,8 @@ class Screened:
     gain : predicted drop of L; evidence : the same with samples counted by what they are worth (see `decide`);
     share : of the squared gap in noise units.
     visible : predicted |t| at its largest usual amplitude.
-    start : parameter values that the prediction suggests; column : its projected, normalised prediction (m,).
+    start : parameter values that the prediction suggests; column : its projected, normalised prediction (m,), (0,) for
+        a fault of a sensor that was not recorded.
     beside : values of the base parameters that it suggests with them.
     """
 
@@ -117,7 +118,8 @@ class Screen:
         J = np.concatenate(rows)
         nuisance = J[:, [*self._base, *range(shared, J.shape[1])]]
         size = np.linalg.norm(nuisance, axis=0)
-        self._nuisance = nuisance
+        self._inverse = np.linalg.pinv(nuisance / np.maximum(size, 1e-300), rcond=1e-8)
+        self._inverse /= np.maximum(size, 1e-300)[:, None]
         nuisance = nuisance[:, size > 1e-12 * size.max(initial=1e-300)] if nuisance.shape[1] else nuisance
         nuisance = nuisance / np.maximum(np.linalg.norm(nuisance, axis=0), 1e-300)
         basis, sizes, _ = scipy.linalg.svd(nuisance, full_matrices=False)
@@ -157,11 +159,10 @@ class Screen:
 
     def _beside(self, change: np.ndarray) -> dict[str, float]:
         """Values of the base parameters where the weighted outputs (m,) change by so much, as far as they may go."""
-        size = np.maximum(np.linalg.norm(self._nuisance, axis=0), 1e-300)
-        step, *_ = np.linalg.lstsq(self._nuisance / size, -(self.residual + change), rcond=1e-8)
+        step = self._inverse @ -(self.residual + change)
         q = self.free.scaled(self.free.start).copy()
         low, high = (self.free.scaled(b) for b in (self.free.lower, self.free.upper))
-        q[self._base] += np.clip((step / size)[: len(self._base)], -FARTHEST, FARTHEST)
+        q[self._base] += np.clip(step[: len(self._base)], -FARTHEST, FARTHEST)
         values = self.free.values(np.clip(q, low, high))
         return {self.free.names[k]: float(values[k]) for k in self._base}
 

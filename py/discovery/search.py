@@ -85,11 +85,16 @@ class Search:
     unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
     not_testable: dict[str, Screened] = field(default_factory=dict)
     _big: FlatModel | None = None
+    _models: dict[tuple[str, ...], Model] = field(default_factory=dict)
     _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
 
     def __post_init__(self):
         self.sensors = self.question.noise if self.sensors is None else self.sensors
         self.told = self.told or (False,) * len(self.question.noise)
+        missing = [o.name for o, n in zip(self.base.flat.outputs, self.question.counts, strict=True) if not n]
+        unseen = [c for c in self.candidates if c.site.through in missing]  # faults of sensors that are not there
+        self.candidates = tuple(c for c in self.candidates if c not in unseen)
+        self.not_testable |= {c.label: Screened(c, 0.0, 0.0, 0.0, 0.0, c.neutral, np.zeros(0)) for c in unseen}
 
     def ask(self, noise: np.ndarray) -> bool:
         """Go on with another noise (ny,); fits under the old one are not comparable. Whether it is another one."""
@@ -108,7 +113,10 @@ class Search:
         """The base with candidates added, in the order of the catalogue."""
         order = {c.label: i for i, c in enumerate(self.candidates)}
         chosen = sorted(members, key=lambda c: order[c.label])
-        return self.base.plus([c.addition for c in chosen]) if chosen else self.base
+        key = tuple(c.label for c in chosen)
+        if key not in self._models:
+            self._models[key] = self.base.plus([c.addition for c in chosen]) if chosen else self.base
+        return self._models[key]
 
     @property
     def big(self) -> FlatModel:
@@ -226,6 +234,14 @@ class Search:
             flat, free, self.question, points, now.fitted.states, now.fitted.size,
             follow=SEVERAL if several else 1, label=label,
         )  # fmt: skip
+
+    def refit_of(self, structure: Structure, values: Mapping[str, float] | None = None, **settings) -> RefitJob:
+        """A structure's fit once more, from where it stands or from other ``values`` by path."""
+        members, fitted = structure.members, structure.fitted
+        settings = {"states": fitted.states, "size": fitted.size, **settings}
+        start = {**fitted.values, **(values or {})}
+        flat, names = self.model(members).flat, self.names(members)
+        return RefitJob(flat, names, self.question, (start,), label=label_of(members), **settings)
 
     def _heavy(self, flat: FlatModel) -> bool:
         """Whether its equations cost many times those of the base: a loop is solved at every step."""

@@ -11,7 +11,7 @@ from hydrotwin.discovery.decide import Evidence
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, refit
-from hydrotwin.discovery.search import Search
+from hydrotwin.discovery.search import Search, Structure
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Component, Flange, Input, Model, Output, Parameter, State, connect, der
@@ -170,6 +170,18 @@ def searching(asked: Question, effects, model: Model | None = None, free=("mass.
     return Search(model, tuple(free), candidates(model, effects), asked, run, lambda *said: None), base
 
 
+def one(search, name):
+    return next(c for c in search.candidates if c.id == name)
+
+
+def grown(search, now: Structure, *names: str, **values: float) -> Structure:
+    """``now`` with effects added and fitted, from ``values`` by effect."""
+    members = tuple(one(search, name) for name in names)
+    start = {c.free[0]: values.get(c.id, c.probes[0].get(c.free[0], 0.0)) for c in members}
+    return search.refitted(now, [(members, [start])])[0].structure
+
+
+# -- the simple before the refined -----------------------------------------------------------------------------------
 def found(runs, effects, executor=None, **more):
     """What is missing in the slide, looked for in this thread unless told otherwise."""
     return discover(slide(), runs, effects=effects, executor=executor or Inline(), step=5e-3, **more)

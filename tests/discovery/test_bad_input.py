@@ -113,6 +113,17 @@ def test_where_no_candidate_could_be_seen_the_gap_is_unknown_and_faster_motion_i
     assert re.search(r"with \|t\| = [\d.]+ \(needed 3\)", row.reason)
 
 
+def test_a_fault_of_a_sensor_that_was_not_recorded_is_no_candidate():
+    """There is nothing to see; it neither takes part nor makes a name harder to pass."""
+    effects = ["dead_time", "sensor_bias"]
+    model, runs = Model(TwoSensors()), drive_records(3)
+    d = discover(model, runs, effects=effects, executor=Inline(), step=5e-3)
+    assert d.screened == 2 and [(r.effect, r.site) for r in d.not_testable] == [("sensor_bias", "other")]
+    assert d.not_testable[0].reason == "other was not recorded"
+    alone = discover(model, runs, effects=["sensor_bias at other"], executor=Inline(), step=5e-3)
+    assert alone.verdict == "none" and any("none of the effects could be seen" in f for f in alone.findings)
+
+
 def test_where_nothing_moves_visibly_none_is_not_said_without_a_warning():
     d = found(records(3, highest=0.05), ["direction_asymmetry"])
     assert d.verdict in ("none", "unknown")

@@ -128,21 +128,21 @@ def test_a_cost_that_never_comes_to_rest_does_not_take_every_iteration_of_every_
 def test_a_fit_may_look_along_its_valleys_and_takes_only_what_is_lower(monkeypatch, plain, fitted):
     minimise, looks = MODULE.minimise, []
 
-    def look(task, found, rounds):
-        looks.append(found)
+    def look(task, found, rounds, averaged):
+        looks.append(averaged)
         values = np.array([seen[n] for n in task.free.names])
         return [dataclasses.replace(found, q=task.free.scaled(values))], False
 
     monkeypatch.setattr(MODULE, "minimise", lambda *a, most, **k: minimise(*a, most=0, **k))  # it rests where it is
     monkeypatch.setattr(MODULE, "along_the_valleys", look)
     start = {**fitted.values, "mass.mass": 60.0}
-    job = RefitJob(slide().flat, FREE, plain, (start,), fitted.states, valleys=True)
+    job = RefitJob(slide().flat, FREE, plain, (start,), fitted.states, valley=2.0)
     seen = fitted.values
     assert refit(job).values == pytest.approx(fitted.values)
     seen = {**start, "mass.mass": 70.0}
     assert refit(job).values["mass.mass"] == pytest.approx(60.0)
-    refit(dataclasses.replace(job, valleys=False))
-    assert len(looks) == 2
+    refit(dataclasses.replace(job, valley=None))
+    assert looks == [[2.0], [2.0]]
 
 
 def test_what_the_recordings_do_not_show_stays_where_the_model_came_with_it(plain, fitted):

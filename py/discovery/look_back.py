@@ -17,7 +17,8 @@ from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 6  # fitted again beside the best
-ALIKE = 5  # members of a class that are fitted once more
+RIVALS = 6  # fitted once more in the hollow of the most likely
+ROUNDS = 2  # of it, when another has become the most likely
 CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
@@ -31,8 +32,8 @@ def settled(
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
     leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
     the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
-    Near the noise, where the hollows of a cost matter, the best looks along its valleys for lower minima; what cannot
-    be told from it goes on from where it ended, for the hollows are those of the base.
+    Near the noise, where the hollows of a cost matter, the most likely looks along its valleys for lower minima; its
+    rivals go on from where its base came to rest, for the hollows are those of the base.
     """
     best, near = choice.best, search.near_noise(now)
     tried = (*tried, *_confusable(search, now, tried, best))
@@ -43,27 +44,41 @@ def settled(
         search.model(now.members).flat, names, search.question, (values,), fitted.states, now.fitted.size,
         label=" + ".join(now.key),
     )  # fmt: skip
-    again = _contenders(search, tried, choice)
-    jobs = [back, *(_from_first(search, t.structure) for t in again)]
-    looks = along_valleys(search, best.structure) if near else []
-    again, jobs = [*again, *(best for _ in looks)], [*jobs, *looks]
-    smaller, *larger = search.run(refit, jobs, "look back")
+    again = _contenders(search, tried, choice, near)
+    smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
-    return now, _in_one_hollow(search, now, _improved(search, now, tried, again, larger))
+    tried = _improved(search, now, tried, again, larger)
+    if near and (passing := _passing(search, tried)):
+        looks = along_valleys(search, passing[0].structure)
+        tried = _improved(search, now, tried, [passing[0]] * len(looks), search.run(refit, looks, "look back"))
+    return now, _in_one_hollow(search, now, tried, near)
 
 
-def _in_one_hollow(search: Search, now: Structure, tried: tuple[Tried, ...]) -> tuple[Tried, ...]:
-    """Members of a class of several effects fitted once more, each from where the base of the others came to rest."""
-    choice = choose(tried, len(search.candidates), search.question)
-    if choice is None or len(choice.members) < 2:
-        return tried
-    likely = min(choice.members[:ALIKE], key=lambda t: t.structure.fitted.likelihood)
-    others = [t for t in choice.members[:ALIKE] if t is not likely]
-    there, base = likely.structure.fitted, search.names(now.members)
-    values = {n: v for n, v in there.values.items() if n in base}
-    jobs = [search.refit_of(t.structure, values, states=there.states) for t in others]
-    return _improved(search, now, tried, others, search.run(refit, jobs, "look back"))
+def _passing(search: Search, tried: Sequence[Tried]) -> list[Tried]:
+    """What passes, the most likely first."""
+    found = [t for t in tried if t.evidence and t.evidence.passes(len(search.candidates))]
+    return sorted(found, key=lambda t: t.structure.fitted.likelihood)
+
+
+def _in_one_hollow(search: Search, now: Structure, tried: tuple[Tried, ...], near: bool) -> tuple[Tried, ...]:
+    """Rivals fitted once more, each from where the base of the most likely came to rest, and again if one is it then.
+
+    Near the noise all that pass are rivals: which of them found the better hollow says nothing about the effects.
+    Elsewhere what cannot be told apart.
+    """
+    before = None
+    for _ in range(ROUNDS):
+        choice = choose(tried, len(search.candidates), search.question)
+        rivals = _passing(search, tried if near or choice is None else choice.members)[: 1 + RIVALS]
+        if len(rivals) < 2 or rivals[0].members == before:
+            break
+        likely, *others = rivals
+        there, base, before = likely.structure.fitted, search.names(now.members), likely.members
+        values = {n: v for n, v in there.values.items() if n in base}
+        jobs = [search.refit_of(t.structure, values, states=there.states) for t in others]
+        tried = _improved(search, now, tried, others, search.run(refit, jobs, "look back"))
+    return tried
 
 
 def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
@@ -102,15 +117,12 @@ def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Can
     return bic_gain(best.fitted, now.fitted, others) > search.needed
 
 
-def _contenders(search: Search, tried: Sequence[Tried], choice: Choice) -> list[Tried]:
-    """The best and those of its class or that explain almost as much, the most likely first."""
+def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bool) -> list[Tried]:
+    """The best, then those of its class or that explain almost as much, near the noise all that pass."""
     best = choice.best
-    near = [
-        t for t in tried
-        if t is not best and t.evidence and t.evidence.passes(len(search.candidates))
-        and (t in choice.members or t.evidence.closed > best.evidence.closed - ALMOST_ALIKE)
-    ]  # fmt: skip
-    return [best, *sorted(near, key=lambda t: t.structure.fitted.likelihood)[:CONTENDERS]]
+    least = best.evidence.closed - ALMOST_ALIKE
+    others = [t for t in _passing(search, tried) if near or t in choice.members or t.evidence.closed > least]
+    return [best, *(t for t in others if t is not best)][: 1 + CONTENDERS]
 
 
 def _from_first(search: Search, structure: Structure) -> RefitJob:

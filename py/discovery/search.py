@@ -239,7 +239,7 @@ class Search:
         """A structure's fit once more, from where it stands or from other ``values`` by path."""
         members, fitted = structure.members, structure.fitted
         settings = {"states": fitted.states, "size": fitted.size, **settings}
-        start = {**fitted.values, **(values or {})}
+        start = {n: (values or {}).get(n, v) for n, v in fitted.values.items()}
         flat, names = self.model(members).flat, self.names(members)
         return RefitJob(flat, names, self.question, (start,), label=label_of(members), **settings)
 

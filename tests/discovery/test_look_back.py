@@ -138,7 +138,7 @@ def test_members_of_a_class_go_on_from_where_the_base_of_the_most_likely_came_to
     search.run = lambda function, jobs, stage: asked.extend(jobs) or run(function, jobs, stage)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(look_back, "choose", lambda *_: Choice(coulomb, (coulomb, resting), {}))
-        _, again = look_back._in_one_hollow(search, base, (coulomb, resting))
+        _, again = look_back._in_one_hollow(search, base, (coulomb, resting), near=False)
     search.run = run
     (job,) = asked
     assert job.starts[0]["mass.mass"] == coulomb.structure.fitted.values["mass.mass"]

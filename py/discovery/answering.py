@@ -13,7 +13,7 @@ from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
-from .decide import CLEARLY, INEXACT, LARGE, closed, gap_closed, has_gap, output_gap_closed, share_closed
+from .decide import CLEARLY, INEXACT, closed, has_gap, output_gap_closed, share_closed
 from .discovery import Discovery, EffectParameter, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
@@ -25,11 +25,9 @@ from .regions import regions
 from .screen import Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
+from .verdict import CONFIRMED, closed_where_it_counts, findings_of, not_excited, only_elsewhere, verdict_of
 
 FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
-FLOOR = 1.1  # of a sensor's noise: a floor worth telling
-CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
-NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +61,12 @@ class Found:
 
 def answer(search: Search, data: Split, found: Found, model: Model, began: float) -> Discovery:
     """The Discovery of a finished search; ``model`` is what the user gave, with its own bounds."""
-    verdict = _verdict(search, found)
+    verdict = verdict_of(search, found)
     kept = found.last if verdict in ("named", "class") else found.base
     before, after = _concluded(search, data, found.base, kept)
-    shown = _closed_where_it_counts(before, after, data)
+    shown = closed_where_it_counts(before, after, data)
+    elsewhere = only_elsewhere(search, found.base, before, data)
+    verdict = "unknown" if verdict == "none" and elsewhere else verdict
     if kept is found.last and shown < CONFIRMED:
         verdict, kept, after = "unknown", found.base, before
     steps = found.steps if kept is found.last else ()
@@ -108,7 +108,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         experiment=experiment,
         findings=(
             *data.findings,
-            *_findings(search, found, verdict, shown),
+            *findings_of(search, found, verdict, shown),
+            *not_excited(verdict, elsewhere),
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
@@ -116,65 +117,6 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         seconds=time.perf_counter() - began,
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
-
-
-# -- verdict -----------------------------------------------------------------------------------------------------------
-def _verdict(search: Search, found: Found) -> str:
-    q = search.question
-    base = found.base.fitted
-    if not found.steps:
-        gap = has_gap((*base.residuals_fit, *base.residuals_select), q.noise, CLEARLY).any()
-        return "unknown" if gap else "none"
-    left = has_gap(found.last.fitted.residuals_fit, q.noise, CLEARLY).any()
-    if closed(found.last.fitted, base, q) < (NAMED if left else CONFIRMED):
-        return "unknown"
-    choices = (choice for step in found.steps for choice in step.choices())
-    several = any(len({c.id for t in choice.members for c in t.members[:1]}) > 1 for choice in choices)
-    return "class" if several else "named"
-
-
-def _closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> float:
-    """Share of the gap closed on the recordings that took no part; 1 where they show no gap or there are none."""
-    if not data.report:
-        return 1.0
-    was, now = pooled_rmse(before.residuals_report), pooled_rmse(after.residuals_report)
-    return gap_closed(was, now, data.noise) if np.any(was**2 > LARGE * data.noise**2) else 1.0
-
-
-def _of_fit(after: Concluded) -> list[str]:
-    """What the final fit says, but for how it was weighed: always by what is left."""
-    return [str(finding) for finding in after.fit.findings if finding.kind != "weights"]
-
-
-def _findings(search: Search, found: Found, verdict: str, shown: float) -> list[str]:
-    said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
-    tested = [c for c in search.candidates if c.label not in search.not_testable]
-    if not tested:
-        said.append(
-            "gap: none of the effects could be seen in these recordings, whatever its size. Record faster and larger "
-            "motion in both directions, with pauses."
-        )
-    names = [o.name for o in search.base.flat.outputs]
-    for name, noise, sensor in zip(names, search.question.noise, search.sensors, strict=True):
-        if noise > FLOOR * sensor:
-            said.append(
-                f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
-                f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
-            )
-    if verdict == "class" and search.base.flat.black_box:
-        said.append(
-            "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "
-            "separates its members stands with each of them."
-        )
-    if verdict == "unknown" and found.steps:
-        names = ", ".join(label(step.choice.best) for step in found.steps)
-        share = closed(found.last.fitted, found.base.fitted, search.question)
-        also = f", but only {100 * shown:.0f} % on the recordings that judge" if shown < CONFIRMED <= share else ""
-        said.append(
-            f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings{also}. That is too little "
-            "for a name: something else is missing."
-        )
-    return said
 
 
 # -- final fits --------------------------------------------------------------------------------------------------------
@@ -193,6 +135,11 @@ def _job(search: Search, q: Question, structure: Structure) -> RefitJob:
     known = dict(zip((r.name for r in search.question.fit), fitted.states, strict=True))
     states = tuple(known.get(r.name, {}) for r in q.fit)
     return RefitJob(flat, names, q, (dict(fitted.values),), states, fitted.size, label=" + ".join(structure.key))
+
+
+def _of_fit(after: Concluded) -> list[str]:
+    """What the final fit says, but for how it was weighed: always by what is left."""
+    return [str(finding) for finding in after.fit.findings if finding.kind != "weights"]
 
 
 def _with_fit(model: Model, concluded: Concluded) -> Model:

@@ -11,7 +11,7 @@ from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
 from .choose import as_good, choose, label, leans_to, refines, worth_refining
-from .decide import INEXACT, T_NEEDED, closed, compared, share_closed
+from .decide import INEXACT, T_NEEDED, WORTH, closed, compared, share_closed
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refit import Question, RefitJob, Refitted, refit
@@ -49,6 +49,7 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
     screen, ranked, tried = found.screens[0]
     search.ask(search.sensors)
     others = search.pairs(base, screen, ranked, tried)
+    others += _beside_a_near_miss(search, base, tried) if not found.steps else []
     choice = choose(others, len(search.candidates) ** 2 // 2, search.question)
     if choice is None and not found.steps:
         others = from_the_beginning(search, base)
@@ -61,6 +62,22 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
     over = compared(other.last.fitted, found.last.fitted, search.question)
     clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH
     return other if clearly or (not found.steps and other.steps) else found
+
+
+def _beside_a_near_miss(search: Search, base: Structure, tried: Sequence[Tried]) -> list[Tried]:
+    """Pairs of what almost passed alone with what the screen sees once that is in place.
+
+    While two effects are missing, the base bends to stand in for both, and the screen sees the second beside the first
+    only.
+    """
+    near = [t for t in tried if t.evidence and t.evidence.bic_gain > 0 and t.evidence.closed > WORTH]
+    if not near:
+        return []
+    first = max(near, key=lambda t: t.evidence.bic_gain)
+    _, ranked = search.screened(first.structure)
+    second = search.singles(first.structure, search.shortlist(ranked))
+    both = [Tried(t.structure.members, None, t.structure) for t in second if t.structure]
+    return [search.judged(t, base) for t in both if len(t.members) == 2]
 
 
 def _pruned(search: Search, found: Found) -> Found:

@@ -168,8 +168,9 @@ class Screen:
 
     def by_amplitude(self, candidate, values: Mapping[str, float], change: np.ndarray) -> Screened:
         """A candidate run at a finite amplitude: ``change`` (m,) of the weighted simulated outputs."""
-        column = self.project(change)
-        energy = float(column @ column)
+        with np.errstate(over="ignore", invalid="ignore"):  # a run may have all but diverged
+            column = self.project(change)
+            energy = float(column @ column)
         if not energy > BLIND or not np.isfinite(energy):
             return Screened(candidate, 0.0, 0.0, 0.0, 0.0, dict(values), np.zeros(len(self.left)))
         factor = float(np.clip(-(column @ self.left) / energy, 0.0, 1.5))

@@ -130,6 +130,16 @@ def test_where_nothing_moves_visibly_none_is_not_said_without_a_warning():
     assert d.not_testable and any("Record faster and larger motion" in f for f in d.findings)
 
 
+def test_a_gap_that_only_the_validation_recording_shows_is_unknown_and_says_what_to_record():
+    """A limit that the recordings of the search never reach: nothing is missing in them, and still something is."""
+    runs, limited = records(3, highest=100.0), record(9, limit=150.0)
+    d = found(runs, ["null_bias"], validate=[limited])
+    assert d.verdict == "unknown" and d.steps == ()
+    (said,) = [f for f in d.findings if "kept to judge by" in f]
+    assert limited.name in said and "Record more runs that move like that" in said
+    assert found(runs, ["null_bias"], validate=[record(9)]).verdict == "none"
+
+
 def test_where_no_effect_fits_the_gap_is_unknown():
     runs = drive_records(3, command=lambda u: np.clip(u, -2.0, 2.0))
     d = discover(Model(Drive()), runs, effects=["internal_leakage"], executor=Inline(), step=5e-3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydrotwin.discovery.answering import CONFIRMED, _closed_where_it_counts, _verdict, _weight
+from hydrotwin.discovery.answering import _weight
 from hydrotwin.discovery.decide import (
     CLEARLY,
     INEXACT,
@@ -28,6 +28,7 @@ from hydrotwin.discovery.decide import (
 )
 from hydrotwin.discovery.refit import Question, Refitted
 from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.verdict import CONFIRMED, closed_where_it_counts, verdict_of
 from hydrotwin.identification.problem import Recording
 
 NOISE = np.array([0.5, 2e5])
@@ -271,10 +272,10 @@ def test_a_name_must_hold_on_recordings_that_took_no_part():
         return SimpleNamespace(residuals_report=(factor * white(3),))
 
     judged = SimpleNamespace(report=("r",), noise=NOISE)
-    assert _closed_where_it_counts(concluded(10.0), concluded(1.0), judged) > 0.99
-    assert _closed_where_it_counts(concluded(10.0), concluded(9.0), judged) < CONFIRMED
-    assert _closed_where_it_counts(concluded(1.0), concluded(1.0), judged) == 1.0  # there is no gap to close
-    assert _closed_where_it_counts(concluded(10.0), concluded(9.0), SimpleNamespace(report=(), noise=NOISE)) == 1.0
+    assert closed_where_it_counts(concluded(10.0), concluded(1.0), judged) > 0.99
+    assert closed_where_it_counts(concluded(10.0), concluded(9.0), judged) < CONFIRMED
+    assert closed_where_it_counts(concluded(1.0), concluded(1.0), judged) == 1.0  # there is no gap to close
+    assert closed_where_it_counts(concluded(10.0), concluded(9.0), SimpleNamespace(report=(), noise=NOISE)) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -290,4 +291,4 @@ def test_what_leaves_but_noise_where_it_was_fitted_may_miss_the_rest_by_more(fit
     )
     step = SimpleNamespace(choices=lambda: [SimpleNamespace(members=())])
     search = SimpleNamespace(question=asked())
-    assert _verdict(search, SimpleNamespace(base=base, last=last, steps=(step,))) == verdict
+    assert verdict_of(search, SimpleNamespace(base=base, last=last, steps=(step,))) == verdict

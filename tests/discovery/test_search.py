@@ -208,6 +208,20 @@ def test_a_pair_that_explains_only_together_is_tried():
     assert search.explained(best.structure)
 
 
+def test_beside_what_almost_passed_the_screen_sees_what_the_base_stood_in_for():
+    """A pair of a near miss with what is found from there; nothing is tried where nothing came near."""
+    search, fitted = searching(question(records(3, dry=40.0, late=5)), ("coulomb_friction", "dead_time", "drift"))
+    base = Structure((), fitted)
+    _, ranked = search.screened(base)
+    alone = search.singles(base, [s for s in ranked if s.candidate.id == "coulomb_friction"])
+    pairs = forward._beside_a_near_miss(search, base, alone)
+    best = max(pairs, key=lambda t: t.evidence.bic_gain)
+    assert {c.id for c in best.members} == {"coulomb_friction", "dead_time"} and search.explained(best.structure)
+    assert best.evidence.bic_gain > alone[0].evidence.bic_gain, "judged against the base"
+    far = [dataclasses.replace(t, evidence=Evidence(-1.0, 3.0, 0.5)) for t in alone]
+    assert forward._beside_a_near_miss(search, base, far) == []
+
+
 # -- plausibility ------------------------------------------------------------------------------------------------------
 def test_a_value_far_outside_what_is_usual_is_implausible(rubbing):
     search, base, *_ = rubbing

@@ -1,0 +1,98 @@
+"""Verdict: named, class, none or unknown, by what a search left where, and what is to be said with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .choose import label
+from .decide import CLEARLY, LARGE, closed, gap_closed, has_gap
+from .recordings import Split
+from .refit import Concluded, pooled_rmse
+from .search import Search, Structure
+
+if TYPE_CHECKING:
+    from .answering import Found
+
+FLOOR = 1.1  # of a sensor's noise: a floor worth telling
+CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
+NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
+
+
+def verdict_of(search: Search, found: Found) -> str:
+    """What the recordings of the search say; those that judge may take it back."""
+    q = search.question
+    base = found.base.fitted
+    if not found.steps:
+        gap = has_gap((*base.residuals_fit, *base.residuals_select), q.noise, CLEARLY).any()
+        return "unknown" if gap else "none"
+    left = has_gap(found.last.fitted.residuals_fit, q.noise, CLEARLY).any()
+    if closed(found.last.fitted, base, q) < (NAMED if left else CONFIRMED):
+        return "unknown"
+    choices = (choice for step in found.steps for choice in step.choices())
+    several = any(len({c.id for t in choice.members for c in t.members[:1]}) > 1 for choice in choices)
+    return "class" if several else "named"
+
+
+def only_elsewhere(search: Search, base: Structure, before: Concluded, data: Split) -> list[str]:
+    """Recordings that took no part in the fit and show a large gap, when those of the fit show none."""
+    q, fitted = search.question, base.fitted
+    if has_gap(fitted.residuals_fit, q.noise, CLEARLY).any():
+        return []
+    held_out = [
+        *zip(q.select, fitted.residuals_select, strict=True),
+        *zip(data.report, before.residuals_report, strict=True),
+    ]
+    return [recording.name for recording, r in held_out if has_gap([r], q.noise, LARGE).any()]
+
+
+def not_excited(verdict: str, elsewhere: Sequence[str]) -> list[str]:
+    """What is to be said about a gap that shows in these recordings only."""
+    if verdict != "unknown" or not elsewhere:
+        return []
+    return [
+        f"gap: it shows in {', '.join(elsewhere)} only, kept to judge by; what the model was fitted to shows none. "
+        "Record more runs that move like that and give them to be fitted to."
+    ]
+
+
+def closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> float:
+    """Share of the gap closed on the recordings that took no part; 1 where they show no gap or there are none."""
+    if not data.report:
+        return 1.0
+    was, now = pooled_rmse(before.residuals_report), pooled_rmse(after.residuals_report)
+    return gap_closed(was, now, data.noise) if np.any(was**2 > LARGE * data.noise**2) else 1.0
+
+
+def findings_of(search: Search, found: Found, verdict: str, shown: float) -> list[str]:
+    """What is to be said about the candidates, the noise and the verdict."""
+    said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
+    tested = [c for c in search.candidates if c.label not in search.not_testable]
+    if not tested:
+        said.append(
+            "gap: none of the effects could be seen in these recordings, whatever its size. Record faster and larger "
+            "motion in both directions, with pauses."
+        )
+    names = [o.name for o in search.base.flat.outputs]
+    for name, noise, sensor in zip(names, search.question.noise, search.sensors, strict=True):
+        if noise > FLOOR * sensor:
+            said.append(
+                f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
+                f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
+            )
+    if verdict == "class" and search.base.flat.black_box:
+        said.append(
+            "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "
+            "separates its members stands with each of them."
+        )
+    if verdict == "unknown" and found.steps:
+        names = ", ".join(label(step.choice.best) for step in found.steps)
+        share = closed(found.last.fitted, found.base.fitted, search.question)
+        also = f", but only {100 * shown:.0f} % on the recordings that judge" if shown < CONFIRMED <= share else ""
+        said.append(
+            f"gap: {names} would close {100 * share:.0f} % of the gap on held-out recordings{also}. That is too little "
+            "for a name: something else is missing."
+        )
+    return said

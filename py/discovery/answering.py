@@ -89,7 +89,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer="",
+        answer=not_excited(elsewhere) if verdict == "unknown" and elsewhere and not steps else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),
@@ -109,7 +109,6 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         findings=(
             *data.findings,
             *findings_of(search, found, verdict, shown),
-            *not_excited(verdict, elsewhere),
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),

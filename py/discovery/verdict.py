@@ -48,14 +48,12 @@ def only_elsewhere(search: Search, base: Structure, before: Concluded, data: Spl
     return [recording.name for recording, r in held_out if has_gap([r], q.noise, LARGE).any()]
 
 
-def not_excited(verdict: str, elsewhere: Sequence[str]) -> list[str]:
-    """What is to be said about a gap that shows in these recordings only."""
-    if verdict != "unknown" or not elsewhere:
-        return []
-    return [
-        f"gap: it shows in {', '.join(elsewhere)} only, kept to judge by; what the model was fitted to shows none. "
-        "Record more runs that move like that and give them to be fitted to."
-    ]
+def not_excited(elsewhere: Sequence[str]) -> str:
+    """The answer when nothing but these recordings shows a gap."""
+    return (
+        f"Something is missing that shows in {', '.join(elsewhere)} only, kept to judge by: what the model was fitted "
+        "to shows none of it. Record more runs that move like that, and give them to be fitted to."
+    )
 
 
 def closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> float:

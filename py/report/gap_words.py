@@ -251,7 +251,8 @@ def tried_last(discovery: Discovery) -> tuple[Ranked, ...]:
 
 def where_sentences(discovery: Discovery) -> list[str]:
     """Where the model disagrees and what the difference follows, worst output first."""
-    worst = sorted(discovery.locations, key=lambda place: -place.times_noise)
+    off = [place for place in discovery.locations if place.times_noise > AT_NOISE]
+    worst = sorted(off, key=lambda place: -place.times_noise)
     return [f"{capital(sentence(place.where))}{_follows(place.drivers)}" for place in worst if place.where][:TOLD]
 
 

@@ -128,12 +128,9 @@ def _concluded(search: Search, data: Split, base: Structure, last: Structure) ->
 
 
 def _job(search: Search, q: Question, structure: Structure) -> RefitJob:
-    fitted = structure.fitted
-    flat = search.model(structure.members).flat
-    names = search.names(structure.members)
-    known = dict(zip((r.name for r in search.question.fit), fitted.states, strict=True))
+    known = dict(zip((r.name for r in search.question.fit), structure.fitted.states, strict=True))
     states = tuple(known.get(r.name, {}) for r in q.fit)
-    return RefitJob(flat, names, q, (dict(fitted.values),), states, fitted.size, label=" + ".join(structure.key))
+    return dataclasses.replace(search.refit_of(structure, states=states), question=q)
 
 
 def _of_fit(after: Concluded) -> list[str]:

@@ -13,7 +13,7 @@ from hydrotwin.models.effects import Candidate
 from .choose import Choice, choose
 from .decide import INEXACT, WORTH, bic_gain, compared, share_closed
 from .refit import RefitJob, refit
-from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried, label_of
+from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 6  # fitted again beside the best
@@ -38,12 +38,7 @@ def settled(
     best, near = choice.best, search.near_noise(now)
     tried = (*tried, *_confusable(search, now, tried, best))
     fitted = best.structure.fitted
-    names = search.names(now.members)
-    values = {n: v for n, v in fitted.values.items() if n in names}
-    back = RefitJob(
-        search.model(now.members).flat, names, search.question, (values,), fitted.states, now.fitted.size,
-        label=" + ".join(now.key),
-    )  # fmt: skip
+    back = search.refit_of(now, fitted.values, states=fitted.states)
     again = _contenders(search, tried, choice, near)
     smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
@@ -70,7 +65,7 @@ def _in_one_hollow(search: Search, now: Structure, tried: tuple[Tried, ...], nea
     before = None
     for _ in range(ROUNDS):
         choice = choose(tried, len(search.candidates), search.question)
-        rivals = _passing(search, tried if near or choice is None else choice.members)[: 1 + RIVALS]
+        rivals = _passing(search, tried if near else choice.members)[: 1 + RIVALS] if choice else []
         if len(rivals) < 2 or rivals[0].members == before:
             break
         likely, *others = rivals
@@ -172,13 +167,7 @@ def pruned(search: Search, now: Structure, base: Structure) -> Structure:
     """
     while len(now.members) > 1:
         smaller = [tuple(m for m in now.members if m is not left) for left in now.members]
-        jobs = []
-        for members in smaller:
-            names = search.names(members)
-            values = {n: v for n, v in now.fitted.values.items() if n in names}
-            flat = search.model(members).flat
-            states, size = now.fitted.states, now.fitted.size
-            jobs.append(RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members)))
+        jobs = [search.refit_of(Structure(members, now.fitted)) for members in smaller]
         idle = []
         for members, fitted in zip(smaller, search.run(refit, jobs, "look back"), strict=True):
             if not isinstance(fitted, str):

@@ -16,9 +16,9 @@ from hydrotwin.models.effects import Candidate
 from .answering import Found, Step
 from .choose import Choice, choose, label
 from .look_back import settled
-from .refit import RefitJob, refit
+from .refit import refit
 from .screen import Screened
-from .search import Search, Structure, Tried, label_of
+from .search import Search, Structure, Tried
 
 ROUNDS = 2
 HARDLY = 0.5  # of the probability of the best: what the present effect must have to stay
@@ -110,9 +110,6 @@ def _replaced(search: Search, found: Found, number: int, old: Candidate, again: 
 
 def _fitted(search: Search, members: Sequence[Candidate], larger: Structure) -> Structure | None:
     """A part of a structure, fitted from where that ended; None when it diverges."""
-    names = search.names(members)
-    values = {n: v for n, v in larger.fitted.values.items() if n in names}
-    flat, states, size = search.model(members).flat, larger.fitted.states, larger.fitted.size
-    job = RefitJob(flat, names, search.question, (values,), states, size, label=label_of(members))
-    fitted = search.run(refit, [job], "look back")[0]
-    return None if isinstance(fitted, str) else search.keep(Structure(tuple(members), fitted))
+    members = tuple(members)
+    fitted = search.run(refit, [search.refit_of(Structure(members, larger.fitted))], "look back")[0]
+    return None if isinstance(fitted, str) else search.keep(Structure(members, fitted))

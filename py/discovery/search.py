@@ -236,11 +236,11 @@ class Search:
         )  # fmt: skip
 
     def refit_of(self, structure: Structure, values: Mapping[str, float] | None = None, **settings) -> RefitJob:
-        """A structure's fit once more, from where it stands or from other ``values`` by path."""
+        """A structure's fit once more, from where it (or a larger one) stands, or from other ``values`` by path."""
         members, fitted = structure.members, structure.fitted
         settings = {"states": fitted.states, "size": fitted.size, **settings}
-        start = {n: (values or {}).get(n, v) for n, v in fitted.values.items()}
         flat, names = self.model(members).flat, self.names(members)
+        start = _known({**fitted.values, **(values or {})}, names)
         return RefitJob(flat, names, self.question, (start,), label=label_of(members), **settings)
 
     def _heavy(self, flat: FlatModel) -> bool:

@@ -182,7 +182,7 @@ class EndStop(Effect):
     def probes_for(cls, seen) -> list[dict]:
         """One end or both at quantiles of the positions seen."""
         s = np.asarray(seen["flange.s"])
-        low, high = np.quantile(s, (0.02, 0.1, 0.25)), np.quantile(s, (0.98, 0.9, 0.75))
+        low, high = np.quantile(s, (0.002, 0.02, 0.1)), np.quantile(s, (0.998, 0.98, 0.9))
         ends = [{"low": -FAR, "high": float(h)} for h in high] + [{"low": float(e), "high": FAR} for e in low]
         return [*ends, {"low": float(low[0]), "high": float(high[0])}]
 

@@ -135,11 +135,16 @@ def as_good(tried: Tried, best: Tried, q: Question) -> bool:
     over = compared(best.structure.fitted, tried.structure.fitted, q)
     untold = not over.paired_t > T_NEEDED  # one that is better there, though less likely on the fit, is not told apart
     apart = best.evidence.closed - tried.evidence.closed
-    fitted = best.structure.fitted
-    if not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any():
+    if _exact(best, q):
         return (untold or apart < EQUAL) and abs(over.bic_gain) < UNLIKELY
     alike = apart < SAME and _cosine(tried, best) > PARALLEL
     return alike or (untold and (abs(over.bic_gain) < TOGETHER or apart < EQUAL))
+
+
+def _exact(best: Tried, q: Question) -> bool:
+    """Whether the best leaves nothing but noise of the sensors: then the likelihood tells."""
+    fitted = best.structure.fitted
+    return not q.inexact and not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any()
 
 
 def _late_somewhere(tried: Tried, q: Question) -> bool:
@@ -160,5 +165,6 @@ def _weight(tried: Tried, best: Tried, q: Question) -> float:
     if tried is best or (_late_somewhere(tried, q) and _late_somewhere(best, q)):
         return 1.0
     over = compared(best.structure.fitted, tried.structure.fitted, q)
-    behind = max(over.bic_gain, 0.0) + max(np.nan_to_num(over.paired_t), 0.0) ** 2
+    decides = _exact(best, q) or not as_good(tried, best, q)
+    behind = max(over.bic_gain * decides, 0.0) + max(np.nan_to_num(over.paired_t), 0.0) ** 2
     return float(np.exp(-behind / (2 * TEMPERATURE)))

@@ -49,6 +49,7 @@ class Question:
     """What is the same for every structure: the recordings, the noise (ny,) SI, what is estimated of the starts.
 
     usual : base parameters by path at the values that the model came with, from which they do not go far unasked.
+    inexact : what is named so far stands for the machine's own law but roughly, and the noise holds what it leaves.
     """
 
     fit: tuple[Recording, ...]
@@ -57,6 +58,7 @@ class Question:
     initial_states: str = "auto"
     step: float | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
+    inexact: bool = False
 
     @property
     def counts(self) -> np.ndarray:

@@ -101,7 +101,8 @@ class Search:
         """Go on with another noise (ny,); fits under the old one are not comparable. Whether it is another one."""
         if np.array_equal(noise, self.question.noise, equal_nan=True):
             return False
-        self.question = dataclasses.replace(self.question, noise=noise)
+        inexact = not np.array_equal(noise, self.sensors, equal_nan=True)
+        self.question = dataclasses.replace(self.question, noise=noise, inexact=inexact)
         return self.forget()
 
     def forget(self) -> bool:

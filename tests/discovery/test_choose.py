@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.choose import CREDIBLE, EQUAL, TEMPERATURE, _late_somewhere, choose, label, worth_refining
+from hydrotwin.discovery.choose import (
+    CREDIBLE,
+    EQUAL,
+    TEMPERATURE,
+    UNLIKELY,
+    _late_somewhere,
+    choose,
+    label,
+    worth_refining,
+)
 from hydrotwin.discovery.decide import TOGETHER, Evidence, compared
 from hydrotwin.discovery.refit import Question, Refitted, likelihood
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
@@ -138,6 +149,16 @@ def test_where_the_best_leaves_only_noise_the_likelihood_tells_it_from_another_t
     over = compared(best.structure.fitted, other.structure.fitted, ASKED)
     assert over.bic_gain > TOGETHER and best.evidence.closed - other.evidence.closed < EQUAL
     assert choose([best, other], 30, ASKED).members == (best,)
+
+
+def test_where_the_noise_holds_what_a_rough_law_leaves_the_likelihood_decides_nothing():
+    """A smoothed sign leaves a trace, and whatever is added next fits some of it by chance."""
+    rough = dataclasses.replace(ASKED, inexact=True)
+    best, other = tried("dead_time", select=1.0), tried("drift", fit=1.02, select=1.0)
+    assert compared(best.structure.fitted, other.structure.fitted, ASKED).bic_gain > UNLIKELY
+    assert choose([best, other], 30, ASKED).members == (best,)
+    choice = choose([best, other], 30, rough)
+    assert choice.members == (best, other) and choice.probability[label(other)] == pytest.approx(0.5, abs=0.01)
 
 
 @pytest.mark.parametrize(("outputs", "members"), [(1, 2), (2, 1)])

@@ -233,6 +233,16 @@ def test_a_value_far_outside_what_is_usual_is_implausible(rubbing):
     assert "coulomb_friction.force" in tried.implausible and "2e+03" in tried.implausible
 
 
+def test_an_end_of_the_stroke_that_is_not_reached_is_no_value_at_all():
+    """It stays where it began, far away; one that was moved there is implausible."""
+    search, fitted = searching(question(records(3)), ("end_stop", "null_bias"))
+    c = one(search, "end_stop")
+    for low, implausible in ((c.neutral["end_stop.low"], False), (0.5 * c.neutral["end_stop.low"], True)):
+        values = {**fitted.values, "end_stop.low": low, "end_stop.high": 0.4}
+        tried = Tried((c,), None, Structure((c,), dataclasses.replace(fitted, values=values)), better())
+        assert bool(tried.implausible) == implausible
+
+
 def test_the_order_in_which_effects_were_found_does_not_change_the_model(rubbing):
     search, *_ = rubbing
     friction, bias = one(search, "coulomb_friction"), one(search, "null_bias")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -36,10 +37,10 @@ def settled(
     rivals go on from where its base came to rest, for the hollows are those of the base.
     """
     best, near = choice.best, search.near_noise(now)
-    tried = (*tried, *_confusable(search, now, tried, best))
     fitted = best.structure.fitted
     back = search.refit_of(now, fitted.values, states=fitted.states)
     again = _contenders(search, tried, choice, near)
+    tried = (*tried, *_confusable(search, now, tried, best))
     smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
@@ -87,20 +88,33 @@ def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Seq
 
 
 def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> list[Tried]:
-    """What is listed as easily confused with the best and was not fitted yet, begun where the base stands beside it."""
+    """What is listed as easily confused with the best and was not fitted yet.
+
+    It begins where the base stands beside the best, and from the beginning: a hose that gives and a rod that gives are
+    each fitted well by a base that the other would never lead to. What the base does as well by itself is left out,
+    unless one of its parameters rests on a bound.
+    """
     if len(best.members) > 1:
         return []
     (chosen,), known = best.members, {c.label for t in tried for c in t.members} | set(now.key)
+    can_bend = not (now.fitted.at_bound or best.structure.fitted.at_bound)
+    same = {name for name, s in search.not_testable.items() if can_bend and not s.visible > np.finfo(float).tiny}
     alike = [
         c for c in search.candidates
-        if c.label not in known | search.not_testable.keys() and not c.refines(chosen)
+        if c.label not in known | same and not c.refines(chosen)
         and (c.id in chosen.effect.confused_with or chosen.id in c.effect.confused_with)
         and not _seen_beyond(search, now, best.structure, c)
     ][:CONFUSABLE]  # fmt: skip
     beside = {n: v for n, v in best.structure.fitted.values.items() if n not in chosen.free}
     groups = [((c,), [{**beside, **probe} for probe in c.probes]) for c in alike]
     found = search.refitted(Structure(now.members, best.structure.fitted), groups) if groups else []
-    return [search.judged(t, now) for t in found]
+    fitted = [t for t in found if t.structure]
+    jobs = [_from_first(search, t.structure, t.members[0].probes[0]) for t in fitted]
+    judged = _improved(search, now, found, fitted, search.run(refit, jobs, "look back"))
+    for t in judged:
+        if t.evidence and t.evidence.passes(len(search.candidates)):  # it shows, whatever the screen predicted
+            search.not_testable.pop(t.members[0].label, None)
+    return list(judged)
 
 
 def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Candidate) -> bool:
@@ -120,10 +134,10 @@ def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bo
     return [best, *(t for t in others if t is not best)][: 1 + CONTENDERS]
 
 
-def _from_first(search: Search, structure: Structure) -> RefitJob:
-    """A structure's fit again, its base parameters from where the identification began."""
+def _from_first(search: Search, structure: Structure, effect: Mapping[str, float] = MappingProxyType({})) -> RefitJob:
+    """A structure's fit again, its base parameters from where the identification began, an effect's from others."""
     first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
-    return search.refit_of(structure, first, states=(), size=None, coarse=True, iterations=40)
+    return search.refit_of(structure, {**first, **effect}, states=(), size=None, coarse=True, iterations=40)
 
 
 def along_valleys(search: Search, structure: Structure) -> list[RefitJob]:

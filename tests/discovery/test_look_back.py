@@ -110,6 +110,18 @@ def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passe
     assert best.structure.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)
 
 
+def test_what_is_easily_confused_takes_part_though_the_screen_called_it_invisible():
+    """The screen looks from a base that stands in for the best; what shows after all is not called untestable."""
+    search, fitted = searching(question(records(3, late=3)), ("dead_time", "actuator_lag"))
+    base = Structure((), fitted)
+    _, ranked = search.screened(base)
+    (lag,) = search.singles(base, [s for s in ranked if s.candidate.id == "actuator_lag"])
+    (late,) = [s for s in ranked if s.candidate.id == "dead_time"]
+    search.not_testable[late.candidate.label] = late
+    _, after = settled(search, base, [lag], choose([lag], 5, search.question))
+    assert {t.members[0].id for t in after if t.evidence.passes(5)} >= {"dead_time"} and not search.not_testable
+
+
 def test_a_sensors_fault_is_no_rival_of_what_other_sensors_show():
     """Quantisation of one sensor is listed as easily confused with dry friction, which both sensors see."""
     late = lambda u: np.concatenate([u[:1], u[:1], u[:1], u[:-3]])  # noqa: E731

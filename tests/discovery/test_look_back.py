@@ -15,6 +15,7 @@ from hydrotwin.discovery.search import Structure
 from hydrotwin.models.language import Model
 from tests.discovery.slides import (
     RATE_NOISE,
+    START,
     TwoSensors,
     drive_records,
     grown,
@@ -120,6 +121,24 @@ def test_what_is_easily_confused_takes_part_though_the_screen_called_it_invisibl
     search.not_testable[late.candidate.label] = late
     _, after = settled(search, base, [lag], choose([lag], 5, search.question))
     assert {t.members[0].id for t in after if t.evidence.passes(5)} >= {"dead_time"} and not search.not_testable
+
+
+def test_what_the_base_does_as_well_takes_part_only_where_the_base_rests_on_a_bound(rubbing):
+    """Viscous friction is the damping of the base; while that can move, adding it says nothing."""
+    search, base, _, ranked = rubbing
+    (best,) = search.singles(base, [s for s in ranked if s.candidate.id == "coulomb_friction"])
+    assert "viscous_friction at mass.flange" in search.not_testable
+    jobs, run = [], search.run
+    search.run = lambda function, asked, stage: jobs.extend(asked) or run(function, asked, stage)
+    try:
+        assert look_back._confusable(search, base, [best], best) == [] and not jobs
+        bound = Structure((), dataclasses.replace(base.fitted, at_bound=("mass.damping",)))
+        (tried,) = look_back._confusable(search, bound, [best], best)
+    finally:
+        search.run = run
+    assert tried.members[0].id == "viscous_friction"
+    assert [j.coarse for j in jobs] == [False, True], "beside the best, and from the beginning"
+    assert jobs[1].starts[0]["mass.mass"] == START["mass.mass"]
 
 
 def test_a_sensors_fault_is_no_rival_of_what_other_sensors_show():

@@ -16,6 +16,7 @@ from .sites import flange_joints, flanges, parameters
 from .stepping import Lagged, stepped
 
 CONTACT = "K. L. Johnson, Contact Mechanics, 1985: a pin in its hole, 1e-9 to 1e-7"
+DEPTHS = np.array([3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1])  # of the range of positions: where stops are looked for
 FAR = 1e3  # m, where a stop is that nothing reaches
 TOLERANCES = "tolerances of the geometry"
 MACHINE_ELEMENTS = "Decker, Maschinenelemente: pins and their fits"
@@ -180,11 +181,12 @@ class EndStop(Effect):
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
-        """One end or both at quantiles of the positions seen."""
+        """One end or both, so deep in the range of the positions seen: a stiff stop that is barely reached shows."""
         s = np.asarray(seen["flange.s"])
-        low, high = np.quantile(s, (0.002, 0.02, 0.1)), np.quantile(s, (0.998, 0.98, 0.9))
+        low, high = np.min(s) + DEPTHS * np.ptp(s), np.max(s) - DEPTHS * np.ptp(s)
+        both = [{"low": float(e), "high": float(h)} for e, h in zip(low, high, strict=True)][1:-1:2]
         ends = [{"low": -FAR, "high": float(h)} for h in high] + [{"low": float(e), "high": FAR} for e in low]
-        return [*ends, {"low": float(low[0]), "high": float(high[0])}]
+        return [*ends, *both]
 
 
 class _Joint(Lagged):

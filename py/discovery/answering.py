@@ -25,7 +25,15 @@ from .regions import regions
 from .screen import Screened
 from .search import Search, Structure, Tried
 from .unknown import describe_unknown
-from .verdict import CONFIRMED, closed_where_it_counts, findings_of, not_excited, only_elsewhere, verdict_of
+from .verdict import (
+    CONFIRMED,
+    closed_where_it_counts,
+    findings_of,
+    not_excited,
+    only_elsewhere,
+    unconfirmed,
+    verdict_of,
+)
 
 FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 
@@ -61,6 +69,8 @@ class Found:
 
 def answer(search: Search, data: Split, found: Found, model: Model, began: float) -> Discovery:
     """The Discovery of a finished search; ``model`` is what the user gave, with its own bounds."""
+    q = search.question
+    data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
     verdict = verdict_of(search, found)
     kept = found.last if verdict in ("named", "class") else found.base
     before, after = _concluded(search, data, found.base, kept)
@@ -89,7 +99,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer=not_excited(elsewhere) if verdict == "unknown" and elsewhere and not steps else "",
+        answer=_without_name(search, found, elsewhere) if verdict == "unknown" and not found.steps else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),
@@ -116,6 +126,11 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         seconds=time.perf_counter() - began,
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
+
+
+def _without_name(search: Search, found: Found, elsewhere: Sequence[str]) -> str:
+    """What to say of a gap that gets no name, where it is known why."""
+    return not_excited(elsewhere) if elsewhere else unconfirmed(search, found)
 
 
 # -- final fits --------------------------------------------------------------------------------------------------------

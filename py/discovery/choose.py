@@ -35,11 +35,12 @@ class Choice:
         total = sum(likely.values())
         return Choice(self.members[count], self.members[count:], {name: p / total for name, p in likely.items()})
 
-    def beside(self, other: Tried) -> Choice:
-        """The same with one more that may as well be it."""
-        likely = {**self.probability, label(other): self.probability[label(self.best)]}
+    def beside(self, others: Sequence[Tried]) -> Choice:
+        """The same with others that may as well be it: together as likely as the best."""
+        share = self.probability[label(self.best)] / len(others)
+        likely = {**self.probability, **{label(t): share for t in others}}
         total = sum(likely.values())
-        return Choice(self.best, (*self.members, other), {name: p / total for name, p in likely.items()})
+        return Choice(self.best, (*self.members, *others), {name: p / total for name, p in likely.items()})
 
 
 def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
@@ -105,11 +106,6 @@ def worth_refining(over: Evidence) -> bool:
     return over.bic_gain > TOGETHER and over.paired_t > T_NEEDED and over.closed > REFINEMENT
 
 
-def leans_to(over: Evidence) -> bool:
-    """Whether a refinement explains more, be it surely or not."""
-    return over.bic_gain > TOGETHER and over.paired_t > 0 and over.closed > 0
-
-
 def refines(tried: Tried, other: Tried) -> bool:
     """Whether it contains a refinement of the other, which is a single effect."""
     return len(other.members) == 1 and any(c.refines(other.members[0]) for c in tried.members)
@@ -118,8 +114,13 @@ def refines(tried: Tried, other: Tried) -> bool:
 def _idly_refined(tried: Tried, best: Tried, passing: Sequence[Tried], q: Question) -> bool:
     """Whether it is the best, or another that passes, with more parameters to no avail: that is no alternative."""
     simple = [t for t in passing if refines(tried, t)]
-    idle = (not worth_refining(compared(tried.structure.fitted, t.structure.fitted, q)) for t in simple)
+    idle = (not _more_likely(compared(tried.structure.fitted, t.structure.fitted, q)) for t in simple)
     return best in simple or any(idle)
+
+
+def _more_likely(over: Evidence) -> bool:
+    """Whether a refinement is more likely than the simple effect, and held-out recordings say nothing against it."""
+    return over.bic_gain > TOGETHER and not over.paired_t < -T_NEEDED
 
 
 def as_good(tried: Tried, best: Tried, q: Question) -> bool:

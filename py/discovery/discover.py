@@ -17,7 +17,7 @@ from hydrotwin.models.language.units import compatible
 from .answering import answer
 from .discovery import Discovery
 from .executor import Starts, executor_for
-from .forward import reconsidered, searched
+from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
 from .refit import Question, RefitJob, Refitted, conclude, refit
@@ -99,8 +99,8 @@ def discover(
         base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
         search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report, told)
-        found = searched(search, reconsidered(search, Structure((), base)), max_effects)
-        return answer(search, dataclasses.replace(data, noise=search.sensors), found, model, began)
+        found = searched(search, begun(search, Structure((), base)), max_effects)
+        return answer(search, data, found, model, began)
 
 
 def _bounded(model: Model, names: Sequence[str]) -> Model:

@@ -19,7 +19,7 @@ from .answering import answer
 from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner, usual_of
 from .discovery import Discovery
 from .executor import executor_for
-from .forward import reconsidered, searched
+from .forward import begun, searched
 from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
 from .progress import reporting
 from .recordings import split
@@ -79,8 +79,8 @@ def discover_around(
         base = _only(run(refit, [job], "identify the base"))
         told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
         search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
-        found = searched(search, reconsidered(search, Structure((), base)), max_effects)
-        return answer(search, dataclasses.replace(data, noise=search.sensors), found, model, began)
+        found = searched(search, begun(search, Structure((), base)), max_effects)
+        return answer(search, data, found, model, began)
 
 
 def at_pace(candidate: Candidate, period: float) -> Candidate:
@@ -110,8 +110,7 @@ class AroundSearch(Search):
     What a dead time does to a step of a command is no multiple of what a small one does.
     """
 
-    def screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
-        """All candidates that are not in the structure yet, the most promising first."""
+    def _screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
         _ = self.big
         rest = [c for c in self.candidates if c.label not in now.key]
         self.report("screen", 0, len(rest), "")

@@ -10,12 +10,14 @@ import numpy as np
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import as_good, choose, label, leans_to, refines, worth_refining
-from .decide import INEXACT, T_NEEDED, WORTH, closed, compared, share_closed
+from .choose import as_good, choose, label, refines, worth_refining
+from .decide import T_NEEDED, WORTH, closed, compared
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
+from .refinements import more_than_inexact, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
+from .roles import fairly_split
 from .search import CONVINCING, Search, Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
@@ -25,20 +27,28 @@ TURNS = 2  # others of a class that are followed at a dead end
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
+def begun(search: Search, base: Structure) -> Structure:
+    """The identified base as a search begins with it: at rest, and with recordings in roles that can show its gap."""
+    now = reconsidered(search, base)
+    fair = fairly_split(search, now)
+    return now if fair is now else reconsidered(search, fair)
+
+
 def searched(search: Search, base: Structure, most: int) -> Found:
     """Forward steps while something passes; pairs from the base when that does not explain most of the gap.
 
     When not even a pair does, candidates take part in the identification of the base. Of several effects each is
-    looked for again beside the others; where another stands then, the search goes on from there.
+    looked for again beside the others; where another stands then, the search goes on from there. At last the finer
+    forms of what is named that may as well be it are put beside it.
     """
     found = _pruned(search, _best_of_singles_and_pairs(search, base, most))
     found, replaced = revised(search, found)
-    if not replaced:
-        return found
-    search.ask(search.sensors)
-    last = reconsidered(search, found.last)
-    further = _forward(search, found.base, last, most, found.steps, turning=False)
-    return _pruned(search, dataclasses.replace(further, screens=(*found.screens, *further.screens)))
+    if replaced:
+        search.ask(search.sensors)
+        last = reconsidered(search, found.last)
+        further = _forward(search, found.base, last, most, found.steps, turning=False)
+        found = _pruned(search, dataclasses.replace(further, screens=(*found.screens, *further.screens)))
+    return with_refinements(search, found)
 
 
 def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Found:
@@ -116,12 +126,11 @@ def _forward(
         tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
         tried += () if explained else search.finer(now, ranked, tried)
         screens.append((screen if not screens else None, ranked, tried))
-        lasting = [t for t in tried if t.evidence and _more(t, now, base, search)]
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
-            tried = [t for t in lasting if worth_refining(t.evidence)]
+            better = [t for t in tried if t.evidence and worth_refining(t.evidence)]
+            tried = [t for t in better if more_than_inexact(t, now, base, search)]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
-            steps = _with_undecided(steps, lasting)
             if turning and not explained and (turned := _turned(search, base, most, steps)):
                 return dataclasses.replace(turned, screens=(*screens, *turned.screens))
             break
@@ -172,24 +181,8 @@ def _rejoined(search: Search, found: Found, number: int, left: Sequence[Tried]) 
         start = {**found.last.fitted.values, **{n: known[n] for n in t.members[0].free}}
         (again,) = search.refitted(base, [(members, [start])])
         if again.structure and as_good(again, last, q):
-            step = dataclasses.replace(step, choice=step.choice.beside(t))
+            step = dataclasses.replace(step, choice=step.choice.beside([t]))
     return dataclasses.replace(found, steps=(*found.steps[:number], step, *found.steps[number + 1 :]))
-
-
-def _more(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
-    """Whether ``now`` leaves more of the gap that it closes than the inexact form of an effect may leave."""
-    return 1 - share_closed(base.fitted, now.fitted, tried.structure.fitted, search.question) > INEXACT
-
-
-def _with_undecided(steps: tuple[Step, ...], tried: Sequence[Tried]) -> tuple[Step, ...]:
-    """The steps with refinements of their effects beside them that explain more, though not surely."""
-    found = list(steps)
-    for t in (t for t in tried if leans_to(t.evidence) and not worth_refining(t.evidence) and not t.implausible):
-        for i, step in enumerate(found):
-            if refines(t, step.choice.best):
-                choice = step.choice.beside(t)
-                found[i] = dataclasses.replace(step, choice=choice, tried=(*step.tried, t))
-    return tuple(found)
 
 
 def _refounded(steps: tuple[Step, ...], better: Structure) -> tuple[Step, ...]:

@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 
-from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, coloured, compared, has_gap
+from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, compared, has_gap
 from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
 from .refit import Question, RefitJob, Refitted, refit
 from .screen import Screen, Screened
@@ -59,14 +59,15 @@ class Tried:
 
     @property
     def implausible(self) -> str:
-        """A sentence when a value lies far outside what is usual."""
+        """A sentence when a value lies far outside what is usual, on the side where the effect is larger."""
         if self.structure is None:
             return ""
         for c in self.members:
             for name, (_, high) in c.typical.items():
                 value = self.structure.fitted.values.get(name, 0.0)
-                absent = np.isclose(value, c.neutral.get(name, 0.0))  # a stop may lie where nothing comes
-                if c.site.frees is None and high > 0 and abs(value) > IMPLAUSIBLE * high and not absent:
+                absent = c.neutral.get(name, 0.0)  # the larger a limit, the less it does; a stop may be far away
+                less = abs(absent) > high and value * absent > 0
+                if c.site.frees is None and high > 0 and abs(value) > IMPLAUSIBLE * high and not less:
                     return f"{name} = {abs(value):.3g} is more than {IMPLAUSIBLE:g} times the usual {high:.3g}"
         return ""
 
@@ -88,6 +89,7 @@ class Search:
     _big: FlatModel | None = None
     _models: dict[tuple[str, ...], Model] = field(default_factory=dict)
     _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
+    _seen: tuple = (None, None, None)  # the last structure and question that were screened, and what was seen
 
     def __post_init__(self):
         self.sensors = self.question.noise if self.sensors is None else self.sensors
@@ -148,6 +150,11 @@ class Search:
     # -- one step -----------------------------------------------------------------------------------------------
     def screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
         """All candidates that are not in the structure yet, the most promising first."""
+        if self._seen[:2] != (now, self.question):
+            self._seen = (now, self.question, self._screened(now))
+        return self._seen[2]
+
+    def _screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
         _ = self.big
         rest = [c for c in self.candidates if c.label not in now.key]
         self.report("screen", 0, len(rest), "")
@@ -339,9 +346,8 @@ class Search:
             return bool(np.nanmax(now.fitted.rmse / self.question.noise) < NEAR)
 
     def refinable(self, now: Structure) -> bool:
-        """Whether a trace is left that a refinement of a named effect may explain, however small beside the noise."""
-        residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
-        return any(_refines(c, now) for c in self.candidates) and bool(coloured(residuals).any())
+        """Whether the catalogue holds a finer form of a named effect."""
+        return any(_refines(c, now) for c in self.candidates)
 
     def refinements(self, now: Structure, ranked: Sequence[Screened]) -> list[Screened]:
         """The candidates that refine a member of the structure and promise something."""

@@ -10,7 +10,7 @@ import numpy as np
 from .choose import label
 from .decide import CLEARLY, LARGE, closed, gap_closed, has_gap
 from .recordings import Split
-from .refit import Concluded, pooled_rmse
+from .refit import Concluded, Refitted, pooled_rmse
 from .search import Search, Structure
 
 if TYPE_CHECKING:
@@ -54,6 +54,29 @@ def not_excited(elsewhere: Sequence[str]) -> str:
         f"Something is missing that shows in {', '.join(elsewhere)} only, kept to judge by: what the model was fitted "
         "to shows none of it. Record more runs that move like that, and give them to be fitted to."
     )
+
+
+def unconfirmed(search: Search, found: Found) -> str:
+    """The answer when an effect explains what was fitted to and held-out recordings do not say so; else empty."""
+    base, q = found.base.fitted, search.question
+    tried = [t for _, _, each in found.screens[:1] for t in each if t.evidence and not t.implausible]
+    likely = [t for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(len(search.candidates))]
+    best = max(likely, key=lambda t: t.evidence.bic_gain, default=None)
+    share = best and _closed_on_fit(best.structure.fitted, base, q.noise)
+    if not share or share < NAMED:
+        return ""
+    runs = zip(q.fit, base.residuals_fit, strict=True)
+    shows = [r.name for r, left in runs if has_gap([left], q.noise, LARGE).any()] or [r.name for r in q.fit]
+    return (
+        f"Something is missing that gets no name yet: {label(best)} would explain {100 * share:.0f} % of it where the "
+        f"model was fitted ({', '.join(shows)}), but the recordings kept to choose by do not confirm it. Record more "
+        "runs that move like those."
+    )
+
+
+def _closed_on_fit(better: Refitted, base: Refitted, noise: np.ndarray) -> float:
+    """Share of the gap of the fit recordings, no noise being larger than what the better one leaves."""
+    return gap_closed(base.rmse, better.rmse, np.where(np.isfinite(noise), np.fmin(noise, better.rmse), noise))
 
 
 def closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hydrotwin.discovery import forward
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.decide import Evidence, bic_needed
-from hydrotwin.discovery.forward import _more, _with_undecided
+from hydrotwin.discovery.refinements import _beside, leans, may_be, more_than_inexact, own_part
 from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.models.effects import candidates
 from tests.discovery.slides import Inline, better, found, grown, one, question, records, searching, slide
@@ -87,22 +88,60 @@ def test_a_refinement_must_close_more_of_the_gap_than_an_inexact_form_leaves(rub
     search, base, *_ = rubbing
     now = grown(search, base, "coulomb_friction", coulomb_friction=20.0)
     refined = Tried(now.members, None, now)
-    assert not _more(refined, now, base, search)
-    assert _more(refined, base, base, search)
+    assert not more_than_inexact(refined, now, base, search)
+    assert more_than_inexact(refined, base, base, search)
 
 
-def test_a_refinement_that_may_or_may_not_be_it_is_told_beside_the_simple_effect(rubbing):
+def with_own_part(search, base, excess):
+    """Coulomb friction fitted, and its refinement of which so large a share is excess at low speed."""
+    now = grown(search, base, "coulomb_friction", coulomb_friction=20.0)
+    finer = one(search, "stribeck_friction")
+    force = next(v for n, v in now.fitted.values.items() if n.endswith("force") and "coulomb" in n)
+    values = dict(zip(finer.free, (force * (1 - excess), force * excess, 0.02), strict=True))
+    fitted = dataclasses.replace(now.fitted, values={**now.fitted.values, **values})
+    return now, Tried((finer,), None, Structure((finer,), fitted), Evidence(40.0, 1.5, 0.2))
+
+
+@pytest.mark.parametrize("evidence", [Evidence(-9.0, -1.5, 0.0), Evidence(40.0, 0.3, 0.0)])
+def test_a_refinement_that_does_as_well_with_other_physics_may_be_it(rubbing, evidence):
+    search, base, *_ = rubbing
+    now, other = with_own_part(search, base, 0.8)
+    assert own_part(other, now) == pytest.approx(0.8)
+    _, trifle = with_own_part(search, base, 0.05)
+    other, trifle = (dataclasses.replace(t, evidence=evidence) for t in (other, trifle))
+    assert may_be(other, now)
+    assert not may_be(trifle, now), "it is the simple effect by another name"
+
+
+@pytest.mark.parametrize("evidence", [Evidence(-11.0, 1.5, 0.0), Evidence(40.0, -2.5, 0.0)])
+def test_a_refinement_that_does_worse_is_not_it(rubbing, evidence):
+    search, base, *_ = rubbing
+    now, other = with_own_part(search, base, 0.8)
+    assert not may_be(dataclasses.replace(other, evidence=evidence), now)
+
+
+def test_a_refinement_that_explains_more_than_an_inexact_form_may_be_it_however_small_its_part(rubbing):
+    search, base, *_ = rubbing
+    now, trifle = with_own_part(search, base, 0.05)
+    assert leans(trifle, base, base, search), "the base leaves all of the gap"
+    assert not leans(trifle, now, base, search), "nothing is left"
+    surely = dataclasses.replace(trifle, evidence=Evidence(40.0, 2.5, 0.5))
+    assert not leans(surely, base, base, search), "then it is named instead"
+
+
+def test_a_refinement_that_may_be_it_shares_the_probability_of_the_simple_effect(rubbing):
     search, base, _, ranked = rubbing
     by = {s.candidate.id: s for s in ranked}
-    simple, refined, other = search.singles(base, [by[n] for n in ("coulomb_friction", "stribeck_friction", "drift")])
-    step = Step(Choice(simple, (simple,), {label(simple): 1.0}), (), (simple,), base)
-    leaning, against = Evidence(40.0, 1.5, 0.2), Evidence(40.0, -1.5, 0.2)
-    told = [dataclasses.replace(t, evidence=e) for t, e in ((refined, leaning), (other, leaning))]
-    (found,) = _with_undecided((step,), told)
-    assert [label(t) for t in found.choice.members] == [label(simple), label(refined)]
-    assert found.choice.probability == {label(simple): 0.5, label(refined): 0.5}
-    (left,) = _with_undecided((step,), [dataclasses.replace(refined, evidence=against)])
-    assert left.choice.members == (simple,)
+    names = ("coulomb_friction", "stribeck_friction", "drift")
+    simple, *told = search.singles(base, [by[n] for n in names])
+    choice = Choice(simple, (simple,), {label(simple): 1.0})
+    step = Step(choice, (), (simple,), base)
+    found = _beside(dataclasses.replace(step, revised={label(simple): step}), told)
+    for choice in (found.choice, found.revised[label(simple)].choice):
+        assert [t.members[0].id for t in choice.members] == [*names[:2]], "a drift refines nothing here"
+        assert list(choice.probability.values()) == [0.5, 0.5]
+    assert _beside(found, told).choice.members == found.choice.members, "each of them once"
+    assert list(step.choice.beside(told).probability.values()) == [0.5, 0.25, 0.25], "together as likely as it"
 
 
 def test_at_a_dead_end_the_search_goes_on_from_another_of_the_class_and_drops_what_led_nowhere(rubbing, monkeypatch):
@@ -233,14 +272,23 @@ def test_a_value_far_outside_what_is_usual_is_implausible(rubbing):
     assert "coulomb_friction.force" in tried.implausible and "2e+03" in tried.implausible
 
 
-def test_an_end_of_the_stroke_that_is_not_reached_is_no_value_at_all():
-    """It stays where it began, far away; one that was moved there is implausible."""
-    search, fitted = searching(question(records(3)), ("end_stop", "null_bias"))
-    c = one(search, "end_stop")
-    for low, implausible in ((c.neutral["end_stop.low"], False), (0.5 * c.neutral["end_stop.low"], True)):
-        values = {**fitted.values, "end_stop.low": low, "end_stop.high": 0.4}
-        tried = Tried((c,), None, Structure((c,), dataclasses.replace(fitted, values=values)), better())
-        assert bool(tried.implausible) == implausible
+@pytest.mark.parametrize(
+    ("name", "parameter", "value", "implausible"),
+    [
+        ("end_stop", "low", -1000.0, False),  # where it began: nothing comes there
+        ("end_stop", "low", -500.0, False),
+        ("end_stop", "low", 500.0, True),
+        ("command_saturation", "limit", 1e5, False),
+        ("rate_limit", "rate", 1e6, False),
+        ("check_valve_cracking", "pressure", 1e9, True),  # absent far below zero
+    ],
+)
+def test_a_value_nearer_to_where_nothing_happens_than_what_is_usual_is_plausible(name, parameter, value, implausible):
+    c = candidates(hydrotwin.load("cehA"), [name])[0]
+    (path,) = (n for n in c.free if n.endswith(f".{parameter}"))
+    fitted = SimpleNamespace(values={**{n: c.typical[n][1] for n in c.free}, path: value})
+    tried = Tried((c,), None, Structure((c,), fitted), better())
+    assert bool(tried.implausible) == implausible
 
 
 def test_the_order_in_which_effects_were_found_does_not_change_the_model(rubbing):

@@ -1,0 +1,73 @@
+"""Refinements: the finer forms of what was named that the recordings cannot exclude.
+
+A simple effect is named before its refinements, for those always fit as well. That says nothing against a refinement
+that is more likely, though not surely, nor against one that does as well and stands for something else: dry friction
+that is all excess at low speed, or grows with the pressure, where the recordings show but a force against the motion.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+from .answering import Found, Step
+from .choose import worth_refining
+from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, share_closed
+from .search import Search, Structure, Tried
+
+MATERIAL = 0.1  # of a parameter that both have: what the refinement's own part takes over when it is more than a trifle
+
+
+def with_refinements(search: Search, found: Found) -> Found:
+    """What was found, with every refinement of a named effect that may as well be it beside that effect."""
+    now = found.last
+    if not found.steps or not search.refinable(now):
+        return found
+    _, ranked = search.screened(now)
+    tried = [t for t in search.singles(now, search.refinements(now, ranked)) if t.evidence]
+    told = [t for t in tried if leans(t, now, found.base, search) or may_be(t, now)]
+    return dataclasses.replace(found, steps=tuple(_beside(step, told) for step in found.steps))
+
+
+def leans(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
+    """Whether a refinement explains more than the simple effect in ``now``, but not surely: no inexact form alone."""
+    more = more_than_inexact(tried, now, base, search) and _is_more(tried.evidence)
+    return more and not worth_refining(tried.evidence) and not tried.implausible
+
+
+def may_be(tried: Tried, now: Structure) -> bool:
+    """Whether a refinement does as well as the simple effect in ``now`` with other physics than that."""
+    e = tried.evidence
+    as_well = e.bic_gain > -TOGETHER and e.paired_t > -T_NEEDED
+    return as_well and own_part(tried, now) > MATERIAL and not tried.implausible
+
+
+def more_than_inexact(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:
+    """Whether ``now`` leaves more of the gap that it closes than the inexact form of an effect may leave."""
+    return 1 - share_closed(base.fitted, now.fitted, tried.structure.fitted, search.question) > INEXACT
+
+
+def own_part(tried: Tried, now: Structure) -> float:
+    """How far, relatively, a parameter that a refinement shares with the simple effect in ``now`` has moved in it."""
+    (finer,) = tried.members
+    simple = next(m for m in now.members if finer.refines(m))
+    values = tried.structure.fitted.values
+    pairs = [(values[name], before) for name, before in finer.containing(simple, now.fitted.values).items()]
+    return max((abs(after / before - 1) for after, before in pairs if before), default=0.0)
+
+
+def _is_more(over: Evidence) -> bool:
+    """Whether a refinement explains more, be it surely or not."""
+    return over.bic_gain > TOGETHER and over.paired_t > 0 and over.closed > 0
+
+
+def _beside(step: Step, told: Sequence[Tried]) -> Step:
+    """The step, and what was made of it again, with the refinements of their effects beside them."""
+    again = {name: _beside(one, told) for name, one in step.revised.items()}
+    best = step.choice.best
+    finer = [t for t in told if len(best.members) == 1 and t.members[0].refines(best.members[0])]
+    finer = [t for t in finer if t.members not in [m.members for m in step.choice.members]]
+    if not finer:
+        return dataclasses.replace(step, revised=again)
+    tried = (*(t for t in step.tried if t.members not in [f.members for f in finer]), *finer)
+    return dataclasses.replace(step, choice=step.choice.beside(finer), tried=tried, revised=again)

@@ -1,0 +1,87 @@
+"""Recordings change roles where those that choose show nothing of the gap; what nothing can confirm gets no name."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.answering import Found
+from hydrotwin.discovery.roles import exchanged, fairly_split
+from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.verdict import unconfirmed
+from tests.discovery.slides import NOISE, found, question, record, records, searching
+
+LIMITED = ("command_saturation", "coulomb_friction", "null_bias")
+QUIET = {"highest": 90.0}  # N, far below the limit
+
+
+def limited(seed, **more):
+    """A recording whose force is cut off at 280 N, short of its peaks."""
+    return record(seed, limit=280.0, **more)
+
+
+def leaving(*times):
+    """A fit of recordings 0 and 2 of three, and the choice by recording 1, that leave so many times the noise."""
+    asked = question(records(3))
+    _, fitted = searching(asked, ("null_bias",))
+    first, chosen, second = (np.full((600, 1), NOISE * t) for t in times)
+    return asked, dataclasses.replace(fitted, residuals_fit=(first, second), residuals_select=(chosen,))
+
+
+@pytest.mark.parametrize("times", [(5.0, 4.0, 3.0), (5.0, 1.0, 1.0), (1.0, 5.0, 1.0), (1.05, 1.0, 1.05)])
+def test_roles_stay_where_both_show_the_gap_or_a_single_recording_does(times):
+    assert exchanged(*leaving(*times)) is None
+
+
+def test_the_recording_that_shows_the_gap_second_best_takes_the_place_of_one_that_does_not():
+    asked, fitted = leaving(5.0, 1.0, 4.0)
+    changed = exchanged(asked, fitted)
+    assert [r.name for r in changed.fit] == ["run_0", "run_1"] and [r.name for r in changed.select] == ["run_2"]
+
+
+def test_what_only_those_show_that_choose_is_fitted_to():
+    asked, fitted = leaving(1.0, 5.0, 1.0)
+    (chosen,), (quiet, still) = asked.select, asked.fit
+    asked = dataclasses.replace(asked, select=(chosen, chosen))
+    four = dataclasses.replace(fitted, residuals_select=fitted.residuals_select * 2)
+    changed = exchanged(asked, four)
+    assert changed.fit == (chosen, still) and changed.select == (quiet, chosen)
+
+
+def test_without_recordings_to_choose_by_nothing_changes():
+    asked, fitted = leaving(5.0, 1.0, 4.0)
+    nothing = dataclasses.replace(asked, select=())
+    assert exchanged(nothing, dataclasses.replace(fitted, residuals_select=())) is None
+
+
+def test_an_effect_that_two_of_three_recordings_show_is_named_whichever_role_they_had():
+    answer = found([limited(0), record(1, **QUIET), limited(2)], LIMITED, validate=[limited(3)])
+    assert [s.effect for s in answer.steps] == ["command_saturation"]
+    roles = {r.record: r.role for r in answer.recordings}
+    assert roles == {"run_0": "fit", "run_1": "fit", "run_2": "select", "run_3": "report"}
+
+
+def test_the_base_is_fitted_anew_to_its_new_recordings_and_stays_where_that_fails():
+    asked = question([limited(0), record(1, **QUIET), limited(2)])
+    search, fitted = searching(asked, LIMITED)
+    diverging = dataclasses.replace(search, run=lambda function, jobs, stage: ["it diverges"])
+    now = Structure((), fitted)
+    assert fairly_split(diverging, now) is now and diverging.question is asked
+    base = fairly_split(search, now)
+    assert [r.name for r in search.question.fit] == ["run_0", "run_1"]
+    assert base.fitted.rmse < fitted.rmse, "one of those that it cannot follow has left"
+
+
+def test_an_effect_that_the_recordings_to_choose_by_do_not_confirm_gets_no_name_and_the_answer_says_so():
+    search, fitted = searching(question([limited(0), limited(1), record(2, **QUIET)]), LIMITED)
+    base = Structure((), fitted)
+    by = {s.candidate.id: s for s in search.screened(base)[1]}
+    (limit,) = search.singles(base, [by["command_saturation"]])
+    unsure = dataclasses.replace(limit, evidence=dataclasses.replace(limit.evidence, paired_t=0.3))
+    told = unconfirmed(search, Found(base, base, (), ((None, (), [unsure]),)))
+    assert "command_saturation at force would explain 100 % of it where the model was fitted (run_0" in told
+    assert "Record more runs" in told
+    assert not unconfirmed(search, Found(base, base, (), ((None, (), [limit]),))), "another reason kept it from a name"
+    poor = dataclasses.replace(unsure, structure=base)
+    assert not unconfirmed(search, Found(base, base, (), ((None, (), [poor]),))), "it explains nothing"
+    assert not unconfirmed(search, Found(base, base, (), ()))

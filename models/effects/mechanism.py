@@ -233,7 +233,7 @@ class StructuralCompliance(_Joint):
     source = "H. Merritt, Hydraulic Control Systems, 1967"
     typical = {"compliance": (1e-9, 2e-7)}
     probes = ({"compliance": 1e-8}, {"compliance": 1e-7})
-    confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag")
+    confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag", "spool_lag")
     experiment = "steps of force with position measured on both sides, or with pressures"
 
     compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)

@@ -35,6 +35,7 @@ MEASURABLE = 1.02  # MSE over noise^2
 HUGE = 1e6  # times the noise: a run that diverged
 DIVERGED = 700.0  # logarithm of the error of a run that diverged
 LARGE = 1.2  # MSE over noise^2: no error of a noise estimate
+SHOWN = 0.1  # of the most that any recording leaves beyond the noise: less shows nothing of the gap
 CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason
 
 
@@ -192,6 +193,12 @@ def has_gap(residuals: Sequence[np.ndarray], noise: np.ndarray, clearly: float =
     with np.errstate(invalid="ignore"):
         square = (pooled_rmse(residuals) / noise) ** 2
     return (np.nan_to_num(square) > LARGE) | ((np.nan_to_num(square) > clearly) & coloured(residuals))
+
+
+def beyond_noise(residuals: Sequence[np.ndarray], noise: np.ndarray) -> list[float]:
+    """Per recording, the mean square beyond noise^2, in units of it, of the output that leaves most."""
+    with np.errstate(invalid="ignore"):
+        return [float(np.nanmax((pooled_rmse([r]) / noise) ** 2)) - 1 for r in residuals]
 
 
 def coloured(residuals: Sequence[np.ndarray]) -> np.ndarray:

@@ -110,9 +110,7 @@ class AroundSearch(Search):
     What a dead time does to a step of a command is no multiple of what a small one does.
     """
 
-    def _screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
-        _ = self.big
-        rest = [c for c in self.candidates if c.label not in now.key]
+    def _screened(self, now: Structure, rest: Sequence[Candidate]) -> tuple[Screen, list[Screened]]:
         self.report("screen", 0, len(rest), "")
         screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
         limits = [c for c in rest if hasattr(c.effect, "probes_for")]

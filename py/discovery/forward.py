@@ -120,9 +120,9 @@ def _forward(
         search.screened(now)  # nothing is missing; what could not have been seen is told
     while len(now.members) < most:
         explained = search.explained(now)
-        if explained and not search.refinable(now):
+        if explained and not search.refining(now):
             break
-        screen, ranked = search.screened(now)
+        screen, ranked = search.screened(now, search.refining(now) if explained else None)
         tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
         tried += () if explained else search.finer(now, ranked, tried)
         screens.append((screen if not screens else None, ranked, tried))

@@ -21,9 +21,10 @@ MATERIAL = 0.1  # of a parameter that both have: what the refinement's own part 
 def with_refinements(search: Search, found: Found) -> Found:
     """What was found, with every refinement of a named effect that may as well be it beside that effect."""
     now = found.last
-    if not found.steps or not search.refinable(now):
+    finer = search.refining(now)
+    if not found.steps or not finer:
         return found
-    _, ranked = search.screened(now)
+    _, ranked = search.screened(now, finer)
     tried = [t for t in search.singles(now, search.refinements(now, ranked)) if t.evidence]
     told = [t for t in tried if leans(t, now, found.base, search) or may_be(t, now)]
     return dataclasses.replace(found, steps=tuple(_beside(step, told) for step in found.steps))

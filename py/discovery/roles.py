@@ -7,15 +7,12 @@ never prove itself there. Which recording has which role is decided by what the 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 
-from .decide import LARGE
-from .refit import Question, Refitted, pooled_rmse, refit
+from .decide import LARGE, SHOWN, beyond_noise
+from .refit import Question, Refitted, refit
 from .search import Search, Structure
-
-SHOWN = 0.1  # of the most that any recording leaves beyond the noise: less shows nothing of the gap
 
 
 def fairly_split(search: Search, base: Structure) -> Structure:
@@ -37,7 +34,7 @@ def exchanged(q: Question, fitted: Refitted) -> Question | None:
 
     None where both do, or where fewer than two recordings show it.
     """
-    fit, select = (_beyond(r, q.noise) for r in (fitted.residuals_fit, fitted.residuals_select))
+    fit, select = (beyond_noise(r, q.noise) for r in (fitted.residuals_fit, fitted.residuals_select))
     least = max(SHOWN * max((*fit, *select)), LARGE - 1)
     if (np.array([*fit, *select]) > least).sum() < 2 or not select:
         return None
@@ -46,12 +43,6 @@ def exchanged(q: Question, fitted: Refitted) -> Question | None:
     if max(fit) < least:
         return _changed(q, int(np.argmin(fit)), int(np.argmax(select)))
     return None
-
-
-def _beyond(residuals: Sequence[np.ndarray], noise: np.ndarray) -> list[float]:
-    """Mean square beyond the noise, times it, of the output that leaves most, per recording."""
-    with np.errstate(invalid="ignore"):
-        return [float(np.nanmax((pooled_rmse([r]) / noise) ** 2)) - 1 for r in residuals]
 
 
 def _changed(q: Question, i: int, j: int) -> Question:

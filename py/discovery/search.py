@@ -89,7 +89,7 @@ class Search:
     _big: FlatModel | None = None
     _models: dict[tuple[str, ...], Model] = field(default_factory=dict)
     _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
-    _seen: tuple = (None, None, None)  # the last structure and question that were screened, and what was seen
+    _seen: tuple = (None, None)  # the structure and the question that were screened last, which candidates, and how
 
     def __post_init__(self):
         self.sensors = self.question.noise if self.sensors is None else self.sensors
@@ -148,15 +148,16 @@ class Search:
         return tuple(dict.fromkeys([*self.free, *(n for c in members for n in c.free)]))
 
     # -- one step -----------------------------------------------------------------------------------------------
-    def screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
-        """All candidates that are not in the structure yet, the most promising first."""
-        if self._seen[:2] != (now, self.question):
-            self._seen = (now, self.question, self._screened(now))
-        return self._seen[2]
-
-    def _screened(self, now: Structure) -> tuple[Screen, list[Screened]]:
+    def screened(self, now: Structure, among: Sequence[Candidate] | None = None) -> tuple[Screen, list[Screened]]:
+        """All candidates (or those ``among`` them) that are not in the structure yet, the most promising first."""
         _ = self.big
-        rest = [c for c in self.candidates if c.label not in now.key]
+        rest = {c.label: c for c in (self.candidates if among is None else among) if c.label not in now.key}
+        if self._seen[:2] != (now, self.question) or not rest.keys() <= self._seen[2]:
+            self._seen = (now, self.question, rest.keys(), *self._screened(now, list(rest.values())))
+        *_, screen, ranked = self._seen
+        return screen, [s for s in ranked if s.candidate.label in rest]
+
+    def _screened(self, now: Structure, rest: Sequence[Candidate]) -> tuple[Screen, list[Screened]]:
         self.report("screen", 0, len(rest), "")
         screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
         probing = [c for c in rest if hasattr(c.effect, "probes_for")]
@@ -345,22 +346,18 @@ class Search:
         with np.errstate(invalid="ignore"):
             return bool(np.nanmax(now.fitted.rmse / self.question.noise) < NEAR)
 
-    def refinable(self, now: Structure) -> bool:
-        """Whether the catalogue holds a finer form of a named effect."""
-        return any(_refines(c, now) for c in self.candidates)
+    def refining(self, now: Structure) -> list[Candidate]:
+        """The finer forms of named effects that the catalogue holds."""
+        return [c for c in self.candidates if any(c.refines(m) for m in now.members)]
 
     def refinements(self, now: Structure, ranked: Sequence[Screened]) -> list[Screened]:
         """The candidates that refine a member of the structure and promise something."""
-        return [s for s in ranked if _refines(s.candidate, now) and s.evidence > LEAST_EVIDENCE]
+        return [s for s in ranked if s.candidate in self.refining(now) and s.evidence > LEAST_EVIDENCE]
 
     @property
     def needed(self) -> float:
         """BIC that a name must gain."""
         return bic_needed(len(self.candidates))
-
-
-def _refines(candidate: Candidate, now: Structure) -> bool:
-    return any(candidate.refines(m) for m in now.members)
 
 
 def label_of(members: Sequence[Candidate]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .choose import label
-from .decide import CLEARLY, LARGE, closed, gap_closed, has_gap
+from .decide import CLEARLY, LARGE, SHOWN, beyond_noise, closed, gap_closed, has_gap
 from .recordings import Split
 from .refit import Concluded, Refitted, pooled_rmse
 from .search import Search, Structure
@@ -65,12 +65,13 @@ def unconfirmed(search: Search, found: Found) -> str:
     share = best and _closed_on_fit(best.structure.fitted, base, q.noise)
     if not share or share < NAMED:
         return ""
-    runs = zip(q.fit, base.residuals_fit, strict=True)
-    shows = [r.name for r, left in runs if has_gap([left], q.noise, LARGE).any()] or [r.name for r in q.fit]
+    left = beyond_noise(base.residuals_fit, q.noise)
+    shows = [r.name for r, size in zip(q.fit, left, strict=True) if size >= SHOWN * max(left)]
+    what = " and ".join(f"{c.effect.title} at {c.site.name}" for c in best.members)
     return (
-        f"Something is missing that gets no name yet: {label(best)} would explain {100 * share:.0f} % of it where the "
-        f"model was fitted ({', '.join(shows)}), but the recordings kept to choose by do not confirm it. Record more "
-        "runs that move like those."
+        f"Something is missing that gets no name yet: {what} would explain {100 * share:.0f} % of it where the model "
+        f"was fitted ({', '.join(shows)}), but the recordings kept to choose by do not confirm it. Record more runs "
+        "that move like those."
     )
 
 

@@ -79,7 +79,7 @@ def test_an_effect_that_the_recordings_to_choose_by_do_not_confirm_gets_no_name_
     (limit,) = search.singles(base, [by["command_saturation"]])
     unsure = dataclasses.replace(limit, evidence=dataclasses.replace(limit.evidence, paired_t=0.3))
     told = unconfirmed(search, Found(base, base, (), ((None, (), [unsure]),)))
-    assert "command_saturation at force would explain 100 % of it where the model was fitted (run_0" in told
+    assert "saturation of the command at force would explain 100 % of it where the model was fitted (run_0" in told
     assert "Record more runs" in told
     assert not unconfirmed(search, Found(base, base, (), ((None, (), [limit]),))), "another reason kept it from a name"
     poor = dataclasses.replace(unsure, structure=base)

@@ -261,6 +261,25 @@ def test_beside_what_almost_passed_the_screen_sees_what_the_base_stood_in_for():
     assert forward._beside_a_near_miss(search, base, far) == []
 
 
+# -- screens ---------------------------------------------------------------------------------------------------------
+def test_what_was_screened_last_is_not_screened_again_unless_the_question_changes(rubbing, monkeypatch):
+    search, base, *_ = rubbing
+    stages = []
+    monkeypatch.setattr(search, "_seen", (None, None))
+    monkeypatch.setattr(search, "report", lambda stage, *more: stages.append(stage))
+    few = [one(search, "coulomb_friction"), one(search, "drift")]
+    _, ranked = search.screened(base, few)
+    assert {s.candidate.id for s in ranked} == {"coulomb_friction", "drift"} and stages.count("screen") == 1
+    _, whole = search.screened(base)
+    assert len(whole) == len(search.candidates) and stages.count("screen") == 2, "it holds more"
+    _, again = search.screened(base, few)
+    assert stages.count("screen") == 2 and [s.candidate for s in again] == [s.candidate for s in ranked]
+    assert [s.gain for s in again] == pytest.approx([s.gain for s in ranked])
+    monkeypatch.setattr(search, "question", dataclasses.replace(search.question, noise=2 * search.question.noise))
+    search.screened(base, few)
+    assert stages.count("screen") == 3
+
+
 # -- plausibility ------------------------------------------------------------------------------------------------------
 def test_a_value_far_outside_what_is_usual_is_implausible(rubbing):
     search, base, *_ = rubbing

@@ -175,7 +175,7 @@ def _rejoined(search: Search, found: Found, number: int, left: Sequence[Tried]) 
     if best not in found.last.members:
         return found  # refined since
     last = search.judged(Tried(found.last.members, None, found.last), base)
-    for t in left:
+    for t in (t for t in left if t.members[0] not in found.last.members):  # it may have been named beside the best
         members = tuple(t.members[0] if m is best else m for m in found.last.members)
         known = t.structure.fitted.values
         start = {**found.last.fitted.values, **{n: known[n] for n in t.members[0].free}}

@@ -182,6 +182,9 @@ def test_what_led_nowhere_stays_in_the_class_when_it_does_as_well_beside_what_wa
     step = Step(Choice(best, (best,), {label(best): 1.0}), (), (best,), base)
     found = forward._rejoined(search, Found(base, last, (step,), ()), 0, (alone["constant_load"], alone["drift"]))
     assert [t.members[0].id for t in found.steps[0].choice.members] == ["null_bias", "constant_load"]
+    (dry,) = search.refitted(base, [((one(search, "coulomb_friction"),), [])])
+    found = forward._rejoined(search, Found(base, last, (step,), ()), 0, (dry,))
+    assert found.steps[0].choice.members == (best,), "it was named beside the best, and stands for nothing in its place"
 
 
 @pytest.mark.parametrize("machine", ["cehA", "spool_valve"])

@@ -129,6 +129,15 @@ def test_the_simple_effect_is_named_when_its_refinement_explains_little_more():
     assert choice.best is simple and choice.members == (simple,)
 
 
+def test_a_refinement_of_another_than_the_best_takes_part_when_it_is_more_likely_than_what_it_refines():
+    best, simple = tried("null_bias", fit=1.1), tried("coulomb_friction", fit=1.14)
+    likelier, idle = (tried("stribeck_friction", fit=f, parameters=5) for f in (1.115, 1.14))
+    over = compared(likelier.structure.fitted, simple.structure.fitted, ASKED)
+    assert over.bic_gain > TOGETHER and not worth_refining(over)
+    assert label(likelier) in choose([best, simple, likelier], 30, ASKED).probability
+    assert label(idle) not in choose([best, simple, idle], 30, ASKED).probability
+
+
 def test_the_refinement_is_named_when_it_explains_clearly_more():
     simple, refined = tried("coulomb_friction", fit=1.8), tried("stribeck_friction", fit=1.0, parameters=5)
     choice = choose([simple, refined], 30, ASKED)

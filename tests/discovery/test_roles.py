@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery import answering
 from hydrotwin.discovery.answering import Found
 from hydrotwin.discovery.roles import exchanged, fairly_split
 from hydrotwin.discovery.search import Structure
 from hydrotwin.discovery.verdict import unconfirmed
+from hydrotwin.models.effects.mechanism import FAR, EndStop
 from tests.discovery.slides import NOISE, found, question, record, records, searching
 
 LIMITED = ("command_saturation", "coulomb_friction", "null_bias")
@@ -85,3 +87,20 @@ def test_an_effect_that_the_recordings_to_choose_by_do_not_confirm_gets_no_name_
     poor = dataclasses.replace(unsure, structure=base)
     assert not unconfirmed(search, Found(base, base, (), ((None, (), [poor]),))), "it explains nothing"
     assert not unconfirmed(search, Found(base, base, (), ()))
+
+
+def test_the_answer_to_a_gap_without_a_name_is_what_would_explain_it(monkeypatch):
+    monkeypatch.setattr(answering, "unconfirmed", lambda search, found: "a stop would, but nothing confirms it")
+    told = found(records(3, pulse=150.0), ["null_bias"], validate=[record(9, pulse=150.0)])
+    assert told.verdict == "unknown" and told.answer == "a stop would, but nothing confirms it"
+    assert not found(records(3), ["null_bias"], validate=[record(9)]).answer, "where nothing is missing there is none"
+
+
+@pytest.mark.parametrize("reached", [5e-4, 5e-3, 0.05])
+def test_a_stop_is_looked_for_as_deep_as_it_is_reached_be_it_barely(reached):
+    way = np.sin(np.linspace(0.0, 20.0, 5000))  # from -1 to 1
+    probes = EndStop.probes_for({"flange.s": way})
+    high, low = [1 - p["high"] for p in probes if p["high"] < FAR], [1 + p["low"] for p in probes if p["low"] > -FAR]
+    for depths in (high, low):
+        assert any(reached < d < 4 * reached for d in depths), "of a range of 2"
+    assert any(p["high"] < FAR and p["low"] > -FAR for p in probes), "or both ends"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.discovery import forward
+from hydrotwin.discovery import forward, refinements
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.decide import Evidence, bic_needed
 from hydrotwin.discovery.refinements import _beside, leans, may_be, more_than_inexact, own_part
-from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
+from hydrotwin.discovery.search import IMPLAUSIBLE, Search, Structure, Tried
 from hydrotwin.models.effects import candidates
-from tests.discovery.slides import Inline, better, found, grown, one, question, records, searching, slide
+from tests.discovery.slides import Inline, better, found, grown, one, question, record, records, searching, slide
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,15 @@ def with_own_part(search, base, excess):
     values = dict(zip(finer.free, (force * (1 - excess), force * excess, 0.02), strict=True))
     fitted = dataclasses.replace(now.fitted, values={**now.fitted.values, **values})
     return now, Tried((finer,), None, Structure((finer,), fitted), Evidence(40.0, 1.5, 0.2))
+
+
+def test_a_refinement_that_may_be_it_makes_a_class_of_the_answer(monkeypatch):
+    monkeypatch.setattr(refinements, "may_be", lambda tried, now: True)
+    monkeypatch.setattr(Search, "refinements", lambda search, now, ranked: list(ranked))
+    told = found(records(3, dry=30.0), ("coulomb_friction", "stribeck_friction"), validate=[record(9, dry=30.0)])
+    (step,) = told.steps
+    assert told.verdict == "class" and [e for e, _ in step.members] == ["coulomb_friction", "stribeck_friction"]
+    assert step.probability < 0.6
 
 
 @pytest.mark.parametrize("evidence", [Evidence(-9.0, -1.5, 0.0), Evidence(40.0, 0.3, 0.0)])

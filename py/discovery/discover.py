@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 
 from hydrotwin.identification.horizon import measured_start
@@ -16,7 +16,7 @@ from hydrotwin.models.language.units import compatible
 
 from .answering import answer
 from .discovery import Discovery
-from .executor import Starts, executor_for
+from .executor import LOCAL, Starts, executor_for, processors
 from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
@@ -94,11 +94,12 @@ def discover(
     bounded = _bounded(model, names)
     flat = bounded.flat
     with reporting(progress, flat.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory)
+        run = _runner(pool, report, memory, 1 if executor not in LOCAL else processors())
         report("identify the base", 0, 1, "")
-        base = _only(run(refit, [RefitJob(flat, names, question, coarse=True, label=flat.name)], "identify the base"))
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
         search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report, told)
+        job = RefitJob(flat, names, question, coarse=True, label=flat.name)
+        base = _only(run(refit, [job], "identify the base", search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         return answer(search, data, found, model, began)
 
@@ -135,10 +136,13 @@ def _only(answers: list) -> Refitted:
     return answers[0]
 
 
-def _runner(pool, report, memory):
-    """``run(function, jobs, stage)``: the answers in order, from memory where they are known."""
+def _runner(pool, report, memory, cores: int = 1):
+    """``run(function, jobs, stage)``: the answers in order, from memory where they are known.
 
-    def run(function, jobs, stage: str) -> list:
+    Fewer jobs than ``cores`` share them; ``meanwhile`` is gone through while they are at work.
+    """
+
+    def run(function, jobs, stage: str, meanwhile: Iterable = ()) -> list:
         done = 0
         report(stage, 0, len(jobs), "")
 
@@ -147,14 +151,15 @@ def _runner(pool, report, memory):
             done += 1
             report(stage, done, len(jobs), getattr(jobs[index], "label", ""))
 
-        ready = [_portable(job) for job in jobs]
+        threads = max(1, cores // max(len(jobs), 1))
+        ready = [_portable(job, threads) for job in jobs]
         kept = None if function is conclude else memory  # a final fit holds functions, and is soon done again
-        return list(recalled(kept, pool, function, ready, on_done, kinds=KEPT))
+        return list(recalled(kept, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile))
 
     return run
 
 
-def _portable(job):
+def _portable(job, threads: int):
     """A job that can travel: its model keeps the start functions that the job needs, and no others."""
     flat, order = job.flat, [s.name for s in job.flat.states]
     measured = {tuple(measured_start(flat, r)) for r in (*job.question.fit, *job.question.select)}
@@ -163,6 +168,6 @@ def _portable(job):
     wanted = {*measured, tuple(n for n in order if n in together), tuple(order)}
     if known is not None:
         wanted |= {tuple(n for n in order if n in states) for states in known.states}
-    return dataclasses.replace(
-        job, flat=dataclasses.replace(flat, initialisation=Starts({names: flat.start_given(names) for names in wanted}))
-    )
+    starts = Starts({names: flat.start_given(names) for names in wanted})
+    shared = {"threads": threads} if hasattr(job, "threads") else {}
+    return dataclasses.replace(job, flat=dataclasses.replace(flat, initialisation=starts), **shared)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import sys
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -27,6 +27,7 @@ import casadi as ca
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
+LOCAL = (None, "processes", "threads")  # on this machine
 KINDS = ("processes", "threads", "dask://host:port")
 BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 MANY_MEASURED = 6  # up to so many measured states every subset of them may be given
@@ -78,6 +79,8 @@ def _processes(workers: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in BLAS}
     os.environ.update(dict.fromkeys(BLAS, "1"))  # read by a worker when it starts
     pool = ProcessPoolExecutor(workers, mp_context=_Spawned(), initializer=_begin_work)
+    for _ in range(workers):  # all of them start now, while there is time
+        pool.submit(_loaded)
     try:
         yield pool
         pool.shutdown()
@@ -107,6 +110,11 @@ def _begin_work() -> None:
 
     if parent is not None:
         threading.Thread(target=watch, daemon=True).start()
+
+
+def _loaded() -> None:
+    """What jobs need is imported."""
+    from hydrotwin.discovery import discover  # noqa: F401
 
 
 class _WithoutMain(context.SpawnProcess):
@@ -184,9 +192,15 @@ def versions() -> dict[str, str]:
 
 # -- jobs --------------------------------------------------------------------------------------------------------------
 def mapped(
-    executor: Executor, function: Callable, jobs: Sequence, on_done: Callable[[int, object], None] | None = None
+    executor: Executor,
+    function: Callable,
+    jobs: Sequence,
+    on_done: Callable[[int, object], None] | None = None,
+    meanwhile: Iterable = (),
 ) -> Iterator:
     """``function(job)`` of every job, in the order of the jobs; ``on_done(index, result)`` as each is finished.
+
+    meanwhile : what is useful here while others work; gone through, and left when all jobs are done.
 
     What has not begun is cancelled when the caller stops early, a job raises, or Ctrl-C is pressed.
 
@@ -198,6 +212,9 @@ def mapped(
     index = {future: k for k, future in enumerate(futures)}
     waiting, told = set(futures), 0
     try:
+        for _ in meanwhile:
+            if all(future.done() for future in futures):
+                break
         while told < len(futures):
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED) if waiting else (set(), waiting)
             for future in sorted(done, key=index.__getitem__):

@@ -33,18 +33,26 @@ def settled(
     Any may have come to rest too early: a larger one would then be praised for a better fit of what was there already,
     leave something for the next effect to explain, or be held for worse than another. Effects that are known to leave
     the same traces take part though the screen saw nothing of them: it looks from a base that stands in for the best.
-    Near the noise, where the hollows of a cost matter, the most likely looks along its valleys for lower minima; its
-    rivals go on from where its base came to rest, for the hollows are those of the base.
+    They begin beside the best, and, where that says little, from the beginning: a hose that gives and a rod that gives
+    are each fitted well by a base that the other would never lead to. Near the noise, where the hollows of a cost
+    matter, the most likely looks along its valleys for lower minima; its rivals go on from where its base came to rest,
+    for the hollows are those of the base.
     """
     best, near = choice.best, search.near_noise(now)
     fitted = best.structure.fitted
     back = search.refit_of(now, fitted.values, states=fitted.states)
+    alike = _confusable(search, now, tried, best)
+    tried = (*tried, *alike)
     again = _contenders(search, tried, choice, near)
-    tried = (*tried, *_confusable(search, now, tried, best))
-    smaller, *larger = search.run(refit, [back, *(_from_first(search, t.structure) for t in again)], "look back")
+    if near or _at_bound(now, best):
+        again += [t for t in alike if t.structure and t not in again]
+    jobs = [_from_first(search, t.structure, t.members[0].probes[0] if t in alike else {}) for t in again]
+    *larger, smaller = search.run(refit, [*jobs, back], "look back")  # the longest first
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
     tried = _improved(search, now, tried, again, larger)
+    for t in _passing(search, tried[len(tried) - len(alike) :]):  # it shows, whatever the screen predicted
+        search.not_testable.pop(t.members[0].label, None)
     if near and (passing := _passing(search, tried)):
         looks = along_valleys(search, passing[0].structure)
         tried = _improved(search, now, tried, [passing[0]] * len(looks), search.run(refit, looks, "look back"))
@@ -88,17 +96,15 @@ def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Seq
 
 
 def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tried) -> list[Tried]:
-    """What is listed as easily confused with the best and was not fitted yet.
+    """What is listed as easily confused with the best and was not fitted yet, from where the base stands beside it.
 
-    It begins where the base stands beside the best, and from the beginning: a hose that gives and a rod that gives are
-    each fitted well by a base that the other would never lead to. What the base does as well by itself is left out,
-    unless one of its parameters rests on a bound.
+    What the base does as well by itself is left out, unless one of its parameters rests on a bound.
     """
     if len(best.members) > 1:
         return []
     (chosen,), known = best.members, {c.label for t in tried for c in t.members} | set(now.key)
-    can_bend = not (now.fitted.at_bound or best.structure.fitted.at_bound)
-    same = {name for name, s in search.not_testable.items() if can_bend and not s.visible > np.finfo(float).tiny}
+    absorbed = {name for name, s in search.not_testable.items() if not s.visible > np.finfo(float).tiny}
+    same = set() if _at_bound(now, best) else absorbed
     alike = [
         c for c in search.candidates
         if c.label not in known | same and not c.refines(chosen)
@@ -108,13 +114,12 @@ def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tr
     beside = {n: v for n, v in best.structure.fitted.values.items() if n not in chosen.free}
     groups = [((c,), [{**beside, **probe} for probe in c.probes]) for c in alike]
     found = search.refitted(Structure(now.members, best.structure.fitted), groups) if groups else []
-    fitted = [t for t in found if t.structure]
-    jobs = [_from_first(search, t.structure, t.members[0].probes[0]) for t in fitted]
-    judged = _improved(search, now, found, fitted, search.run(refit, jobs, "look back"))
-    for t in judged:
-        if t.evidence and t.evidence.passes(len(search.candidates)):  # it shows, whatever the screen predicted
-            search.not_testable.pop(t.members[0].label, None)
-    return list(judged)
+    return [search.judged(t, now) for t in found]
+
+
+def _at_bound(now: Structure, best: Tried) -> bool:
+    """Whether the base stands in for an effect as far as it may go."""
+    return bool(now.fitted.at_bound or best.structure.fitted.at_bound)
 
 
 def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Candidate) -> bool:

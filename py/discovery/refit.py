@@ -75,6 +75,7 @@ class RefitJob:
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
     coarse : lead the start through short windows first.
     valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods.
+    threads : over recordings and windows; the answer does not depend on it.
     """
 
     flat: FlatModel
@@ -88,6 +89,7 @@ class RefitJob:
     iterations: int = 15
     label: str = ""
     valley: float | None = None
+    threads: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,17 +148,17 @@ def _refit(job: RefitJob) -> Refitted:
     free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
     task = Task(
-        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise,
-        prior=_prior(free, q),
+        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
+        q.noise, prior=_prior(free, q),
     )  # fmt: skip
     iterations = job.iterations
     if job.coarse:
         task = broadly_weighed(task, np.isfinite(q.noise))
         lengths = horizons(flat, q.fit, free.vector(free.scaled(free.start)))
-        found = [descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)]
+        found = descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)
     else:
         found, iterations = _from_starts(task, job)
-    best = min((_settled(task, q, one, iterations) for one in found), key=lambda answer: answer[2])
+    best = _settled(task, q, found, iterations)
     if job.valley:
         lower = along_the_valleys(best[0], best[1], rounds=1, averaged=[job.valley])[0][0]
         best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[2])
@@ -169,8 +171,8 @@ def _task(job: RefitJob) -> Task:
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
     size = np.fmax(q.noise if job.size is None else job.size, q.noise)
     return Task(
-        flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, 1, _silent, q.noise,
-        prior=_prior(free, q),
+        flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
+        q.noise, prior=_prior(free, q),
     )  # fmt: skip
 
 
@@ -195,8 +197,8 @@ def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
     return {name: float(np.clip(v, *known[name])) for name, v in values.items()}
 
 
-def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
-    """Minima from the most promising starts, and how many iterations each turn may take.
+def _from_starts(task: Task, job: RefitJob) -> tuple[Minimum, int]:
+    """The likeliest of the minima from the most promising starts, and how many iterations each turn may take.
 
     A structure that makes the equations stiff costs ten or a hundred times the base; it gets fewer of them.
     """
@@ -221,7 +223,7 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[list[Minimum], int]:
             stopped = error
     if not found:
         raise stopped
-    return found, most
+    return min(found, key=lambda f: _likelihood(task, job.question, f)), most
 
 
 def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -> Minimum:
@@ -345,7 +347,7 @@ def conclude(job: RefitJob) -> Concluded:
     """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part."""
     began, q = time.perf_counter(), job.question
     task = _task(job)
-    found = _from_starts(task, job)[0][0]
+    found = _from_starts(task, job)[0]
     task, found, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)

@@ -71,13 +71,14 @@ def recalled(
     jobs: Sequence,
     on_done: Callable[[int, object], None] | None = None,
     kinds: Iterable[type] = (),
+    meanwhile: Iterable = (),
 ) -> list:
     """``function(job)`` of every job in order, as `mapped`; what ``memory`` knows is not computed again.
 
     kinds : the dataclasses that answers are made of.
     """
     if memory is None:
-        return list(mapped(executor, function, jobs, on_done))
+        return list(mapped(executor, function, jobs, on_done, meanwhile))
     keys = [key_of(f"{function.__module__}.{function.__qualname__}", job) for job in jobs]
     known = {kind.__name__: kind for kind in kinds}
     found: dict[int, object] = {}
@@ -95,7 +96,7 @@ def recalled(
         if on_done:
             on_done(index, answer)
 
-    answers = mapped(executor, function, [jobs[index] for index in open_jobs], done)
+    answers = mapped(executor, function, [jobs[index] for index in open_jobs], done, meanwhile)
     found |= dict(zip(open_jobs, answers, strict=True))
     return [found[index] for index in range(len(jobs))]
 
@@ -154,7 +155,7 @@ def _feed(digest, value) -> None:
         _put(digest, "function", value.serialize().encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         _put(digest, type(value).__name__, b"")
-        _feed(digest, {f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
+        _feed(digest, {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "threads"})
     elif isinstance(value, Mapping):
         _put(digest, "mapping", str(len(value)).encode())
         for name in sorted(value, key=str):

@@ -29,6 +29,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
 from .decide import correlation_times
+from .executor import processors
 from .refit import Question, Refitted, likelihood_by_output
 
 TESTABLE = 3.0  # predicted |t| of an effect at its largest usual amplitude
@@ -92,7 +93,7 @@ class Screen:
         self.z = z.reshape(len(question.fit), -1)
         self.shooting = Shooting(
             propagator, self.free, question.fit, tuple(horizon.cut(question.fit, np.inf)), self.task.weights, start,
-            self.z, self.task.loss,
+            self.z, self.task.loss, processors(),
         )  # fmt: skip
         self._base = [self.free.names.index(n) for n in dict.fromkeys(free)]
         self._differentiate()
@@ -102,8 +103,8 @@ class Screen:
         residuals, rows, outputs = [], [], []
         shared, local = len(self.free.names), self.shooting.locals
         count = len(self.question.fit)
-        for i, recording in enumerate(self.question.fit):
-            found = self.shooting.sensitivities(i, q, self.z[i])
+        every = self.shooting.all_sensitivities(q, self.z)
+        for i, (recording, found) in enumerate(zip(self.question.fit, every, strict=True)):
             if found is None:
                 raise SolveError(f"{self.flat.name}: the fitted model with all candidates at neutral diverges.")
             r, J, _ = found

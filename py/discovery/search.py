@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import itertools
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -134,6 +135,14 @@ class Search:
                 self.candidates = tuple(usable)
                 self._big = self.model(usable).flat
         return self._big
+
+    def models_ahead(self) -> Iterator[None]:
+        """Make, one at a time, the models that a screen needs: all candidates in one, then each alone."""
+        _ = self.big
+        for candidate in self.candidates:
+            yield
+            with contextlib.suppress(HydrotwinError):  # told where it is used
+                _ = self.model((candidate,)).flat
 
     def _fits(self, candidate: Candidate) -> bool:
         try:

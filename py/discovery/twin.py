@@ -40,6 +40,7 @@ class TwinJob:
     fitted: Refitted
     smoothing: tuple[str, ...]
     label: str = ""
+    threads: int = 1
 
 
 def smoothed_signs(flat: FlatModel, members: Sequence[Candidate]) -> tuple[str, ...]:
@@ -60,7 +61,8 @@ def floor_of(job: TwinJob) -> np.ndarray | str:
     except SolveError as error:
         return str(error)
     q = dataclasses.replace(job.question, fit=twins, select=())
-    found = refit(RefitJob(job.flat, job.free, q, (job.fitted.values,), job.fitted.states, q.noise, label=job.label))
+    start, states = (job.fitted.values,), job.fitted.states
+    found = refit(RefitJob(job.flat, job.free, q, start, states, q.noise, label=job.label, threads=job.threads))
     return found if isinstance(found, str) else found.rmse
 
 

@@ -27,6 +27,8 @@ from .shooting import Linearisation, Shooting
 LONGEST_STEP = 0.5  # in q: a factor 1.6, or half a unit, or half of what is more than a unit
 STALLED = 1e9
 SLOW_STEPS = 6
+POOR = 0.1  # of what a step promised: what it must keep
+POOR_STEPS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +68,10 @@ def minimise(
 
     A cost is half a chi-square: a promise of 1e-3 moves no parameter by more than 4.5 % of its sigma. Where more than
     noise is left sigmas grow with it, and so does the promise that is worth a step; unexplained is what lies beyond
-    twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale:
-    a cost that is rough on a small scale never ends to promise. A step that diverges or does not descend is rejected
-    and shortened. ``hold`` keeps q and moves the start states alone.
+    twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale,
+    or when steps that promised less than that kept no promise: a cost that is rough on a small scale never ends to
+    promise. A step that diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start
+    states alone.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     logarithmic = shooting.free.logarithmic
@@ -78,7 +81,7 @@ def minimise(
             f"identify: every run diverges at {_where(shooting, q)}. Start elsewhere or use shorter windows."
         )
     damping, growth, size = 1e-3, 2.0, _diagonal(at)
-    descending, costs = True, [at.cost]
+    descending, costs, poor = True, [at.cost], 0
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
         inside = _without_blocked(at, shooting, z)
@@ -90,12 +93,13 @@ def minimise(
         dispersion = max(1.0, 2 * at.cost / shooting.count)
         enough = absolute * dispersion + relative * max(0.0, at.cost - shooting.count)
         slow = len(costs) > SLOW_STEPS and costs[-1 - SLOW_STEPS] - at.cost < stalled * dispersion
-        if slow or (promise <= enough and damping <= 1e-2):
+        if slow or poor == POOR_STEPS or (promise <= enough and damping <= 1e-2):
             return Minimum(q, z, at, number - 1, True, "converged")
         trial_q, trial_z = np.clip(q + dq, lower, upper), z + dz if shooting.locals else z
         trial = shooting.linearise(trial_q, trial_z) if descending else None
         gain = (at.cost - (trial.cost if trial else shooting.cost(trial_q, trial_z))) / max(promise, 1e-300)
         descending = gain > 1e-4
+        poor += gain < POOR and promise < stalled * dispersion
         if descending:
             q, z, at = trial_q, trial_z, trial or shooting.linearise(trial_q, trial_z)
             damping, growth = max(damping * max(0.1, 1 - (2 * min(gain, 1) - 1) ** 3), 1e-12), 2.0

@@ -25,6 +25,7 @@ from .problem import FreeParameters, Recording
 WEAK_PRIOR = 0.1  # per state nominal: an unmeasured start state may move by ten nominals for one sigma
 PIECE = 1000  # samples of a run whose Jacobian is worked on at once
 NOTHING = 1e-60  # derivatives below this, in any unit, have decayed
+WORTH_THREADS = 100  # samples of a segment: threads wait for each other between shorter ones
 DIVERGED = 100.0  # a segment this many times worse than predicting the mean has diverged
 
 
@@ -166,6 +167,11 @@ class Shooting:
         None when the segment diverged.
         """
         return self._sensitivities(i, self._point(q), z)
+
+    def all_sensitivities(self, q: np.ndarray, z: np.ndarray) -> list:
+        """`sensitivities` of every segment."""
+        at = self._point(q)
+        return self._over_segments(lambda i: self._sensitivities(i, at, z[i]))
 
     def trajectories(self, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
         """State trajectories (n, nx) of every recording, put together from its segments; nan where one diverged."""
@@ -326,9 +332,9 @@ class Shooting:
         return np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:
-        order = range(len(self.segments))
-        if self.threads == 1 or len(self.segments) == 1:
-            return [work(i) for i in order]
+        samples = sum(s.last - s.begin for s in self.segments)
+        if self.threads == 1 or len(self.segments) == 1 or samples < WORTH_THREADS * len(self.segments):
+            return [work(i) for i in range(len(self.segments))]
         chunks = np.array_split(np.arange(len(self.segments)), min(len(self.segments), 4 * self.threads))
         with ThreadPoolExecutor(self.threads) as pool:
             return [row for rows in pool.map(lambda chunk: [work(i) for i in chunk], chunks) for row in rows]

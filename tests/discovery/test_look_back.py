@@ -137,7 +137,27 @@ def test_what_the_base_does_as_well_takes_part_only_where_the_base_rests_on_a_bo
     finally:
         search.run = run
     assert tried.members[0].id == "viscous_friction"
-    assert [j.coarse for j in jobs] == [False, True], "beside the best, and from the beginning"
+    assert [j.coarse for j in jobs] == [False], "beside the best"
+
+
+def test_what_explains_less_beside_the_best_begins_anew_only_where_the_base_may_stand_in_for_it(rubbing):
+    """Far from the noise a confusable effect that closes nothing is not identified from the beginning, too."""
+    search, base, _, ranked = rubbing
+    (best,) = search.singles(base, [s for s in ranked if s.candidate.id == "coulomb_friction"])
+    bound = Structure((), dataclasses.replace(base.fitted, at_bound=("mass.damping",)))
+    jobs, run, invisible = [], search.run, search.not_testable
+    search.run = lambda function, asked, stage: jobs.extend(asked) or run(function, asked, stage)
+    search.not_testable, begun_anew = {}, {}
+    try:
+        for name, now in (("free", base), ("bound", bound)):
+            jobs.clear()
+            _, after = settled(search, now, [best], choose([best], 5, search.question))
+            begun_anew[name] = {j.label.split(" at ")[0] for j in jobs if j.coarse}
+            assert len(after) > 1, "it was fitted beside the best"
+    finally:
+        search.run, search.not_testable = run, invisible
+    assert begun_anew["free"] == {"coulomb_friction"}
+    assert begun_anew["bound"] > begun_anew["free"]
     assert jobs[1].starts[0]["mass.mass"] == START["mass.mass"]
 
 

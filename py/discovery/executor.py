@@ -79,8 +79,6 @@ def _processes(workers: int) -> Iterator[Executor]:
     before = {name: os.environ.get(name) for name in BLAS}
     os.environ.update(dict.fromkeys(BLAS, "1"))  # read by a worker when it starts
     pool = ProcessPoolExecutor(workers, mp_context=_Spawned(), initializer=_begin_work)
-    for _ in range(workers):  # all of them start now, while there is time
-        pool.submit(_loaded)
     try:
         yield pool
         pool.shutdown()
@@ -110,11 +108,6 @@ def _begin_work() -> None:
 
     if parent is not None:
         threading.Thread(target=watch, daemon=True).start()
-
-
-def _loaded() -> None:
-    """What jobs need is imported."""
-    from hydrotwin.discovery import discover  # noqa: F401
 
 
 class _WithoutMain(context.SpawnProcess):

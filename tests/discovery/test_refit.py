@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.decide import bic_gain, correlation_times
+from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
+from hydrotwin.discovery.resume import key_of
 from hydrotwin.models.language import Model
 from tests.discovery.slides import (
     DAMPING,
@@ -17,6 +19,7 @@ from tests.discovery.slides import (
     NOISE,
     RATE_NOISE,
     Drive,
+    Inline,
     TwoSensors,
     Unstable,
     question,
@@ -92,6 +95,37 @@ def test_of_several_starts_the_one_in_the_right_valley_is_followed():
     flat, free, delay = started("dead_time")
     best = refit(RefitJob(flat, free, late, ({delay: 0.0}, {delay: 0.4}, {delay: 0.1})))
     assert best.values[delay] == pytest.approx(0.12, abs=2e-3)
+
+
+def test_of_several_starts_that_are_followed_only_the_likeliest_is_fitted_to_the_end(monkeypatch):
+    late = question(records(3, late=6))
+    flat, free, delay = started("dead_time")
+    settled, ends = MODULE._settled, []
+    monkeypatch.setattr(MODULE, "_settled", lambda *a: ends.append(a) or settled(*a))
+    best = refit(RefitJob(flat, free, late, ({delay: 0.4}, {delay: 0.1}, {delay: 0.0}), follow=3))
+    assert best.values[delay] == pytest.approx(0.12, abs=2e-3)
+    assert len(ends) == 1
+
+
+def test_a_job_alone_may_use_all_cores_and_its_answer_is_the_same_to_the_last_bit(plain):
+    """Three recordings of 12 s go to two threads; a memory knows the job whatever it runs on."""
+    jobs = [RefitJob(slide().flat, FREE, plain, coarse=True, threads=n) for n in (1, 2)]
+    one, two = (refit(job) for job in jobs)
+    assert one.values == two.values and one.likelihood == two.likelihood
+    assert all(np.array_equal(a, b) for a, b in zip(one.residuals_fit, two.residuals_fit, strict=True))
+    assert key_of(jobs[0]) == key_of(jobs[1])
+    assert key_of(jobs[0]) != key_of(dataclasses.replace(jobs[0], coarse=False))
+
+
+@pytest.mark.parametrize(("count", "threads"), [(1, 4), (2, 2), (3, 1), (9, 1)])
+def test_fewer_jobs_than_cores_share_them(plain, count, threads):
+    jobs = [RefitJob(slide().flat, FREE, plain)] * count
+    run = _runner(Inline(), lambda *said: None, None, cores=4)
+    assert run(threads_of, jobs, "refit") == [threads] * count
+
+
+def threads_of(job):
+    return job.threads
 
 
 def spied(monkeypatch, **changes):

@@ -217,6 +217,17 @@ def test_a_structure_is_fitted_once_and_known_again(rubbing):
     assert again is first and counted == [1, 0]
 
 
+def test_the_models_of_a_screen_are_made_one_at_a_time_before_they_are_asked_for():
+    search, _ = searching(question(records(3)), ("dead_time", "coulomb_friction"))
+    ahead = search.models_ahead()
+    next(ahead)
+    assert search._big is not None and set(search._models) == {tuple(c.label for c in search.candidates)}
+    assert len(list(ahead)) == len(search.candidates) - 1
+    made = {key: id(model) for key, model in search._models.items()}
+    assert set(made) >= {(c.label,) for c in search.candidates}
+    assert [id(search.model([c])) for c in search.candidates] == [made[(c.label,)] for c in search.candidates]
+
+
 def test_starts_are_the_proposal_and_the_probes_never_neutral(rubbing):
     search, _, _, ranked = rubbing
     starts = search.starts_of(next(s for s in ranked if s.candidate.id == "coulomb_friction"))

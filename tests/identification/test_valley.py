@@ -77,6 +77,29 @@ def test_what_is_known_beforehand_has_the_gradient_of_its_cost():
     assert more[1] == pytest.approx(np.diag(known.weight), rel=1e-6, abs=1e-6)
 
 
+def test_a_cost_that_is_rough_on_a_small_scale_is_left_after_a_few_broken_promises():
+    """Where two contacts open and close a cost has steps of a tenth that its derivatives know nothing of."""
+    t = task(20.0)
+    runs, z = descent.whole_runs(t)
+    asked = []
+
+    class Rough:
+        count, locals, free, clip = runs.count, runs.locals, runs.free, runs.clip
+
+        def cost(self, q, z):
+            asked.append(q)
+            return runs.cost(q, z) + 0.1 * float(np.sin(3e4 * q).sum())
+
+        def linearise(self, q, z):
+            return dataclasses.replace(runs.linearise(q, z), cost=self.cost(q, z))
+
+    lowest = minimise(runs, t.free.scaled(t.free.start), z).cost
+    far = t.free.scaled(t.free.start * [1.3, 0.8])
+    found = minimise(Rough(), far, z, absolute=1e-9, stalled=1.0, most=100)
+    assert found.converged and found.cost < lowest + 1.0
+    assert len(asked) < 20
+
+
 def test_a_well_determined_minimum_is_not_searched_around():
     t = task()
     runs, z = descent.whole_runs(t)

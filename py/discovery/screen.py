@@ -93,7 +93,7 @@ class Screen:
         self.z = z.reshape(len(question.fit), -1)
         self.shooting = Shooting(
             propagator, self.free, question.fit, tuple(horizon.cut(question.fit, np.inf)), self.task.weights, start,
-            self.z, self.task.loss, processors(),
+            self.z, self.task.loss, 1 if big.black_box else processors(),
         )  # fmt: skip
         self._base = [self.free.names.index(n) for n in dict.fromkeys(free)]
         self._differentiate()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import platform
 
 import numpy as np
 import pytest
@@ -184,3 +185,17 @@ def test_unknown_names_are_refused_with_the_nearest(machine):
         prepare(machine[0], free_parameters=("motor.gian",))
     with pytest.raises(DeclarationError, match=r"Did you mean 'arm\.angle'"):
         prepare(machine[0], free_states=("arm.angel",))
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="flushing to zero is a mode of SSE")
+def test_a_derivative_that_has_decayed_never_becomes_a_slow_number_below_the_smallest():
+    """exp(-t/T) falls below 1e-308 at 708 T, where a processor is ten times slower; the caller's numbers stay."""
+    model = lag()
+    propagator = prepare(model, free_states=["x"], step=0.01)
+    time = np.arange(10_000) * 0.01
+    start = np.zeros(1), np.ones((1, 1))
+    _, _, _, dx = propagator.sensitivity(time, np.ones((len(time), 1)), model.parameter_vector(), *start)
+    smallest = np.finfo(float).tiny
+    assert dx[0, 0, 0] == 1 and dx[-1, 0, 0] < 1e-300
+    assert not ((dx > 0) & (dx < smallest)).any()
+    assert 0 < np.float64(smallest) / 4 < smallest

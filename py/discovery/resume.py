@@ -155,7 +155,8 @@ def _feed(digest, value) -> None:
         _put(digest, "function", value.serialize().encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         _put(digest, type(value).__name__, b"")
-        _feed(digest, {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "threads"})
+        fields = (f.name for f in dataclasses.fields(value) if f.name != "threads")  # they change no answer
+        _feed(digest, {name: getattr(value, name) for name in fields})
     elif isinstance(value, Mapping):
         _put(digest, "mapping", str(len(value)).encode())
         for name in sorted(value, key=str):

@@ -42,7 +42,7 @@ gates: $(VENV)/.dev
 	$(BIN)/python -m fmus.gates --write $(FMUS)
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -q -n $(WORKERS) --durations=15
+	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

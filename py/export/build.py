@@ -12,7 +12,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
@@ -30,7 +31,8 @@ FMI3_FOLDERS = {
     "aarch64-linux": "aarch64-linux", "aarch64-darwin": "aarch64-darwin",
 }  # fmt: skip
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Werror")
-FLAGS = (*STRICT, "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden", "-shared", "-s")
+FLAGS = (*STRICT, "-O2", "-fPIC", "-ffp-contract=off", "-fvisibility=hidden")
+OWN = ("functions.c", "model.c")  # every other source is the same in every FMU: compiled once, kept as an object
 TIME_LIMIT = 300.0
 
 
@@ -75,7 +77,7 @@ def compile_for(target_platform: str, identifier: str, sources: Mapping[str, str
     target, suffix = TARGETS[target_platform]
     words = []
     for command in _compilers(target, target_platform):
-        kept = _kept_library(command, sources, suffix)
+        kept = _kept(command, sources, sources, suffix)
         if not kept.exists():
             said = _compile(command, sources, kept)
             if said is not None:
@@ -98,25 +100,36 @@ def _compilers(target: str, target_platform: str) -> list[list[str]]:
     return commands
 
 
-def _kept_library(command: list[str], sources: Mapping[str, str], suffix: str) -> Path:
-    """Where the library made from these very sources by this very compiler is kept."""
-    key = "\0".join((*command[1:], _version(tuple(command)), *FLAGS, *(f"{n}\0{sources[n]}" for n in sorted(sources))))
+def _kept(command: list[str], sources: Mapping[str, str], names: Iterable[str], suffix: str) -> Path:
+    """Where what this very compiler made from sources of these names and this very text is kept."""
+    key = "\0".join((*command[1:], _version(tuple(command)), *FLAGS, *(f"{n}\0{sources[n]}" for n in sorted(names))))
     return cache_folder() / f"fmu-{hashlib.sha256(key.encode()).hexdigest()[:32]}{suffix}"
 
 
 def _compile(command: list[str], sources: Mapping[str, str], kept: Path) -> str | None:
     """None when it worked, else what the compiler said. The math library is part of the C library on Windows."""
+    headers = [n for n in sources if n.endswith(".h")]
+    shared = {
+        n: _kept(command, sources, [n, *headers], ".o") for n in sorted(sources) if n.endswith(".c") and n not in OWN
+    }
     kept.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".building-") as folder:
+    with tempfile.TemporaryDirectory(dir=kept.parent, prefix=".building-") as folder, ThreadPoolExecutor() as pool:
         for name, text in sources.items():
             (Path(folder) / name).write_text(text, encoding="utf-8")
-        files = sorted(n for n in sources if n.endswith(".c"))
-        line = [*command, *FLAGS, *files, "-o", kept.name, *([] if kept.suffix == ".dll" else ["-lm"])]
-        done = _call(line, folder)
-        made = Path(folder) / kept.name
-        if done.returncode or not made.exists():
-            return (done.stderr or done.stdout).strip()[-1500:] or "nothing"
-        os.replace(made, kept)
+        missing = {n: path for n, path in shared.items() if not path.exists()}
+        said = pool.map(lambda n: _run([*command, *FLAGS, "-c", n], folder, missing[n]), missing)
+        own = [n for n in OWN if n in sources]
+        options = ["-shared", "-s", *own, *map(str, shared.values()), *([] if kept.suffix == ".dll" else ["-lm"])]
+        return next(filter(None, said), None) or _run([*command, *FLAGS, *options], folder, kept)
+
+
+def _run(line: Sequence[str], folder: str, made: Path) -> str | None:
+    """None when the compiler made the file, else what it said."""
+    there = Path(folder) / made.name
+    done = _call([*line, "-o", made.name], folder)
+    if done.returncode or not there.exists():
+        return (done.stderr or done.stdout).strip()[-1500:] or "nothing"
+    os.replace(there, made)
     return None
 
 

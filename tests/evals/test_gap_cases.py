@@ -1,6 +1,6 @@
 """Hidden effects that the code is not told: named, or abstained on, or nothing found where nothing is hidden.
 
-Cases of the benchmark (`benchmarks/gap`), with recordings of 10 s and every sensor; each runs the whole workflow.
+Cases of the benchmark (`benchmarks/gap`), with recordings of 6 s and every sensor; each runs the whole workflow.
 """
 
 from __future__ import annotations
@@ -13,23 +13,27 @@ from benchmarks.gap.cases import Case, make
 from benchmarks.gap.run import Here
 from benchmarks.gap.score import answer_of, row_of
 
-SECONDS = 10.0
+SECONDS = 6.0
 READY = importlib.util.find_spec("hydrotwin.discovery.discover") is not None
 needs_discover = pytest.mark.skipif(not READY, reason="hydrotwin.discovery has no discover yet")
 
 HIDDEN = [  # machine, effect, gap over noise, share of the gap that must be closed
     ("cehA", "coulomb_friction", 5.0, 0.7),  # the truth sticks, the catalogue's smooth sign does not: some gap stays
-    ("cehA", "dead_time", 30.0, 0.99),
     ("spool_valve", "valve_overlap", 30.0, 0.99),
 ]
 
+LIKE_A_PUSH = (
+    "coulomb_friction", "asymmetric_viscous_friction", "internal_leakage", "line_compliance", "asymmetric_overlap",
+    "dead_time", "payload_error", "sensor_delay",
+)  # fmt: skip
 
-def judged(machine, kind, effects, severity):
-    """The row of one case."""
+
+def judged(machine, kind, hidden, severity, **options):
+    """The row of one case. options: of `discover`."""
     from hydrotwin.discovery.discover import discover
 
-    made = make(Case(machine, kind, effects, severity, "all", "drive", 101, SECONDS))
-    found = discover(made.model, made.fit, validate=made.held_out, executor=Here())
+    made = make(Case(machine, kind, hidden, severity, "all", "drive", 101, SECONDS))
+    found = discover(made.model, made.fit, validate=made.held_out, executor=Here(), **options)
     return row_of(made, answer_of(found), method="discover")
 
 
@@ -53,7 +57,8 @@ def test_nothing_is_named_where_nothing_is_hidden(machine):
 
 @needs_discover
 def test_a_push_from_outside_gets_no_name():
-    row = judged("spool_valve", "out_of_library", ("external_push",), 30.0)
+    """With what a push may be taken for; the whole catalogue, of which one case takes minutes, is in the benchmark."""
+    row = judged("spool_valve", "out_of_library", ("external_push",), 30.0, effects=LIKE_A_PUSH)
     assert row["seen"]
     assert row["abstained"], row["named"]
     assert row["verdict"] == "unknown"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 import subprocess
 import sys
@@ -18,13 +19,16 @@ from fmpy.validation import validate_fmu
 from lxml import etree
 
 from hydrotwin.export import read_fmu
+from hydrotwin.export.build import TARGETS, native_platform
+from hydrotwin.simulation.compiler import cache_folder
 from tests.export.systems import arm_record, command_record
 from tests.export.test_agreement import names_of
 from tests.export.test_description import read
 from tests.export.test_inside import SCHEMAS
 
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Werror")
-COMPILERS = {"cc": ["cc"], "zig": [sys.executable, "-m", "ziglang", "cc"]}
+COMPILERS = {"cc": ["cc"], "zig": [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[native_platform()][0]]}
+KEPT = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig")}  # zig makes its C library once for all tests
 RECORDS = {"cehA": arm_record(0.5), "lag": command_record()}
 BOTH = ("kind", "both")
 KEYS = [
@@ -79,7 +83,7 @@ def test_its_sources_compile_strictly_and_run(variants, systems, tmp_path, compi
     fmu = variants[key]
     folder, binary = unpacked_without_binaries(fmu, tmp_path / "fmu")
     line = [*COMPILERS[compiler], *STRICT, "-shared", "-fPIC", *listed(fmu), "-o", str(binary), "-lm", "-Wl,-z,defs"]
-    done = subprocess.run(line, cwd=folder / "sources", capture_output=True, text=True, check=False)
+    done = subprocess.run(line, cwd=folder / "sources", capture_output=True, text=True, check=False, env=KEPT)
     assert done.returncode == 0, done.stderr
     same_outputs(systems[key[0]], fmu, folder, RECORDS[key[0]])
 

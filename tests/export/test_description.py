@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import dataclasses
+import itertools
+import os
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
@@ -11,11 +14,12 @@ import zipfile
 import pytest
 from fmpy.validation import validate_fmu
 
-from hydrotwin.export import export_fmu
-from hydrotwin.export.build import compile_for
+from hydrotwin.export import build, export_fmu
+from hydrotwin.export.build import compile_for, native_platform
 from hydrotwin.export.unit_definitions import base_exponents, display_factor
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.simulation.compiler import cache_folder
 from tests.export.systems import arm_record, delayed_mass, lag_block
 
 
@@ -157,6 +161,29 @@ def test_a_failed_export_leaves_the_old_file_whole(systems, tmp_path):
 def test_sources_that_do_not_compile_are_reported_with_the_compilers_words():
     with pytest.raises(SolveError, match="error"):
         compile_for("linux64", "broken", {"a.c": "int f(void) { return; "})
+
+
+def test_the_runtime_is_compiled_once_for_all_models_and_again_when_a_header_changes(monkeypatch, tmp_path):
+    monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", os.environ.get("ZIG_GLOBAL_CACHE_DIR", str(cache_folder() / "zig")))
+    monkeypatch.setenv("HYDROTWIN_CACHE", str(tmp_path))
+    call, objects = build._call, []
+
+    def watched(line, folder=None):
+        objects.extend(after for word, after in itertools.pairwise(line) if word == "-c")
+        return call(line, folder)
+
+    monkeypatch.setattr(build, "_call", watched)
+    core = '#include "core.h"\n__attribute__((visibility("default"))) double seen(void) { return S + of_model(); }\n'
+    for factor, shift, compiled in [(2, 1, 1), (3, 1, 1), (3, 5, 2)]:
+        model = f"double of_model(void) {{ return {factor}; }}\n"
+        header = f"#define S {shift}\ndouble of_model(void);\n"
+        sources = {"functions.c": model, "core.c": core, "core.h": header}
+        name, library = compile_for(native_platform(), f"made_{factor}_{shift}", sources)
+        (tmp_path / name).write_bytes(library)
+        seen = ctypes.CDLL(str(tmp_path / name)).seen
+        seen.restype = ctypes.c_double
+        assert seen() == shift + factor
+        assert objects == ["core.c"] * compiled
 
 
 @pytest.mark.parametrize(

@@ -132,10 +132,8 @@ def solve(elaboration: Elaboration) -> Solved:
         unknowns.append(Unknown(f"der({entry.path})", rate, entry.declaration.nominal))
     check_balance(elaboration, equations, unknowns)
     waiting = {key: pair for key, pair in elaboration.derivatives.items() if key not in states}
-    delayed, dead_times = {}, {}
     while True:
-        expressions, nonlinear = _solve_once(elaboration, equations, unknowns)
-        delayed, dead_times = _resolve_delays(elaboration, expressions, bindings)
+        expressions, nonlinear = _solve_once(elaboration, equations, unknowns, waiting)
         ready = _explicit_derivatives(elaboration, expressions, waiting, states)
         if not waiting:
             break
@@ -149,6 +147,7 @@ def solve(elaboration: Elaboration) -> Solved:
             symbol, unknown = waiting.pop(key)
             equations.append(Equation(unknown, rate, f"der({symbol})"))
             unknowns.append(Unknown(f"der({symbol})", unknown))
+    delayed, dead_times = _resolve_delays(elaboration, expressions, bindings)
     undelayed = _inputs_used(elaboration, expressions)
     expressions = {key: replace(e, delayed) for key, e in expressions.items()}
     return Solved(elaboration, bindings, {**expressions, **delayed}, tuple(nonlinear), dead_times, undelayed)
@@ -194,8 +193,8 @@ def _incidence(equations, unknowns) -> list[set[int]]:
     return found
 
 
-def _solve_once(elaboration, equations, unknowns):
-    """Match, order and solve; derivatives that still wait count as known."""
+def _solve_once(elaboration, equations, unknowns, waiting):
+    """Match, order and solve; derivatives that still wait count as known, and only what they need is solved then."""
     incidence = _incidence(equations, unknowns)
     unknown_of, unmatched, surplus = match(incidence, len(unknowns))
     if unmatched or surplus:
@@ -207,7 +206,9 @@ def _solve_once(elaboration, equations, unknowns):
         )
     expressions: dict[int, ca.SX] = {}
     nonlinear: list[NonlinearBlock] = []
-    for block in ordered_blocks(incidence, unknown_of):
+    blocks = ordered_blocks(incidence, unknown_of)
+    wanted = {j for j, u in enumerate(unknowns) if u.symbol.element_hash() in waiting}
+    for block in _leading_to(wanted, blocks, incidence, unknown_of) if waiting else blocks:
         members = [unknowns[int(unknown_of[i])] for i in block]
         residuals = [replace(equations[i].left - equations[i].right, expressions) for i in block]
 
@@ -220,6 +221,16 @@ def _solve_once(elaboration, equations, unknowns):
         if record:
             nonlinear.append(record)
     return expressions, nonlinear
+
+
+def _leading_to(wanted: set[int], blocks, incidence, unknown_of) -> list:
+    """The blocks that the wanted unknowns are solved in, and those before them that they need; still in order."""
+    needed, kept = set(wanted), []
+    for block in reversed(blocks):
+        if any(int(unknown_of[i]) in needed for i in block):
+            kept.append(block)
+            needed.update(*(incidence[i] for i in block))
+    return kept[::-1]
 
 
 def _explicit_derivatives(elaboration, expressions, waiting, states) -> dict[int, ca.SX]:

@@ -16,11 +16,11 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.model_file import read_model_file
 from tests.face.command_line import hydrotwin
 
-MACHINES = {"cehA": cehA.model, "spool_valve": spool_valve.model}
+MACHINES = {"cehA": cehA.model(), "spool_valve": spool_valve.model()}
 FITS = [
     (name, effect)
     for name, machine in MACHINES.items()
-    for effect in dict.fromkeys(c.id for c in candidates(machine()))
+    for effect in dict.fromkeys(c.id for c in candidates(machine))
 ]
 CODE = """
 from hydrotwin.models import cehA
@@ -61,7 +61,7 @@ def same_equations(one, other) -> None:
 
 @pytest.mark.parametrize(("name", "effect"), FITS)
 def test_an_effect_comes_back_at_all_of_its_sites(name, effect, tmp_path):
-    base = MACHINES[name]()
+    base = MACHINES[name]
     found = candidates(base, [effect])
     values = {path: value for c in found for path, value in off_neutral(c).items()}
     model = base.plus([c.addition for c in found]).with_parameters(values)
@@ -73,7 +73,7 @@ def test_an_effect_comes_back_at_all_of_its_sites(name, effect, tmp_path):
 
 @pytest.mark.parametrize("name", MACHINES)
 def test_several_effects_on_one_signal_come_back_in_their_order(name, tmp_path):
-    base = MACHINES[name]()
+    base = MACHINES[name]
     chosen = [c for c in candidates(base) if c.site.through][::-1]
     values = {path: value for c in chosen for path, value in off_neutral(c).items()}
     model = base.plus([c.addition for c in chosen]).with_parameters(values)

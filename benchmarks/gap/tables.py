@@ -35,6 +35,7 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
     seen = [r for r in done if r["kind"] == "single" and r["seen"]]
     swallowed = [r for r in done if r["kind"] == "single" and not r["seen"]]
     controls, outside = ([r for r in done if r["kind"] == kind] for kind in ("none", "out_of_library"))
+    outside = [r for r in outside if r["seen"]]
     pairs = [r for r in done if r["kind"] == "pairs" and r["seen"]]
     found = [r for r in seen if all(r["in_class"])]
     parameters = [p for r in done for p in r["parameters"] if p["true"] is not None]  # what a case does not set
@@ -49,7 +50,8 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
         _share("single, right effect at another place", "(%)", seen, lambda r: r["wrong_place"]),
         _share("single, swallowed by the base: none or right class", "(%)", swallowed, _abstained_or_inside),
         _share("false alarm on `none`", "<= 1 %", controls, lambda r: r["false_alarm"], 0.01, most=True),
-        _share("out-of-library, gap seen: abstains", ">= 90 %", [r for r in outside if r["seen"]], _abstained, 0.9),
+        _share("out-of-library, gap seen: abstains", ">= 90 %", outside, _abstained, 0.9),
+        _share("out-of-library, gap seen: named, and a gap is left that can be seen", "(%)", outside, _named_amiss),
         _share("confidently wrong", "<= 2 %", done, lambda r: r["confidently_wrong"], 0.02, most=True),
         _quantile("gap closed when named, median", ">= 0.99", _column(found, "gap_closed"), 0.5, 0.99),
         _quantile("held-out RMSE / oracle, 90th %", "<= 1.05", _column(seen, "over_oracle"), 0.9, 1.05, most=True),
@@ -96,6 +98,11 @@ def _named(rows):
 
 def _abstained(r) -> bool:
     return r["abstained"]
+
+
+def _named_amiss(r) -> bool:
+    """A name that does not even predict; one that leaves nothing may be wrong, but no recording says so."""
+    return bool(r["named"]) and r["after"] ** 2 - 1 >= VISIBLE**2
 
 
 def _column(rows: Iterable[Mapping], key: str) -> list[float]:

@@ -27,9 +27,8 @@ from tests.export.test_description import read
 from tests.export.test_inside import SCHEMAS
 
 STRICT = ("-std=c99", "-pedantic", "-Wall", "-Werror")
-COMPILERS = {
-    "cc": ["cc", "-O2"], "zig": [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[native_platform()][0], "-O2"]
-}  # fmt: skip
+ZIG = [sys.executable, "-m", "ziglang", "cc", "-target", TARGETS[native_platform()][0], "-O2"]
+COMPILERS = {"cc": ["cc"], "zig": ZIG}
 KEPT = {**os.environ, "ZIG_GLOBAL_CACHE_DIR": str(cache_folder() / "zig")}  # zig makes its C library once for all tests
 RECORDS = {"cehA": arm_record(0.5), "lag": command_record()}
 BOTH = ("kind", "both")

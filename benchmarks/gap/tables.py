@@ -102,7 +102,7 @@ def _abstained(r) -> bool:
 
 def _named_amiss(r) -> bool:
     """A name that does not even predict; one that leaves nothing may be wrong, but no recording says so."""
-    return bool(r["named"]) and r["after"] ** 2 - 1 >= VISIBLE**2
+    return bool(r["named"]) and (r["after"] is None or r["after"] ** 2 - 1 >= VISIBLE**2)
 
 
 def _column(rows: Iterable[Mapping], key: str) -> list[float]:

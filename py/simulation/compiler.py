@@ -29,7 +29,7 @@ SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 def cache_folder() -> Path:
     """Where compiled libraries live: ``$HYDROTWIN_CACHE`` or the user's cache folder."""
     chosen = os.environ.get("HYDROTWIN_CACHE")
-    return Path(chosen) if chosen else Path(platformdirs.user_cache_dir("hydrotwin", appauthor=False))
+    return Path(chosen).absolute() if chosen else Path(platformdirs.user_cache_dir("hydrotwin", appauthor=False))
 
 
 def compilers() -> list[tuple[str, ...]]:

@@ -113,10 +113,10 @@ def test_pairs_of_which_one_is_not_needed_are_told_apart(lacking, cases):
     assert figure.cases == cases and (not cases or figure.value == 1.0)
 
 
-@pytest.mark.parametrize(("left", "amiss"), [(1.01, 0.0), (1.2, 1.0)])
+@pytest.mark.parametrize(("left", "amiss"), [(1.01, 0.0), (1.2, 1.0), (None, 1.0)])
 def test_a_name_for_what_no_catalogue_has_counts_apart_when_it_does_not_predict(left, amiss):
     truth = made("out_of_library", (("payload_change", {"factor": 2.0}),))
-    after = {name: left * sigma for name, sigma in NOISE.items()}
+    after = {name: left * sigma for name, sigma in NOISE.items()} if left else None  # a method may predict nothing
     said = dataclasses.replace(answer(named("payload_error", "load.mass")), rmse_after=after)
     by = {f.what: f for f in figures([row_of(truth, said, method="discover")])}
     assert by["out-of-library, gap seen: abstains"].value == 0

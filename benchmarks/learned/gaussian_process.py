@@ -100,7 +100,7 @@ def step_time(block, rounds: int = 200, calls: int = 100) -> tuple[float, int]:
     generator = ca.CodeGenerator("block", {"with_header": False, "main": False})
     generator.add(block.step)
     source = '#define CASADI_SYMBOL_EXPORT __attribute__((visibility("default")))\n' + generator.dump()
-    compiled = ca.external("step", str(compile_library(source, block.name, "-O2")))
+    compiled = ca.external("step", str(compile_library(source, block.name, ("-O2",))))
     buffer, evaluate = compiled.buffer()
     x = np.concatenate([np.zeros(len(block.states) - LAGS + 1), np.linspace(-0.4, 0.3, LAGS - 1)])
     places = [x, np.array([0.2]), np.zeros_like(x), np.zeros(len(block.outputs))]

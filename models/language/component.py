@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Mapping
 from numbers import Real
+from types import MappingProxyType
 
 from .declarations import Input, Output, Parameter, Port, Slot, State, Variable
 from .elaboration import Elaboration
@@ -113,7 +115,8 @@ class Law(Component):
     """A constitutive relation that fills a slot: parameters and functions, no ports."""
 
 
-def declarations(kind: type) -> dict[str, object]:
+@functools.cache
+def declarations(kind: type) -> Mapping[str, object]:
     """Everything a component class declares, its bases' first, in the order of the source."""
     kinds = (Parameter, State, Variable, Input, Output, Port, Slot, Component)
     found: dict[str, object] = {}
@@ -121,7 +124,7 @@ def declarations(kind: type) -> dict[str, object]:
         for name, value in vars(base).items():
             if isinstance(value, kinds):
                 found[name] = value
-    return found
+    return MappingProxyType(found)
 
 
 def _check_change(owner: str, name: str, declaration, change) -> None:

@@ -14,7 +14,7 @@ import tomlkit
 
 from .additions import Addition
 from .errors import DataError, nearest
-from .flat import FlatModel
+from .flat import FlatModel, ParameterValue
 from .parameter_file import parameter_settings, read_toml
 from .writing import toml_values, write_whole
 
@@ -119,24 +119,27 @@ def write_model_file(
         document.add(tomlkit.nl())
         document["effects"] = tomlkit.aot()
         document["effects"].extend(effects)
-    parameters = tomlkit.table()
-    for p in flat.parameters:
-        entry = tomlkit.inline_table()
-        entry["value"] = float(p.value)
-        entry["unit"] = p.unit
-        if p.sigma is not None and np.isfinite(p.sigma):
-            entry["sigma"] = float(p.sigma)
-        entry["bounds"] = [float(b) for b in p.bounds]
-        if p.free:
-            entry["free"] = True
-        if p.source:
-            entry["source"] = p.source
-        parameters.append(tomlkit.key(p.name.split(".")), entry)
-    document["parameters"] = parameters
+    text = tomlkit.dumps(document)
+    rows = [f"{tomlkit.key(p.name.split('.')).as_string()} = {_entry(p).as_string()}" for p in flat.parameters]
+    text += "\n".join(["", "[parameters]", *rows, ""])  # not by tomlkit: every dotted key would copy those before it
     if provenance:
-        document["provenance"] = toml_values(provenance)
-    write_whole(path, tomlkit.dumps(document))
+        text += "\n" + tomlkit.dumps({"provenance": toml_values(provenance)})
+    write_whole(path, text)
     return path
+
+
+def _entry(p: ParameterValue) -> tomlkit.items.InlineTable:
+    entry = tomlkit.inline_table()
+    entry["value"] = float(p.value)
+    entry["unit"] = p.unit
+    if p.sigma is not None and np.isfinite(p.sigma):
+        entry["sigma"] = float(p.sigma)
+    entry["bounds"] = [float(b) for b in p.bounds]
+    if p.free:
+        entry["free"] = True
+    if p.source:
+        entry["source"] = p.source
+    return entry
 
 
 def _effect_table(addition: Addition) -> tomlkit.items.Table:

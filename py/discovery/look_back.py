@@ -22,6 +22,7 @@ RIVALS = 6  # fitted once more in the hollow of the most likely
 ROUNDS = 2  # of it, when another has become the most likely
 CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
+SMALL = 0.3  # of its largest probe
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
 
@@ -46,7 +47,10 @@ def settled(
     again = _contenders(search, tried, choice, near)
     if near or _at_bound(now, best):
         again += [t for t in alike if t.structure and t not in again]
-    jobs = [_from_first(search, t.structure, t.members[0].probes[0] if t in alike else {}) for t in again]
+    begun = [(t, t.members[0].probes[0] if t in alike else {}) for t in again]
+    begun += [(t, t.members[-1].probes[-1]) for t in again if near and _small(t)]
+    again = [t for t, _ in begun]
+    jobs = [_from_first(search, t.structure, start) for t, start in begun]
     *larger, smaller = search.run(refit, [*jobs, back], "look back")  # the longest first
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
@@ -120,6 +124,17 @@ def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tr
 def _at_bound(now: Structure, best: Tried) -> bool:
     """Whether the base stands in for an effect as far as it may go."""
     return bool(now.fitted.at_bound or best.structure.fitted.at_bound)
+
+
+def _small(t: Tried) -> bool:
+    """Whether an effect came out far smaller than it may well be: the base may have taken the most of it.
+
+    Two lags in a row can change places. A drive that the base holds for quick and an effect for slow fits as well as
+    the opposite, and a fit that begins at one of them never sees the other.
+    """
+    *_, largest = t.members[-1].probes
+    values = t.structure.fitted.values
+    return all(abs(values.get(n, 0.0)) < SMALL * abs(v) for n, v in largest.items())
 
 
 def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Candidate) -> bool:

@@ -86,7 +86,7 @@ class ProbeJob:
 
 def probe(job: ProbeJob) -> list[tuple[np.ndarray, ...] | None]:
     """Residuals (n, ny) of the fit recordings at every amplitude, SI; None where a run diverges."""
-    propagator = prepare(job.flat, step=job.question.step)
+    propagator = prepare(job.flat, step=job.question.step, few_runs=True)
     found = []
     for amplitude in job.amplitudes:
         try:

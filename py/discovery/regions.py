@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.integrate import cumulative_trapezoid
-from scipy.stats import norm, t
+from scipy.special import ndtr, stdtr
 
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
@@ -316,7 +316,7 @@ class Binning:
             error = np.where(sizes > 0, np.fmax(error, noise / np.sqrt(sizes)), np.nan)
             statistic = np.abs(mean) / error
         sure = np.isfinite(statistic) & (independent > 1.5)
-        p = np.where(sure, 2.0 * t.sf(np.where(sure, statistic, 0.0), freedom), 1.0)
+        p = np.where(sure, 2.0 * stdtr(freedom, -np.where(sure, statistic, 0.0)), 1.0)
         gained = np.nansum(sizes * np.maximum(mean**2 - error**2, 0.0))
         energy = float(np.sum(r[here] ** 2))
         return Map(mean, error, p, float(gained / energy) if energy > 0 else 0.0)
@@ -377,7 +377,7 @@ def _maps(seen, edges, gaps, before, after, noise) -> dict[tuple[int, int], tupl
 
 def _together(maps: Sequence[Map]) -> list[np.ndarray]:
     sizes = np.cumsum([len(m.p_value) for m in maps])[:-1]
-    return np.split(holm(np.concatenate([m.p_value for m in maps]), 2.0 * norm.sf(SIGMAS)), sizes)
+    return np.split(holm(np.concatenate([m.p_value for m in maps]), 2.0 * ndtr(-SIGMAS)), sizes)
 
 
 def _telling(seen: Sequence[Quantity], shares: Sequence[float]) -> list[int]:

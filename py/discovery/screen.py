@@ -83,7 +83,9 @@ class Screen:
         known = fitted.states[0] if fitted.states else {}
         self.free = free_parameters(big, names, dict(fitted.values))
         given = [s.name for s in big.states if s.name in known]
-        propagator = prepare(big, free_parameters=self.free.names, free_states=given, step=question.step)
+        propagator = prepare(
+            big, free_parameters=self.free.names, free_states=given, step=question.step, few_runs=True
+        )
         self.task = Task(
             big, self.free, propagator, question.fit, weights(self.size), Loss("linear", 1.0), question.initial_states,
             1, _silent, question.noise,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares, nnls
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hydrotwin.models.language.errors import DataError
 
@@ -201,7 +201,7 @@ def _answer(x, v: np.ndarray, F: np.ndarray, weight: np.ndarray, confidence: flo
     inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True)
     covariance = max(float(r @ r) / freedom, least) * inverse / np.outer(size, size)
     sigma = np.sqrt(np.diag(covariance))
-    reach = student.ppf(0.5 + confidence / 2, freedom) * sigma
+    reach = stdtrit(freedom, 0.5 + confidence / 2) * sigma
     coefficients = tuple(
         FrictionCoefficient(name, float(value), float(s), (float(value - h), float(value + h)), unit)
         for name, value, s, h, unit in zip(NAMES, x, sigma, reach, UNITS, strict=True)

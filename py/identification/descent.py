@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.stats import qmc
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
@@ -177,6 +176,8 @@ def _along_valley(found: Minimum) -> list[np.ndarray]:
 
 def _scattered(task: Task, found: Minimum) -> list[np.ndarray]:
     """Points around the start of the task in the parameters that the windows do not settle at once."""
+    from scipy.stats import qmc  # takes most of a second, and few fits come here
+
     settled = np.sqrt(np.maximum(np.diag(found.information()), 0.0)) > SETTLED
     cube = 2 * qmc.Sobol(len(found.q), seed=0).random_base2(3) - 1
     start = task.free.scaled(task.free.start)

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from hydrotwin.models.language.errors import SolveError
 
@@ -137,6 +136,8 @@ def _others(task: Task, starts: int) -> Iterator[np.ndarray]:
     q0 = task.free.scaled(task.free.start)
     lower, upper = task.free.scaled(task.free.lower), task.free.scaled(task.free.upper)
     if starts > 1:
+        from scipy.stats import qmc  # takes most of a second, and few fits come here
+
         cube = qmc.Sobol(len(q0), seed=0).random_base2(int(np.ceil(np.log2(starts))))
         for point in cube[: starts - 1]:
             yield np.clip(q0 + SPREAD * (2 * point - 1), lower, upper)

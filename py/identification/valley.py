@@ -15,7 +15,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import chi2, norm, qmc
+from scipy.special import chdtri, ndtri
 
 from hydrotwin.models.language.errors import SolveError
 
@@ -63,7 +63,7 @@ def longest_axis(found: Minimum) -> float:
 
 def margin(parameters: int) -> float:
     """Units of cost within which the truth lies 99 times of 100."""
-    return 0.5 * float(chi2.ppf(0.99, parameters))
+    return 0.5 * float(chdtri(parameters, 0.01))
 
 
 def _samples(task: Task, found: Minimum, periods: float) -> int:
@@ -77,6 +77,8 @@ def _samples(task: Task, found: Minimum, periods: float) -> int:
 
 def _points(task: Task, smooth: Shooting, found: Minimum, seed: int) -> Iterator[np.ndarray]:
     """The minimum of the smooth cost, then points of its ellipsoid."""
+    from scipy.stats import qmc  # takes most of a second, and few fits come here
+
     lower, upper = (task.free.scaled(b) for b in (task.free.lower, task.free.upper))
     try:
         coarse = minimise(smooth, found.q, found.z, most=GO)
@@ -86,7 +88,7 @@ def _points(task: Task, smooth: Shooting, found: Minimum, seed: int) -> Iterator
     values, vectors = np.linalg.eigh(coarse.information())
     seen = values > BLIND * values[-1]  # along the other axes the recordings say nothing: there is nowhere to look
     reach = np.where(seen, np.minimum(1 / np.sqrt(np.where(seen, values, 1.0)), LONGEST), 0.0)
-    for normal in norm.ppf(qmc.Sobol(len(values), seed=seed).random_base2(int(np.log2(POINTS)))):
+    for normal in ndtri(qmc.Sobol(len(values), seed=seed).random_base2(int(np.log2(POINTS)))):
         yield np.clip(coarse.q + vectors @ (reach * normal), lower, upper)
 
 

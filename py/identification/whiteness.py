@@ -8,7 +8,7 @@ Source: G. Ljung & G. Box, Biometrika 1978.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 LAGS = 20
 SIGNIFICANCE = 1e-3
@@ -24,4 +24,4 @@ def ljung_box(residual: np.ndarray) -> tuple[float, float]:
     energy = float(r @ r)
     rho = np.array([float(r[:-lag] @ r[lag:]) / energy for lag in range(1, LAGS + 1)])
     statistic = n * (n + 2) * float(np.sum(rho**2 / (n - np.arange(1, LAGS + 1))))
-    return float(rho[0]), float(chi2.sf(statistic, LAGS))
+    return float(rho[0]), float(chdtrc(LAGS, statistic))

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import platformdirs
@@ -43,7 +44,7 @@ def compilers() -> list[tuple[str, ...]]:
     return found
 
 
-def compile_library(source: str, name: str, optimise: str = "-O3") -> Path | None:
+def compile_library(source: str, name: str, optimise: Sequence[str] = ("-O3",)) -> Path | None:
     """Path of the shared library made from ``source``; None when this machine has no compiler.
 
     Raises SolveError with the compiler's own words when every compiler here refuses the source.
@@ -51,7 +52,7 @@ def compile_library(source: str, name: str, optimise: str = "-O3") -> Path | Non
     words = ""
     for command in compilers():
         try:
-            return _compiled(source, name, (*command, optimise, *FLAGS))
+            return _compiled(source, name, (*command, *optimise, *FLAGS))
         except _Refused as refused:
             words = f"'{' '.join(command)}' said: {str(refused).strip()[-800:] or 'nothing'}"
             if command != compilers()[-1]:

@@ -38,12 +38,14 @@ def prepare(
     free_states: Sequence[str] = (),
     step: float | None = None,
     method: str = "auto",
+    few_runs: bool = False,
 ) -> Propagator:
     """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
 
     step : longest substep [s]; the model's own by default.
     method : "explicit" (RK4), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto": explicit,
         with the step halved up to three times if the eigenvalues along the first run ask for it, else rosenbrock.
+    few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
 
     Raises DeclarationError for an unknown parameter, state or method; SolveError when the compiler fails.
     """
@@ -55,7 +57,7 @@ def prepare(
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
         return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method)
-    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method)
+    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs)
 
 
 class Propagator:
@@ -65,11 +67,11 @@ class Propagator:
     interpreter).
     """
 
-    def __init__(self, flat: FlatModel, free_parameters, free_states, step: float, method: str):
+    def __init__(self, flat: FlatModel, free_parameters, free_states, step: float, method: str, few_runs=False):
         self.flat, self.step, self._asked = flat, step, (step, method)
         self.free_parameters, self.free_states = free_parameters, free_states
         self.method = "explicit" if method == "vm" else method
-        self._interpreted = method == "vm"
+        self._interpreted, self._few_runs = method == "vm", few_runs
         self._to = equations.directions(flat, free_parameters, free_states)
         self._deciding = threading.Lock()
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
@@ -168,7 +170,7 @@ class Propagator:
         return self._engines[implicit]
 
     def _engine(self, implicit: bool):
-        return _engine(self.flat, self._to, implicit, self._interpreted)
+        return _engine(self.flat, self._to, implicit, self._interpreted, self._few_runs)
 
     def _stop(self, status: int, where, time, u, p) -> None:
         """Raise what a driver's status means, naming the state or output that blew up."""
@@ -216,15 +218,15 @@ _kept: OrderedDict = OrderedDict()
 _kept_lock = threading.Lock()
 
 
-def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool):
+def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool, few_runs: bool):
     """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
     scales = tuple(s.nominal for s in flat.states)
-    key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), to, implicit, interpreted)
+    key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), to, implicit, interpreted, few_runs)
     with _kept_lock:
         if key in _kept:
             _kept.move_to_end(key)
             return _kept[key][0]
-    made = VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit)
+    made = VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit, few_runs)
     with _kept_lock:
         _kept[key] = made, flat.ode  # the function is kept alive: its id is the key
         while len(_kept) > 24:
@@ -232,9 +234,10 @@ def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpret
     return made
 
 
-def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
+def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool, few_runs: bool):
     name = "".join(c if c.isalnum() else "_" for c in flat.name)
-    optimise = "-O2" if implicit else "-O3"  # the integrator is long: -O3 compiles longer and runs no faster
+    optimise = ("-O2",) if implicit else ("-O3",)  # the integrator is long: -O3 compiles longer and runs no faster
+    optimise = ("-O1", "-ftree-vectorize") if few_runs else optimise
     source = c_source(flat, to, implicit)
     path = compile_library(source, name, optimise)
     if path is not None:

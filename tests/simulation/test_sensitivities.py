@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
+from collections import OrderedDict
 
 import numpy as np
 import pytest
@@ -199,3 +200,19 @@ def test_a_derivative_that_has_decayed_never_becomes_a_slow_number_below_the_sma
     assert dx[0, 0, 0] == 1 and dx[-1, 0, 0] < 1e-300
     assert not ((dx > 0) & (dx < smallest)).any()
     assert 0 < np.float64(smallest) / 4 < smallest
+
+
+@pytest.mark.parametrize("method", ["explicit", "rosenbrock"])
+def test_what_runs_a_few_times_only_is_another_library_with_the_same_bits(machine, method, tmp_path, monkeypatch):
+    monkeypatch.setenv("HYDROTWIN_CACHE", str(tmp_path))
+    monkeypatch.setattr("hydrotwin.simulation.propagator._kept", OrderedDict())
+    model, p, x0 = machine
+    free = ("motor.gain", "cylinder.oil.bulk_modulus")
+    columns = unit_columns(model, free, STATES)
+    answers = []
+    for few_runs in (False, True):
+        propagator = prepare(model, free_parameters=free, free_states=STATES, method=method, few_runs=few_runs)
+        answers.append(propagator.sensitivity(TIME, COMMAND, p, x0, columns))
+        assert len(list(tmp_path.iterdir())) == 1 + few_runs
+    for one, other in zip(*answers, strict=True):
+        assert np.array_equal(one, other)

@@ -11,12 +11,14 @@ from hydrotwin.discovery import look_back
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.look_back import from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.search import Structure, Tried
 from hydrotwin.models.language import Model
 from tests.discovery.slides import (
     RATE_NOISE,
     START,
+    Drive,
     TwoSensors,
+    better,
     drive_records,
     grown,
     one,
@@ -109,6 +111,19 @@ def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passe
     best = max(after, key=lambda t: t.evidence.bic_gain)
     assert best.members[0].id == "dead_time"
     assert best.structure.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)
+
+
+@pytest.mark.parametrize(("value", "starts"), [(0.004, [0.004, 0.05]), (0.04, [0.04])])
+def test_near_the_noise_what_came_out_small_begins_once_more_at_its_largest_probe(value, starts):
+    """Two lags in a row may have changed places: the base has taken the long one, the effect what was the base's."""
+    asked, time = question(drive_records(), Model(Drive())), "actuator_lag.time_constant"
+    search, fitted = searching(asked, ("actuator_lag",), Model(Drive()), ("gain", "time_constant"))
+    lag = dataclasses.replace(fitted, values={**fitted.values, time: value})
+    tried = Tried((one(search, "actuator_lag"),), None, Structure((one(search, "actuator_lag"),), lag), better())
+    jobs, run = [], search.run
+    search.run = lambda function, asked, stage: jobs.extend(asked) or run(function, asked, stage)
+    settled(search, Structure((), fitted), [tried], Choice(tried, (tried,), {}))
+    assert [j.starts[0][time] for j in jobs if j.coarse] == starts
 
 
 def test_what_is_easily_confused_takes_part_though_the_screen_called_it_invisible():

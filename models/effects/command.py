@@ -267,17 +267,17 @@ class Drift(Effect):
         yield self.y == self.u * (1 + self.rate * time())
 
 
-class MotorDroop(Lagged):
+class MotorDroop(Effect):
     """A drive that slows down under load.
 
-        w = w_0 - R M,   T_0 M' = M_load - M
+        w = w_0 - R M,   T M' + M = M_load
 
-    The short lag T_0 stands for the speed loop and breaks the algebraic loop of speed and torque. Source: W. Leonhard,
-    Control of Electrical Drives, 2001, section 6.
+    Load works through the same inertia as the command does: T is the lag of the drive. A drive of first order,
+    T w' + w = k u - R M_load, is met exactly. Source: W. Leonhard, Control of Electrical Drives, 2001, section 6.
     """
 
     id, title = "motor_droop", "speed lost under load"
-    equation = "w = w_0 - R M_load"
+    equation = "w = w_0 - R M,  T M' + M = M_load"
     source = "W. Leonhard, Control of Electrical Drives, 2001"
     typical = {"slope": (0.5, 100.0)}
     probes = ({"slope": 2.0}, {"slope": 20.0})
@@ -290,18 +290,34 @@ class MotorDroop(Lagged):
     slope = Parameter(
         0.0, "rad/(s.N.m)", "speed lost per torque R", bounds=(0, 1e4), nominal=10.0, source="typical", free=True
     )
-    resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    lag = Parameter(0.03, "s", "lag T of the drive", bounds=(2e-3, 1.0), nominal=0.03, source="assumed")
 
-    sites = stepped(drives)
+    sites = staticmethod(drives)
 
     def equations(self):
         M = self.torque
         yield self.a.tau + self.b.tau == 0
-        yield self.resolution * der(M) == self.a.tau - M
+        yield self.lag * der(M) == self.a.tau - M
         yield self.b.w == self.a.w - self.slope * M
 
     def initial_equations(self):
         yield self.torque == self.a.tau
+
+    @classmethod
+    def at(cls, site: Site):
+        return MeasuredMotorDroop() if site.through else cls()
+
+
+class MeasuredMotorDroop(MotorDroop):
+    """The same where a sensor of the drive sees it."""
+
+    id = ""
+    u_speed = Input("rad/s", "speed without the load", nominal=100.0)
+    y_speed = Output("rad/s", "measured speed", nominal=100.0)
+
+    def equations(self):
+        yield from super().equations()
+        yield self.y_speed == self.u_speed - self.slope * self.torque
 
 
 def clipped(value: ca.SX, limit: ca.SX) -> ca.SX:

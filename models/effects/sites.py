@@ -119,7 +119,8 @@ def _through(wire) -> Site:
 def drives(places: Places) -> Iterator[Site]:
     """Ports of parts that turn a shaft; between them and what they turn a part with ports ``a``, ``b`` fits.
 
-    A drive that repeats a measured speed (an input in rad/s, linear between samples) loses none under load.
+    A drive that repeats a measured speed (an input in rad/s, linear between samples) loses none under load. Where the
+    model has a sensor of the drive's speed, the part stands before that as well: ``u_speed``, ``y_speed``.
     """
     measured = [i for i in places.model.flat.inputs if i.interpolation == "linear" and compatible(i.unit, "rad/s")]
     for node in places.nodes_of(Shaft):
@@ -129,7 +130,9 @@ def drives(places: Places) -> Iterator[Site]:
         driving += [port for port, part in owners.items() if ElectricPin in part.ports.values()]
         driving = [p for p in driving if owners[p].states or (owners[p].inputs and not measured)]
         if len(owners) > 1 and len(driving) == 1:
-            yield Site(driving[0], between=driving[0])
+            own = [s for s in places.measured if s.name.rpartition(".")[0] == owners[driving[0]].path]
+            seen = next((s.measured_by for s in own if compatible(s.unit, "rad/s")), None)
+            yield Site(driving[0], between=driving[0], through={"speed": seen} if seen else None)
 
 
 def low_pressure_node(places: Places) -> Node | None:

@@ -11,6 +11,7 @@ import casadi as ca
 from .component import Component, Law
 from .declarations import Variable
 from .elaboration import BoundPort, Elaboration
+from .flat import StateVariable
 from .flattening import elaborate
 
 
@@ -135,6 +136,12 @@ class Places:
             found.append(Wire(path, entry.unit, entry.declaration.nominal, "inside"))
         found += [Wire(o.path, o.unit, o.declaration.nominal, "output") for o in e.outputs]
         return tuple(found)
+
+    @cached_property
+    def measured(self) -> tuple[StateVariable, ...]:
+        """States that an output of the model measures."""
+        own = type(self.model)(self.model.root, self.model.name) if self.model.additions else self.model
+        return tuple(s for s in own.flat.states if s.measured_by)
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:

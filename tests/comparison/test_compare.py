@@ -173,12 +173,13 @@ def test_run_time_is_wall_time_per_simulated_second():
 
     class Slow(Toy):
         def free_run(self, record):
-            time.sleep(0.02)
+            time.sleep(0.2)
             return super().free_run(record)
 
     comparison = run([Slow("slow"), TRUE], [recording(1, duration=4.0)], modes=["free run"])
-    assert comparison.seconds_per_simulated_second["slow"] == pytest.approx(0.02 / 3.99, rel=0.5)
-    assert comparison.seconds_per_simulated_second["true"] < 0.002
+    taken = comparison.seconds_per_simulated_second
+    assert 0.2 / 3.99 < taken["slow"] < 1.0 / 3.99  # a busy machine oversleeps
+    assert taken["true"] < taken["slow"] / 5
 
 
 def test_training_domain_shares_count_samples_outside():

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.models import spool_valve
+from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.components import Cylinder, LinearLoad, Pump
 from hydrotwin.models.components.mechanical import SpeedSource
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.command import CommandSaturation, RateLimit
 from hydrotwin.models.language import Component, Input, Model, Output, State, connect, der
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
 from tests.effects.benches import axis, passed, pump_bench, seen
 
 TIME = np.arange(0.0, 1.0, 1e-3)
@@ -91,6 +93,22 @@ def test_a_drive_under_load_turns_slower_by_its_droop_times_the_torque():
     assert drive == 200.0
     assert taken == pytest.approx(torque)
     assert pump == pytest.approx(200.0 - 20.0 * torque)
+
+
+def test_the_sensor_of_a_drive_sees_what_the_load_takes_through_the_lag_of_the_drive():
+    """T w' + w = k u - R M, integrated here from the torque M that the pressures make."""
+    model = add_effect(cehA.model(), "motor_droop", values={"slope": 20.0})
+    value = {p.name: p.value for p in model.flat.parameters}
+    time_constant, gain = value["motor.time_constant"], value["motor.gain"]
+    assert value["motor_droop.lag"] == time_constant
+    run = simulate(model, Record(TIME, {"command": SINE}, {"command": "V"}))
+    ratio = value["cylinder.rod_area"] / value["cylinder.cap_area"]
+    torque = value["pump.displacement"] * (run["pressure_cap"] - ratio * run["pressure_rod"])
+    decay, speed = np.exp(-1e-3 / time_constant), [run["motor_speed"][0]]
+    for u, M in zip(SINE[:-1], (torque[1:] + torque[:-1]) / 2, strict=True):
+        speed.append(decay * speed[-1] + (1 - decay) * (gain * u - 20.0 * M))
+    assert np.ptp(20.0 * torque) > 1.0
+    np.testing.assert_allclose(run["motor_speed"], speed, atol=2e-3)
 
 
 class MeasuredDrive(Component):

@@ -4,6 +4,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
 WORKERS ?= 2
+TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
 GAP ?= --quick --limit 10 --methods discover bic sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
@@ -15,9 +16,9 @@ help:
 	@echo "make fmus   build the FMUs of fmus/ and check them; one of them: make fmus FMUS=cehA;"
 	@echo "            for every machine: make fmus PLATFORM=all"
 	@echo "make gates  the same by version and kind, through every program that judges FMUs, into fmus/GATES.md"
-	@echo "make test   all tests"
+	@echo "make test   the tests"
 	@echo "make lint   style"
-	@echo "make bench  speed, as ratios"
+	@echo "make bench  slow proofs, then speed, as ratios"
 	@echo "make bench-gap  which hidden effects the gap workflow finds, beside the baselines, on 10 short cases;"
 	@echo "                all of them: make bench-gap GAP='--seeds fresh --out out/gap_fresh'"
 
@@ -42,12 +43,13 @@ gates: $(VENV)/.dev
 	$(BIN)/python -m fmus.gates --write $(FMUS)
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
+	$(BIN)/python -m pytest -q -m "not proof" $(TOGETHER) --durations=15
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 
 bench: $(VENV)/.dev
+	$(BIN)/python -m pytest -q -m proof $(TOGETHER)
 	$(BIN)/python benchmarks/run.py
 
 bench-gap: $(VENV)/.dev

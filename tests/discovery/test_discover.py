@@ -100,6 +100,7 @@ def test_a_pulse_at_seven_seconds_is_unknown_and_described_in_time():
     assert any(((low <= 8.0) & (high >= 7.0)).any() for low, high in edges)
 
 
+@pytest.mark.proof
 def test_friction_is_not_named_in_place_of_a_pulse_it_cannot_explain():
     d = found(records(3, pulse=60.0, dry=0.0), ["coulomb_friction", "stribeck_friction", "viscous_friction"])
     assert d.verdict == "unknown" and d.steps == ()

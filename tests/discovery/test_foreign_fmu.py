@@ -120,6 +120,7 @@ def test_a_freed_parameter_of_the_fmu_takes_its_true_value_and_leaves_nothing_to
     assert any("--free" in f and "time_constant" in f for f in held.findings)
 
 
+@pytest.mark.proof
 def test_around_a_slow_fmu_of_another_tool_a_dead_time_beyond_those_of_machines_is_named(folder, tmp_path):
     """CasADi's own export, FMI 3.0, Model Exchange: y' = u - 2 y from y = 1, sampled five times a second."""
     fmu = read_fmu(fmi3_model_exchange(folder))

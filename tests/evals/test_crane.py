@@ -147,6 +147,7 @@ def test_the_staircases_show_the_play_of_the_spool_and_how_late_it_is(axis, half
     assert dead_time < late < dead_time + 0.06  # the spool's lag is part of it
 
 
+@pytest.mark.proof
 def test_the_identified_model_finds_the_deadband_of_a_valve_with_unequal_edges():
     model, currents = inverses.identified(list(staircases("jib")), "jib")
     found = {p.name: p.value for p in model.flat.parameters}

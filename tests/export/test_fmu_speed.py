@@ -15,6 +15,7 @@ def short(monkeypatch):
     monkeypatch.setattr(fmu_speed, "python_fmu", lambda folder: None)  # it aborts now and then when it is unloaded
 
 
+@pytest.mark.proof
 def test_every_contender_is_measured_and_judged(short, tmp_path, capsys):
     pytest.importorskip("ziglang")
     fmu_speed.speed(tmp_path)

@@ -32,8 +32,12 @@ def cost_at_truth() -> float:
 
 @pytest.mark.parametrize(
     "signs",
-    [(1, 0, 0, 0, 0, 0), (0, 0, -1, -1, 0, 0), (1, -1, 1, 1, -1, 1), (-1, 1, -1, -1, 1, -1)],
-    ids=["gain high: drives into the end stop", "volumes low: runs out of oil", "soft oil", "stiff oil"],
+    [
+        pytest.param((1, 0, 0, 0, 0, 0), id="gain high: drives into the end stop"),
+        pytest.param((0, 0, -1, -1, 0, 0), id="volumes low: runs out of oil"),
+        pytest.param((1, -1, 1, 1, -1, 1), id="soft oil", marks=pytest.mark.proof),
+        pytest.param((-1, 1, -1, -1, 1, -1), id="stiff oil", marks=pytest.mark.proof),
+    ],
 )
 def test_thirty_percent_off_still_ends_at_the_truth(signs):
     start = {name: value * (1 + 0.3 * sign) for (name, value), sign in zip(TRUTH.items(), signs, strict=True)}

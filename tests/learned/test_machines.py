@@ -18,6 +18,7 @@ def recordings(machine: str, part: str) -> list[Record]:
     return [Record(c["time"], {n: c[n] for n in units}, units, f"{part}_{k}") for k, c in enumerate(columns)]
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize(
     ("machine", "command", "output", "bound"),
     [("cehA", "command", "arm_angle", np.radians(0.25)), ("spool_valve", "current", "position", 2e-3)],

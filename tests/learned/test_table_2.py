@@ -13,6 +13,7 @@ from examples.table_2.make_recordings import KINDS, QUANTUM, make, record
 from hydrotwin import load
 from hydrotwin.comparison import read_scenario, run_scenario
 
+pytestmark = pytest.mark.proof
 SECONDS = 6.0
 QUICK = {  # options that make seconds of the minutes of learning
     "dynamic": {"iterations": 10},

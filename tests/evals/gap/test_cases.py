@@ -116,6 +116,7 @@ def test_what_no_plausible_effect_can_do_is_said():
         make(short("spool_valve", ["payload_error"], 30.0, sensors="position"))
 
 
+@pytest.mark.proof
 def test_torn_oil_needs_a_low_precharge_which_the_model_knows():
     case = dataclasses.replace(short("cehA", ["cavitation"], 1.5), seconds=40.0)
     assert case.settings["precharge"] < 5e5

@@ -154,13 +154,14 @@ class EndStop(Effect):
 
         f = k e_high (1 + d v) - k e_low (1 - d v),   e_high = max(s - s_high, 0), e_low = max(s_low - s, 0)
 
-    Each bracket at least 0: a stop never pulls. Either end may lie where nothing comes. Source: Hunt and Crossley.
+    Each bracket at least 0: a stop never pulls. Either end may lie where nothing comes. No data sheet tells how hard a
+    stop is. Source: Hunt and Crossley.
     """
 
     id, title = "end_stop", "end of the stroke"
     equation = "s_low <= s <= s_high, by a stiff contact"
     source = HUNT
-    typical = {"low": (-0.05, 0.05), "high": (0.02, 1.0)}
+    typical = {"low": (-0.05, 0.05), "high": (0.02, 1.0), "stiffness": (1e6, 1e9), "damping": (0.1, 20.0)}
     probes = ({"low": -FAR, "high": 0.5}, {"low": 0.0, "high": FAR})
     confused_with = ("command_saturation", "relief_saturation", "sensor_scale")
     experiment = "drive slowly to both ends and on, with pressures"
@@ -168,8 +169,8 @@ class EndStop(Effect):
     flange = Flange("what comes to the stop")
     low = Parameter(-FAR, "m", "s_low", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
     high = Parameter(FAR, "m", "s_high", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
-    stiffness = Parameter(2e7, "N/m", "k of the contact", bounds=(1e3, 1e10), source="stiff, but not for the step")
-    damping = Parameter(10.0, "s/m", "d of the contact", bounds=(0, 100), source=HUNT)
+    stiffness = Parameter(2e7, "N/m", "k of the contact", bounds=(1e3, 1e10), nominal=1e7, source="stiff", free=True)
+    damping = Parameter(10.0, "s/m", "d of the contact", bounds=(0, 100), nominal=10.0, source=HUNT, free=True)
 
     sites = staticmethod(flanges)
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydrotwin.identification import identify
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.mechanism import Backlash, ConstantLoad, EndStop, StructuralCompliance
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
 from tests.components.bench import at, bench, observed, run
 from tests.effects import benches
 
@@ -77,6 +80,19 @@ def test_a_stop_returns_less_speed_than_it_was_given():
     y = run(model, np.linspace(0, 0.5, 501), start={"carriage.velocity": 0.1})
     assert -0.1 < y["velocity"][-1] < 0.0
     assert np.max(np.abs(y["velocity"])) <= 0.1 + 1e-9
+
+
+def test_how_hard_a_stop_is_comes_out_of_a_fit():
+    truth = {"end_stop.high": 0.008, "end_stop.stiffness": 4e5, "end_stop.damping": 3.0}
+    (stop,) = candidates(benches.axis(), ["end_stop"])
+    assert truth.keys() <= set(stop.free)
+    model, time = benches.axis().plus([stop.addition]), np.linspace(0, 1.0, 501)
+    force = 60.0 * np.sign(np.sin(7 * time))
+    truly = simulate(model.with_parameters(truth), Record(time, {"force": force}, {"force": "N"}))
+    record = Record(time, {"force": force, "position": truly["position"]}, {"force": "N", "position": "m"})
+    assert record["position"].max() > 0.0081
+    fit = identify(model, [record], free=list(truth), start={"end_stop.high": 0.0081}, noise={"position": 1e-7})
+    assert {p.name: p.value for p in fit.parameters} == pytest.approx(truth, rel=0.01)
 
 
 @pytest.mark.parametrize("v", (-1.0, -0.05, 0.0, 0.05, 1.0))

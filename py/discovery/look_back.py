@@ -48,7 +48,7 @@ def settled(
     if near or _at_bound(now, best):
         again += [t for t in alike if t.structure and t not in again]
     begun = [(t, t.members[0].probes[0] if t in alike else {}) for t in again]
-    begun += [(t, t.members[-1].probes[-1]) for t in again if near and _small(t)]
+    begun += [(t, _largest(t.members[-1])) for t in again if near and _small(t)]
     again = [t for t, _ in begun]
     jobs = [_from_first(search, t.structure, start) for t, start in begun]
     *larger, smaller = search.run(refit, [*jobs, back], "look back")  # the longest first
@@ -126,15 +126,20 @@ def _at_bound(now: Structure, best: Tried) -> bool:
     return bool(now.fitted.at_bound or best.structure.fitted.at_bound)
 
 
+def _largest(candidate: Candidate) -> Mapping[str, float]:
+    """The probe that is farthest from where the effect is absent."""
+    return max(candidate.probes, key=lambda probe: max(abs(v - candidate.neutral[n]) for n, v in probe.items()))
+
+
 def _small(t: Tried) -> bool:
     """Whether an effect came out far smaller than it may well be: the base may have taken the most of it.
 
     Two lags in a row can change places. A drive that the base holds for quick and an effect for slow fits as well as
     the opposite, and a fit that begins at one of them never sees the other.
     """
-    *_, largest = t.members[-1].probes
-    values = t.structure.fitted.values
-    return all(abs(values.get(n, 0.0)) < SMALL * abs(v) for n, v in largest.items())
+    (*_, added), values = t.members, t.structure.fitted.values
+    absent = added.neutral
+    return all(abs(values[n] - absent[n]) < SMALL * abs(v - absent[n]) for n, v in _largest(added).items())
 
 
 def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Candidate) -> bool:

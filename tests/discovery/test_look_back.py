@@ -113,17 +113,24 @@ def test_what_is_easily_confused_with_the_best_is_fitted_though_the_screen_passe
     assert best.structure.fitted.values["dead_time.time"] == pytest.approx(0.06, abs=2e-3)
 
 
-@pytest.mark.parametrize(("value", "starts"), [(0.004, [0.004, 0.05]), (0.04, [0.04])])
-def test_near_the_noise_what_came_out_small_begins_once_more_at_its_largest_probe(value, starts):
+@pytest.mark.parametrize(
+    ("effect", "value", "starts"),
+    [
+        ("actuator_lag", {"time_constant": 0.004}, [0.004, 0.05]),
+        ("actuator_lag", {"time_constant": 0.04}, [0.04]),
+        ("command_saturation", {"limit": 0.2}, [0.2]),  # the lower a limit, the more it does
+    ],
+)
+def test_near_the_noise_what_came_out_small_begins_once_more_at_its_largest_probe(effect, value, starts):
     """Two lags in a row may have changed places: the base has taken the long one, the effect what was the base's."""
-    asked, time = question(drive_records(), Model(Drive())), "actuator_lag.time_constant"
-    search, fitted = searching(asked, ("actuator_lag",), Model(Drive()), ("gain", "time_constant"))
-    lag = dataclasses.replace(fitted, values={**fitted.values, time: value})
-    tried = Tried((one(search, "actuator_lag"),), None, Structure((one(search, "actuator_lag"),), lag), better())
+    asked, (own,) = question(drive_records(), Model(Drive())), value
+    search, fitted = searching(asked, (effect,), Model(Drive()), ("gain", "time_constant"))
+    there = dataclasses.replace(fitted, values={**fitted.values, f"{effect}.{own}": value[own]})
+    tried = Tried((one(search, effect),), None, Structure((one(search, effect),), there), better())
     jobs, run = [], search.run
     search.run = lambda function, asked, stage: jobs.extend(asked) or run(function, asked, stage)
     settled(search, Structure((), fitted), [tried], Choice(tried, (tried,), {}))
-    assert [j.starts[0][time] for j in jobs if j.coarse] == starts
+    assert [j.starts[0][f"{effect}.{own}"] for j in jobs if j.coarse] == starts
 
 
 def test_what_is_easily_confused_takes_part_though_the_screen_called_it_invisible():

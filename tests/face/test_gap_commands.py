@@ -62,6 +62,7 @@ def test_the_catalogue_lists_every_effect_with_equation_parameters_and_place():
     friction = rows["coulomb_friction"]
     assert (friction["equation"], friction["fits"]) == ("F = F_c sign(v)", "a flange")
     assert friction["parameters"][0]["unit"] == "N"
+    assert rows["motor_droop"]["fits"] == "behind a port (a shaft)", "a sensor of the drive is taken over besides"
     printed = hydrotwin("effects")
     assert printed.code == 0
     assert all(f" {effect} " in f" {printed.said} " for effect in CATALOGUE)

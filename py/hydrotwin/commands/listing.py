@@ -93,12 +93,12 @@ def _words(site, places: Places) -> str:
     """The kind of one place."""
     if site.frees:
         return "a parameter of the machine"
+    if site.between:
+        return f"behind a port ({_port_words([site.between], places)})"
     if isinstance(site.through, Mapping) or (site.through or "").startswith("der("):
         return "the rate of a state"
     if site.through:
         return _ROLES[next((w.role for w in places.wires if w.path == site.through), "inside")]
-    if site.between:
-        return f"behind a port ({_port_words([site.between], places)})"
     reads = f", reading {' and '.join(site.reads)}" if site.reads else ""
     return f"{_port_words(list((site.ties or {}).values()), places)}{reads}"
 

@@ -44,18 +44,24 @@ def dimensions_of(expressions: Sequence[ca.SX], units: Mapping[int, str]) -> lis
 
     ``units`` maps the hash of a symbol to its unit.
     """
-    symbols = ca.symvar(ca.vertcat(*expressions))
-    f = ca.Function("f", symbols, list(expressions))
+    return [_dimension_of(e, units) for e in expressions]
+
+
+def _dimension_of(expression: ca.SX, units: Mapping[int, str]) -> Dimension | None:
+    if expression.is_symbolic():
+        return dimension(units[expression.element_hash()])
+    symbols = ca.symvar(expression)
+    f = ca.Function("f", symbols, [expression])
     work: dict[int, Dimension | None] = {}
     constants: dict[int, float] = {}
-    results: list[Dimension | None] = [NUMBER] * len(expressions)
+    result: Dimension | None = NUMBER
     for k in range(f.n_instructions()):
         op, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
         if op == ca.OP_INPUT:
             work[outputs[0]] = dimension(units[symbols[inputs[0]].element_hash()])
             constants.pop(outputs[0], None)
         elif op == ca.OP_OUTPUT:
-            results[outputs[0]] = work[inputs[0]]
+            result = work[inputs[0]]
         elif op == ca.OP_CONST:
             value = f.instruction_constant(k)
             work[outputs[0]], constants[outputs[0]] = (ANY if value == 0 else NUMBER), value
@@ -64,7 +70,7 @@ def dimensions_of(expressions: Sequence[ca.SX], units: Mapping[int, str]) -> lis
             exponent = constants.get(inputs[1]) if op in (ca.OP_POW, ca.OP_CONSTPOW) else None
             work[outputs[0]] = _apply(op, arguments, exponent)
             constants.pop(outputs[0], None)
-    return results
+    return result
 
 
 def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -> Dimension | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextvars
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import casadi as ca
 
@@ -58,6 +59,21 @@ class Equation:
     def __str__(self):
         text = f"{self.left} == {self.right}"
         return text if len(text) < 160 else text[:157] + "..."
+
+    @cached_property
+    def sides(self) -> tuple[dict[int, ca.SX], dict[int, ca.SX]]:
+        """The symbols of the left and of the right side, by hash."""
+        return _symbols(self.left), _symbols(self.right)
+
+    @cached_property
+    def symbols(self) -> dict[int, ca.SX]:
+        """The symbols of both sides, by hash."""
+        return self.sides[0] | self.sides[1]
+
+
+def _symbols(expression: ca.SX) -> dict[int, ca.SX]:
+    found = [expression] if expression.is_symbolic() else ca.symvar(expression)
+    return {s.element_hash(): s for s in found}
 
 
 @dataclass(frozen=True, eq=False)

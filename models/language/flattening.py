@@ -106,10 +106,10 @@ def open_ports(elaboration: Elaboration) -> list[str]:
     }
     signals = {symbol.element_hash(): path for path, symbol in elaboration.open_signals.items()}
     set_outside = {
-        signals[s.element_hash()]
+        signals[key]
         for equation in elaboration.equations
-        for s in ca.symvar(ca.vertcat(equation.left, equation.right))
-        if s.element_hash() in signals and _parent(signals[s.element_hash()]) != equation.owner
+        for key in equation.symbols
+        if key in signals and _parent(signals[key]) != equation.owner
     }
     return [path for path in (*elaboration.ports, *signals.values()) if path not in inside | set_outside]
 
@@ -186,11 +186,7 @@ def check_balance(elaboration: Elaboration, equations, unknowns) -> None:
 
 def _incidence(equations, unknowns) -> list[set[int]]:
     index = {u.symbol.element_hash(): j for j, u in enumerate(unknowns)}
-    found = []
-    for equation in equations:
-        symbols = ca.symvar(ca.vertcat(equation.left, equation.right))
-        found.append({index[s.element_hash()] for s in symbols if s.element_hash() in index})
-    return found
+    return [{index[key] for key in equation.symbols if key in index} for equation in equations]
 
 
 def _solve_once(elaboration, equations, unknowns, waiting):
@@ -210,7 +206,11 @@ def _solve_once(elaboration, equations, unknowns, waiting):
     wanted = {j for j, u in enumerate(unknowns) if u.symbol.element_hash() in waiting}
     for block in _leading_to(wanted, blocks, incidence, unknown_of) if waiting else blocks:
         members = [unknowns[int(unknown_of[i])] for i in block]
-        residuals = [replace(equations[i].left - equations[i].right, expressions) for i in block]
+        given = _given_outright(equations[block[0]], members[0].symbol) if len(block) == 1 else None
+        if given is not None:
+            expressions[members[0].symbol.element_hash()] = replace(given, expressions)
+            continue
+        residuals = [_residual(equations[i], expressions) for i in block]
 
         def describe(block=block):
             return "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in block[:6])
@@ -221,6 +221,23 @@ def _solve_once(elaboration, equations, unknowns, waiting):
         if record:
             nonlinear.append(record)
     return expressions, nonlinear
+
+
+def _given_outright(equation: Equation, symbol: ca.SX) -> ca.SX | None:
+    """What an equation says a symbol is, where one side is that symbol and the other is free of it."""
+    key, (left, right) = symbol.element_hash(), equation.sides
+    if equation.left.is_symbolic() and key in left and key not in right:
+        return equation.right
+    return equation.left if equation.right.is_symbolic() and key in right and key not in left else None
+
+
+def _residual(equation: Equation, expressions: Mapping[int, ca.SX]) -> ca.SX:
+    """Left less right side, what is known put in."""
+    known = [key for key in equation.symbols if key in expressions]
+    residual = equation.left - equation.right
+    if not known:
+        return residual
+    return ca.substitute([residual], [equation.symbols[k] for k in known], [expressions[k] for k in known])[0]
 
 
 def _leading_to(wanted: set[int], blocks, incidence, unknown_of) -> list:
@@ -277,6 +294,8 @@ def _resolve_delays(elaboration, expressions, bindings):
 
 def replace(expression: ca.SX, replacements: Mapping[int, ca.SX]) -> ca.SX:
     """``expression`` with the symbols whose hashes are in ``replacements`` replaced."""
+    if expression.is_symbolic():
+        return replacements.get(expression.element_hash(), expression)
     symbols = [s for s in ca.symvar(expression) if s.element_hash() in replacements]
     if not symbols:
         return expression

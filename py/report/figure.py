@@ -75,13 +75,13 @@ def decimate(time: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndar
     if n <= points:
         return time, values
     edges = np.linspace(1, n - 1, max(1, (points - 2) // 2) + 1).astype(int)
-    starts, ends = edges[:-1], edges[1:]
-    starts, ends = starts[ends > starts], ends[ends > starts]
-    keep = [0, n - 1]
-    low, high = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
-    for a, b in zip(starts, ends, strict=True):
-        keep += [a + int(np.argmin(low[a:b])), a + int(np.argmax(high[a:b]))]
-    keep = np.unique(keep)
+    starts, widths = edges[:-1], np.diff(edges)
+    within = np.arange(widths.max())
+    seen = values[np.minimum(starts[:, None] + within, n - 1)]
+    none = (within >= widths[:, None]) | np.isnan(seen)
+    lowest = starts + np.argmin(np.where(none, np.inf, seen), axis=1)
+    highest = starts + np.argmax(np.where(none, -np.inf, seen), axis=1)
+    keep = np.unique(np.concatenate([[0], lowest, highest, [n - 1]]))
     return time[keep], values[keep]
 
 

@@ -64,6 +64,7 @@ def found(fmu, runs, **more):
 
 
 # -- what is named ----------------------------------------------------------------------------------------------------
+@pytest.mark.proof
 def test_a_dead_time_before_an_fmu_is_named_with_its_time(two_sensors):
     answer = found(two_sensors, drive_records(2, other=same, command=later), validate=drive_records(1, 7, other=same,
                    command=later))  # fmt: skip

@@ -52,7 +52,7 @@ class Learning:
         return self.process.wait(timeout=60)
 
 
-@pytest.mark.parametrize(("send", "when"), [(os.kill, SECOND), (os.killpg, FIRST)])
+@pytest.mark.parametrize(("send", "when"), [pytest.param(os.kill, SECOND, marks=pytest.mark.proof), (os.killpg, FIRST)])
 def test_ctrl_c_ends_both_processes_and_keeps_the_best_of_both(tmp_path, send, when):
     pytest.importorskip("gpytorch")
     learning = Learning(tmp_path)

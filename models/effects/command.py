@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 
 from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, delay, der, time
 
 from .effect import Effect, Site
-from .sites import commands, drives, model_inputs, valve_spools
+from .sites import commands, drives, model_inputs, model_inputs_of_fixed_gain, valve_spools
 from .stepping import Lagged, followed, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
@@ -190,13 +192,41 @@ class CommandDeadband(Effect):
         yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
 
 
+class CommandGain(Effect):
+    """The drive makes more or less of the command than the model says: ``y = (1 + g) u``.
+
+    Only where no free parameter of the model is that gain.
+    """
+
+    id, title = "command_gain", "gain of the command"
+    equation = "y = (1 + g) u"
+    source = MERRITT
+    typical = {"error": (-0.2, 0.2)}
+    probes = ({"error": 0.05}, {"error": -0.05})
+    confused_with = ("sensor_scale", "direction_asymmetry", "command_deadband")
+    experiment = "steady commands of several sizes with what they drive measured by a second sensor"
+    order = 5
+
+    u = Input("signal", "command")
+    y = Output("signal", "what the drive makes of it")
+    error = Parameter(0.0, "1", "error g of the gain", bounds=(-0.9, 3.0), nominal=0.05, source="typical", free=True)
+
+    sites = staticmethod(model_inputs_of_fixed_gain)
+
+    def equations(self):
+        yield self.y == (1 + self.error) * self.u
+
+
 class DirectionAsymmetry(Effect):
-    """The drive gives more in one direction than in the other: ``y = u + e |u|``."""
+    """The drive gives more in one direction than in the other: ``y = (1 + g) (u + e |u|)``.
+
+    g is zero where a free parameter of the model is that gain.
+    """
 
     id, title = "direction_asymmetry", "gain that differs by direction"
-    equation = "y = (1 + e) u for u > 0, (1 - e) u for u < 0"
+    equation = "y = (1 + g) (1 + e) u for u > 0, (1 + g) (1 - e) u for u < 0"
     source = MERRITT
-    typical = {"asymmetry": (-0.2, 0.2)}
+    typical = {"asymmetry": (-0.2, 0.2), "gain": (-0.2, 0.2)}
     probes = ({"asymmetry": 0.05}, {"asymmetry": -0.05})
     confused_with = ("displacement_asymmetry", "null_bias", "area_error", "asymmetric_friction", "asymmetric_overlap")
     experiment = "the same speeds in both directions, at two heights, with the flow or the speed of the drive measured"
@@ -207,11 +237,16 @@ class DirectionAsymmetry(Effect):
     asymmetry = Parameter(
         0.0, "1", "half the difference e of the gains", bounds=(-0.9, 0.9), nominal=0.05, source="typical", free=True
     )
+    gain = Parameter(0.0, "1", "error g of their mean", bounds=(-0.9, 3.0), nominal=0.05, source="typical")
 
-    sites = staticmethod(model_inputs)
+    @classmethod
+    def sites(cls, places):
+        fixed = {site.name for site in model_inputs_of_fixed_gain(places)}
+        for site in model_inputs(places):
+            yield replace(site, also_free=("gain",)) if site.name in fixed else site
 
     def equations(self):
-        yield self.y == self.u + self.asymmetry * ca.fabs(self.u)
+        yield self.y == (1 + self.gain) * (self.u + self.asymmetry * ca.fabs(self.u))
 
 
 class NullBias(Effect):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -25,6 +25,7 @@ class Site:
 
     name : how files and reports call it; the other fields as in `Addition`.
     unit, nominal : of the signal, where it is one.
+    also_free : parameters of the effect, otherwise held at neutral, that are looked for here as well.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Site:
     unit: str = "1"
     nominal: float = 1.0
     holds: tuple[str, ...] = ()
+    also_free: tuple[str, ...] = ()
 
     @property
     def place(self) -> frozenset[str]:
@@ -89,6 +91,8 @@ class Effect(Component):
         for name, declared in declarations(cls).items():
             if isinstance(declared, (Parameter, State, Input, Output)) and SIGNAL in declared.unit:
                 changes[name] = _scaled(declared, site)
+            if name in site.also_free:
+                changes[name] = replace(changes.get(name, declared), free=True)
         return cls(**changes)
 
     @classmethod
@@ -194,12 +198,18 @@ def candidates(
     places, found = Places(model), []
     values = {p.name: p.value for p in (*model.flat.parameters, *(p for p, _ in model.followers))}
     for effect in sorted(CATALOGUE.values(), key=lambda e: e.order):
+        if not _wanted_somewhere(effect.id, effects):
+            continue
         sites = list(effect.sites(places))
         here = {(a.effect, a.site) for a in model.additions}
         for site in sites:
             if (effect.id, site.name) not in here:
                 found.append(_candidate(effect, site, len(sites) > 1, values))
     return tuple(c for c in found if _wanted(c, effects, exclude))
+
+
+def _wanted_somewhere(effect: str, patterns) -> bool:
+    return patterns is None or any(fnmatch.fnmatch(effect, pattern.partition(" at ")[0]) for pattern in patterns)
 
 
 def _wanted(candidate: Candidate, effects, exclude) -> bool:

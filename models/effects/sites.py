@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from itertools import combinations
 
-from hydrotwin.models.language import ElectricPin, Flange, HydraulicPort, RotationalFlange, Shaft
+import casadi as ca
+import numpy as np
+
+from hydrotwin.models.language import ElectricPin, Flange, HydraulicPort, Model, RotationalFlange, Shaft
 from hydrotwin.models.language.places import Node, Places
 from hydrotwin.models.language.units import compatible
 
 from .effect import Site
 
 HIGHEST_TANK_PRESSURE = 2e6  # Pa
+POINTS = 12  # at which two derivatives are compared
+SAME = 1e-6  # relative
 
 
 def flanges(places: Places) -> Iterator[Site]:
@@ -49,6 +54,47 @@ def pumps(places: Places) -> Iterator[Site]:
 def model_inputs(places: Places) -> Iterator[Site]:
     """Every input of the model."""
     yield from (_through(wire) for wire in places.wires if wire.role == "input")
+
+
+def model_inputs_of_fixed_gain(places: Places) -> Iterator[Site]:
+    """Inputs of the model whose gain no free parameter changes."""
+    yield from (site for site in model_inputs(places) if not has_free_gain(places.model, site.through))
+
+
+def has_free_gain(model: Model, name: str) -> bool:
+    """Whether free parameters of a model, those of its additions aside, together do what scaling its input does.
+
+    u df/du is then the same combination of the columns of df/dp at every point; tried at some. What a black box does
+    is not known: True.
+    """
+    flat = model.flat
+    if flat.black_box:
+        return True
+    freed = {a.frees for a in model.additions}
+    added = tuple(f"{a.name}." for a in model.additions if a.part is not None)
+    own = [p.free and p.name not in freed and not p.name.startswith(added) for p in flat.parameters]
+    free = [j for j, is_own in enumerate(own) if is_own]
+    k = next(k for k, i in enumerate(flat.inputs) if i.name == name)
+    t, x, u, p = flat.ode.sx_in()
+    ends = ca.vertcat(*flat.ode(t, x, u, p))
+    scaled = [ca.jacobian(ends, u)[:, k] * u[k], ca.jacobian(ends, p)[:, free]]
+    derivatives = ca.Function("derivatives", [t, x, u, p], [ca.densify(s) for s in scaled])
+    draw, values = np.random.default_rng(0), flat.parameter_vector()
+    start = np.nan_to_num(flat.start_given()([i.default for i in flat.inputs], values, []).full().ravel())
+    wanted, given = [], []
+    for _ in range(POINTS):
+        at = start + draw.uniform(-1, 1, len(start)) * [s.nominal for s in flat.states]
+        inputs = draw.uniform(-1, 1, len(flat.inputs)) * [i.nominal for i in flat.inputs]
+        column, columns = (d.full() for d in derivatives(0, at, inputs, values))
+        wanted.append(column)
+        given.append(columns)
+    rows = np.concatenate([np.concatenate(wanted), np.concatenate(given)], axis=1)
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows = rows / np.maximum(np.abs(rows).max(axis=1, keepdims=True, initial=0.0), 1e-300)
+    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
+    column, columns = rows[:, 0] / size[0], rows[:, 1:] / size[1:]
+    step, *_ = np.linalg.lstsq(columns, column, rcond=None)
+    return bool(np.linalg.norm(columns @ step - column) < SAME)
 
 
 def commands(places: Places) -> Iterator[Site]:

@@ -97,7 +97,7 @@ def discover(
         run = _runner(pool, report, memory, 1 if executor not in LOCAL else processors())
         report("identify the base", 0, 1, "")
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
-        search = Search(bounded, names, fitting_candidates(model, effects, exclude), question, run, report, told)
+        search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
         job = RefitJob(flat, names, question, coarse=True, label=flat.name)
         base = _only(run(refit, [job], "identify the base", search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
@@ -105,7 +105,7 @@ def discover(
 
 
 def _bounded(model: Model, names: Sequence[str]) -> Model:
-    """The model with bounds around the start values of what is always positive.
+    """The model with what is to be identified free, and bounds around the start values of what is always positive.
 
     A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
     stiffness. Volumes and pressures stay within a factor of 1.6, the rest within thirty.
@@ -113,9 +113,11 @@ def _bounded(model: Model, names: Sequence[str]) -> Model:
     changes = {}
     for p in model.flat.parameters:
         low, high = p.bounds
+        if p.name in names and not p.free:
+            changes[p.name] = {"free": True}
         if p.name in names and low > 0 and p.value > 0:
             factor = NARROW if compatible(p.unit, "m3") or compatible(p.unit, "Pa") else WIDE
-            changes[p.name] = {"bounds": (max(low, p.value / factor), min(high, p.value * factor))}
+            changes.setdefault(p.name, {})["bounds"] = (max(low, p.value / factor), min(high, p.value * factor))
     return model.with_settings(changes, model.provenance) if changes else model
 
 

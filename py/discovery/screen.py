@@ -160,6 +160,14 @@ class Screen:
         start = dict(zip(candidate.free, values.tolist(), strict=True))
         return self._judged(candidate, columns @ step, visible, start, self._beside(self.jacobian[:, index] @ step))
 
+    def seen_alone(self, candidate, name: str) -> bool:
+        """Whether one parameter of a candidate, at its largest usual value, shows beside the base parameters."""
+        index = [self.free.names.index(n) for n in candidate.free]
+        k = candidate.free.index(name)
+        change = self.jacobian[:, [index[k]]] * self._reach(candidate, index)[k]
+        left = self.project(change)
+        return np.linalg.norm(left) > ABSORBED * np.linalg.norm(change) and self._in_noise(left) >= TESTABLE
+
     def _beside(self, change: np.ndarray) -> dict[str, float]:
         """Values of the base parameters where the weighted outputs (m,) change by so much, as far as they may go."""
         step = self._inverse @ -(self.residual + change)

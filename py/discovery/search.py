@@ -169,6 +169,7 @@ class Search:
     def _screened(self, now: Structure, rest: Sequence[Candidate]) -> tuple[Screen, list[Screened]]:
         self.report("screen", 0, len(rest), "")
         screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
+        rest = rest if now.members else self._lean(rest, screen)
         probing = [c for c in rest if hasattr(c.effect, "probes_for")]
         seen = seen_by_parts(self.model(self.candidates), screen, probing)
         plain = {c.label: screen.by_derivative(c) for c in rest}
@@ -181,6 +182,17 @@ class Search:
             if not s.testable:
                 self.not_testable[s.candidate.label] = s
         return screen, sorted(found, key=lambda s: -s.evidence)
+
+    def _lean(self, rest: Sequence[Candidate], screen: Screen) -> list[Candidate]:
+        """The candidates without what they look for only where the recordings show it; here they do not."""
+        lean = {}
+        for c in rest:
+            hidden = {f"{c.name}.{p}" for p in c.site.also_free} & set(c.free)
+            hidden = {n for n in hidden if not screen.seen_alone(c, n)}
+            kept = tuple(n for n in c.free if n not in hidden)
+            lean[c.label] = dataclasses.replace(c, free=kept, neutral={n: c.neutral[n] for n in kept}) if hidden else c
+        self.candidates = tuple(lean.get(c.label, c) for c in self.candidates)
+        return list(lean.values())
 
     def _probe_job(self, now: Structure, candidate: Candidate, values: Sequence[Mapping[str, float]]) -> ProbeJob:
         flat = self.model([*now.members, candidate]).flat

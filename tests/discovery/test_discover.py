@@ -7,6 +7,7 @@ import contextlib
 import numpy as np
 import pytest
 
+from hydrotwin.discovery import discover
 from hydrotwin.discovery.discovery import FATES
 from hydrotwin.discovery.resume import Memory
 from hydrotwin.models.components.mechanical import Freewheel
@@ -14,7 +15,20 @@ from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Model, connect
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.simulation import simulate
-from tests.discovery.slides import DAMPING, MASS, NOISE, Inline, Slide, found, record, records, slid, slide
+from tests.discovery.slides import (
+    DAMPING,
+    MASS,
+    NOISE,
+    Drive,
+    Inline,
+    Slide,
+    drive_records,
+    found,
+    record,
+    records,
+    slid,
+    slide,
+)  # fmt: skip
 
 LIBRARY = [
     "coulomb_friction", "dead_time", "null_bias", "drift", "command_deadband", "command_saturation", "actuator_lag",
@@ -62,6 +76,27 @@ def test_the_model_that_is_returned_follows_the_machine_and_the_one_given_is_unc
     assert np.sqrt(np.mean((answer - true)[50:] ** 2)) < NOISE
     assert not slide().additions and [a.effect for a in rubbing.model.additions] == ["coulomb_friction"]
     assert not rubbing.base.additions
+
+
+def test_what_differs_by_direction_is_one_effect_though_its_mean_is_off_as_well():
+    """The model's gain of 8 is held; the drive has 10 one way and 8 the other: e = 1/9, g = 1/8."""
+    drive = Model(Drive(), settings={"gain": {"free": False}})
+    runs = drive_records(4, command=lambda u: np.where(u < 0, 0.8, 1.0) * u)
+    wanted = ["command_gain", "direction_asymmetry", "sensor_scale", "null_bias"]
+    answer = discover(drive, runs[:3], validate=runs[3:], effects=wanted, executor=Inline(), step=5e-3)
+    (step,) = answer.steps
+    assert step.effect == "direction_asymmetry" and not step.is_class
+    values = {p.name.partition(".")[2]: p.value for p in step.parameters}
+    assert values == pytest.approx({"asymmetry": 1 / 9, "gain": 1 / 8}, rel=0.02)
+
+
+def test_a_gain_that_is_off_and_a_sensor_that_shows_too_much_are_a_class():
+    drive = Model(Drive(), settings={"gain": {"free": False}})
+    answer = discover(drive, drive_records(4), effects=["command_gain", "sensor_scale", "null_bias"],
+                      executor=Inline(), step=5e-3)  # fmt: skip
+    (step,) = answer.steps
+    assert {m[0] for m in step.members} == {"command_gain", "sensor_scale"}
+    assert answer.steps[0].parameters[0].value == pytest.approx(0.25, rel=0.02)
 
 
 def test_every_candidate_has_its_evidence_and_its_fate(rubbing):

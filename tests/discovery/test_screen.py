@@ -7,7 +7,8 @@ import pytest
 
 from hydrotwin.discovery.screen import TESTABLE, Screen
 from hydrotwin.discovery.search import Structure
-from tests.discovery.slides import NOISE, question, records, searching
+from hydrotwin.models.language import Model
+from tests.discovery.slides import NOISE, Drive, drive_records, question, records, searching
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "null_bias", "drift", "direction_asymmetry", "constant_load")
 
@@ -91,6 +92,20 @@ def test_dry_friction_of_what_never_moves_is_said_to_be_untestable():
     search, _, ranked = screened(runs, ("coulomb_friction", "direction_asymmetry"))
     assert ranked["direction_asymmetry"].visible < TESTABLE and not ranked["direction_asymmetry"].testable
     assert "direction_asymmetry at force" in search.not_testable
+
+
+@pytest.mark.parametrize(
+    ("quiet", "looked_for"), [(1.0, ("asymmetry", "gain")), (1e-4, ("asymmetry",))], ids=["moving", "all but still"]
+)
+def test_a_gain_is_looked_for_beside_what_differs_by_direction_where_it_shows(quiet, looked_for):
+    """No free parameter of the drive is its gain; of commands that hardly move it nothing can be learnt."""
+    drive = Model(Drive(), settings={"gain": {"free": False}})
+    runs = drive_records(command=lambda u: quiet * np.where(u < 0, 0.8, 1.0) * u)
+    runs = [r.with_signals({"command": quiet * r["command"]}) for r in runs]
+    search, base = searching(question(runs, drive), ("direction_asymmetry",), drive, ("time_constant",))
+    search.screened(Structure((), base))
+    (candidate,) = search.candidates
+    assert candidate.free == tuple(f"direction_asymmetry.{name}" for name in looked_for) == tuple(candidate.neutral)
 
 
 def test_nothing_is_promised_where_nothing_is_missing():

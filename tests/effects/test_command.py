@@ -13,7 +13,7 @@ from hydrotwin.models.effects.command import CommandSaturation, RateLimit
 from hydrotwin.models.language import Component, Input, Model, Output, State, connect, der
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-from tests.effects.benches import axis, passed, pump_bench, seen
+from tests.effects.benches import axis, passed, pump_bench, seen, valve_bench
 
 TIME = np.arange(0.0, 1.0, 1e-3)
 STEP = np.where(TIME < 0.1, 0.0, 3.0)
@@ -70,6 +70,32 @@ def test_a_deadband_swallows_small_commands_and_shortens_large_ones():
 def test_a_drive_may_give_more_in_one_direction_than_in_the_other():
     given = passed("direction_asymmetry", "command", TIME, SINE, asymmetry=0.1)
     np.testing.assert_allclose(given, np.where(SINE > 0, 1.1, 0.9) * SINE, atol=1e-12)
+
+
+def test_and_the_mean_of_both_may_be_off_as_well():
+    given = passed("direction_asymmetry", "command", TIME, SINE, asymmetry=0.1, gain=-0.2)
+    np.testing.assert_allclose(given, 0.8 * np.where(SINE > 0, 1.1, 0.9) * SINE, atol=1e-12)
+    np.testing.assert_allclose(passed("command_gain", "command", TIME, SINE, error=0.3), 1.3 * SINE, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("model", "free", "already"),
+    [
+        (cehA.model, (), True),  # its motor's gain is free
+        (spool_valve.model, (), False),  # its flow coefficient is, and the spool itself is measured
+        (pump_bench, ("motor.gain",), True),
+        (pump_bench, ("pump.displacement",), False),
+        (valve_bench, ("valve.orifice.flow_coefficient",), True),  # the input is the spool
+        (axis, ("carriage.mass", "carriage.load_force"), False),
+        (axis, ("carriage.mass", "carriage.load_force", "carriage.friction.viscous"), True),  # m v' = F - L - b v
+    ],
+)
+def test_a_gain_is_looked_for_where_no_free_parameters_are_that_gain(model, free, already):
+    model = model().with_settings({name: {"free": True} for name in free})
+    found = {c.id: c for c in candidates(model, ["command_gain", "direction_asymmetry"])}
+    assert ("command_gain" in found) == (not already)
+    own = ("asymmetry",) if already else ("asymmetry", "gain")
+    assert found["direction_asymmetry"].free == tuple(f"direction_asymmetry.{name}" for name in own)
 
 
 def test_a_null_offset_is_added_to_the_command():

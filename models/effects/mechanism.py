@@ -193,7 +193,7 @@ class EndStop(Effect):
 class _Joint(Lagged):
     """Between two flanges that move together; the force passes through two small lags, so that no loop arises.
 
-    T_0 f_1' = f_a - f_1,   T_0 f_2' = f_1 - f_2,   s_a - s_b = stretch(f_2)
+    T_1 f_1' = f_a - f_1,   T_0 f_2' = f_1 - f_2,   s_a - s_b = stretch(f_2),   T_1 = T_0 unless a joint is damped
     """
 
     shortest = 0.5
@@ -209,9 +209,13 @@ class _Joint(Lagged):
         """s_a - s_b [m] under a force [N]."""
         raise NotImplementedError
 
+    def lag(self):
+        """The first lag T_1 [s]."""
+        return self.resolution
+
     def equations(self):
         f, f_1, f_2, T_0 = self.a.f, self.first, self.passed, self.resolution
-        yield T_0 * der(f_1) == f - f_1
+        yield self.lag() * der(f_1) == f - f_1
         yield T_0 * der(f_2) == f_1 - f_2
         yield self.a.s - self.b.s == self.stretch(f_2)
         yield self.a.f + self.b.f == 0
@@ -222,26 +226,32 @@ class _Joint(Lagged):
 
 
 class StructuralCompliance(_Joint):
-    """What lies between drive and load gives: a bracket, a rod, a frame.
+    """What lies between drive and load gives, and loses some of its work: a bracket, a rod, a frame.
 
-        s_a - s_b = c F
+        x + tau x' = c F,   x = s_a - s_b
 
-    Source: Merritt 1967, section 6.
+    A spring 1/c beside a damper tau/c (Kelvin and Voigt). Source: Merritt 1967, section 6.
     """
 
     id, title = "structural_compliance", "compliance of the structure"
-    equation = "s_a - s_b = c F"
+    equation = "x + tau x' = c F,   x = s_a - s_b"
     source = "H. Merritt, Hydraulic Control Systems, 1967"
-    typical = {"compliance": (1e-9, 2e-7)}
-    probes = ({"compliance": 1e-8}, {"compliance": 1e-7})
+    typical = {"compliance": (1e-9, 2e-7), "relaxation": (0.0, 5e-3)}
+    probes = ({"compliance": 1e-8}, {"compliance": 1e-7}, {"compliance": 6e-7, "relaxation": 3e-3})
     confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag", "spool_lag")
     experiment = "steps of force with position measured on both sides, or with pressures"
 
     compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)
+    relaxation = Parameter(
+        0.0, "s", "damping over stiffness tau", bounds=(0, 0.05), nominal=1e-3, source="joints 0.1-5 ms", free=True
+    )
     resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     def stretch(self, force):
         return self.compliance * force
+
+    def lag(self):
+        return ca.sqrt(self.resolution**2 + self.relaxation**2)
 
 
 class Backlash(_Joint):

@@ -118,6 +118,15 @@ def test_a_compliant_joint_gives_in_proportion_to_force(force):
     assert y["b_f"][-1] == pytest.approx(-force)
 
 
+def test_a_damped_joint_creeps_to_where_its_spring_ends():
+    """A spring of 1e6 N/m beside a damper of 2e4 N.s/m, 20 ms; the step of force takes one sample."""
+    model = bench(StructuralCompliance(compliance=1e-6, relaxation=0.02), a="flow", b="potential")
+    time = np.linspace(0, 0.2, 2001)
+    y = run(model, time, a=np.where(time < 0.05, 0.0, 1000.0))
+    expected = 1e-3 * (1 - np.exp(-np.maximum(time - 0.05, 0) / 0.02))
+    np.testing.assert_allclose(y["a_s"] - y["b_s"], expected, atol=0.04e-3)  # the lag T_0 of 0.5 ms
+
+
 def test_a_joint_with_play_jumps_where_the_force_changes_sign():
     model = bench(Backlash(gap=1e-3), a="flow", b="potential")
     time = np.linspace(0, 2, 401)

@@ -99,7 +99,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer=_without_name(search, found, elsewhere) if verdict == "unknown" and not found.steps else "",
+        answer=_without_name(search, found, elsewhere) if verdict == "unknown" else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),

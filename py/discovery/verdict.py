@@ -59,10 +59,8 @@ def not_excited(elsewhere: Sequence[str]) -> str:
 def unconfirmed(search: Search, found: Found) -> str:
     """The answer when an effect explains what was fitted to and held-out recordings do not say so; else empty."""
     base, q = found.base.fitted, search.question
-    tried = [t for _, _, each in found.screens[:1] for t in each if t.evidence and not t.implausible]
-    likely = [t for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(len(search.candidates))]
-    best = max(likely, key=lambda t: t.evidence.bic_gain, default=None)
-    share = best and _closed_on_fit(best.structure.fitted, base, q.noise)
+    best = found.last if found.steps else _likeliest(search, found)
+    share = best and _closed_on_fit(best.fitted, base, q.noise)
     if not share or share < NAMED:
         return ""
     left = beyond_noise(base.residuals_fit, q.noise)
@@ -70,9 +68,17 @@ def unconfirmed(search: Search, found: Found) -> str:
     what = " and ".join(f"{c.effect.title} at {c.site.name}" for c in best.members)
     return (
         f"Something is missing that gets no name yet: {what} would explain {100 * share:.0f} % of it where the model "
-        f"was fitted ({', '.join(shows)}), but the recordings kept to choose by do not confirm it. Record more runs "
-        "that move like those."
+        f"was fitted ({', '.join(shows)}), but recordings that it was not fitted to do not confirm it. Record more "
+        "runs that move like those."
     )
+
+
+def _likeliest(search: Search, found: Found) -> Structure | None:
+    """What explains most of what was fitted to, of the effects that held-out recordings kept from a name."""
+    tried = [t for _, _, each in found.screens[:1] for t in each if t.evidence and not t.implausible]
+    likely = [t for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(len(search.candidates))]
+    best = max(likely, key=lambda t: t.evidence.bic_gain, default=None)
+    return best and best.structure
 
 
 def _closed_on_fit(better: Refitted, base: Refitted, noise: np.ndarray) -> float:

@@ -220,11 +220,11 @@ class CommandGain(Effect):
 class DirectionAsymmetry(Effect):
     """The drive gives more in one direction than in the other: ``y = (1 + g) (u + e |u|)``.
 
-    g is zero where a free parameter of the model is that gain.
+    g is zero where a free parameter of the model is that gain, or nothing recorded shows it.
     """
 
     id, title = "direction_asymmetry", "gain that differs by direction"
-    equation = "y = (1 + g) (1 + e) u for u > 0, (1 + g) (1 - e) u for u < 0"
+    equation = "y = (1 + g) (u + e |u|), g = 0 beside a free gain"
     source = MERRITT
     typical = {"asymmetry": (-0.2, 0.2), "gain": (-0.2, 0.2)}
     probes = ({"asymmetry": 0.05}, {"asymmetry": -0.05})

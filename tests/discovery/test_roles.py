@@ -99,6 +99,13 @@ def test_the_answer_to_a_gap_without_a_name_is_what_would_explain_it(monkeypatch
     assert not found(records(3), ["null_bias"], validate=[record(9)]).answer, "where nothing is missing there is none"
 
 
+def test_a_name_that_is_taken_back_stands_in_the_answer_nonetheless(monkeypatch):
+    monkeypatch.setattr(answering, "verdict_of", lambda search, found: "unknown")
+    told = found(records(3, dry=30.0), ["coulomb_friction"], validate=[record(9, dry=30.0)])
+    assert told.verdict == "unknown" and not told.steps
+    assert "Coulomb friction at mass.flange would explain 100 % of it" in told.answer
+
+
 @pytest.mark.parametrize("reached", [5e-4, 5e-3, 0.05])
 def test_a_stop_is_looked_for_as_deep_as_it_is_reached_be_it_barely(reached):
     way = np.sin(np.linspace(0.0, 20.0, 5000))  # from -1 to 1

@@ -7,6 +7,7 @@ import pytest
 
 from hydrotwin.models.effects import add_effect
 from hydrotwin.models.effects.sensor import SensorSaturation
+from hydrotwin.models.language import Model
 from tests.effects.benches import axis, passed
 
 TIME = np.arange(0.0, 2.0, 1e-3)
@@ -61,6 +62,15 @@ def test_a_late_sensor_keeps_the_height_of_faster_motion_and_its_delay(frequency
     turn = np.exp(-2j * np.pi * frequency * TIME[1000:])
     ratio = np.sum(reading * turn) / np.sum(sine(frequency)[1000:] * turn)
     assert ratio == pytest.approx(np.exp(-2j * np.pi * frequency * delay), abs=off)
+
+
+@pytest.mark.parametrize(("step", "lag"), [(1e-4, 4e-3), (1e-2, 4e-2)])
+def test_no_state_of_a_late_sensor_is_faster_than_the_step_of_the_model_follows(step, lag):
+    """The fastest has 6.8 / T_0; Runge-Kutta of order four follows up to 2.7 / step."""
+    coarse = Model(axis().root, step=step)
+    flat = add_effect(coarse, "sensor_delay", "position").flat
+    assert {p.name: p.value for p in flat.parameters}["sensor_delay_position.resolution"] == pytest.approx(lag)
+    assert 6.8 / lag < 2.7 / step
 
 
 def test_a_quantised_reading_is_a_multiple_of_the_step_almost_everywhere():

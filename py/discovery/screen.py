@@ -165,8 +165,7 @@ class Screen:
         index = [self.free.names.index(n) for n in candidate.free]
         k = candidate.free.index(name)
         change = self.jacobian[:, [index[k]]] * self._reach(candidate, index)[k]
-        left = self.project(change)
-        return np.linalg.norm(left) > ABSORBED * np.linalg.norm(change) and self._in_noise(left) >= TESTABLE
+        return self._in_noise(self.project(change)) >= TESTABLE
 
     def _beside(self, change: np.ndarray) -> dict[str, float]:
         """Values of the base parameters where the weighted outputs (m,) change by so much, as far as they may go."""

@@ -31,8 +31,8 @@ class Site:
     name: str
     ties: Mapping[str, str] | None = None
     reads: Mapping[str, str] | None = None
-    through: str | None = None
-    between: str | None = None
+    through: str | Mapping[str, str] | None = None
+    between: str | Mapping[str, str] | None = None
     frees: str | None = None
     unit: str = "1"
     nominal: float = 1.0

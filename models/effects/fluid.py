@@ -191,12 +191,15 @@ def _volume_nodes(places: Places) -> list[str]:
 
 
 def _chamber_lines(places: Places):
-    """Ports of volumes that something else feeds."""
-    yield from (Site(name, between=name) for name in _volume_nodes(places))
+    """Ports of volumes that something else feeds: all of them, then each."""
+    names = _volume_nodes(places)
+    if len(names) > 1:
+        yield Site("lines", between={str(k): name for k, name in enumerate(names)})
+    yield from (Site(name, between={"0": name}) for name in names)
 
 
 class LineFriction(Lagged):
-    """Pressure lost on the way to a volume.
+    """Pressure lost on the way to a volume, or to each of several by lines of one kind.
 
         p_b - p_a = R q + K q |q|,   T_0 q' = q_in - q
 
@@ -216,20 +219,29 @@ class LineFriction(Lagged):
     confused_with = ("viscous_friction", "flow_saturation", "supply_droop")
     experiment = "constant speeds over a wide range at two loads, with the pressure at the pump or valve measured too"
 
-    a = HydraulicPort("the port of the volume")
-    b = HydraulicPort("where it was joined")
     laminar = Parameter(0.0, "Pa.s/m3", "R", bounds=(0, 1e12), nominal=1e9, source=MERRITT, free=True)
     turbulent = Parameter(0.0, "Pa.s2/m6", "K", bounds=(0, 1e17), nominal=1e13, source=MERRITT, free=True)
     resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
-    flow = State(0.0, "m3/s", "flow to the volume", nominal=1e-4)
 
     sites = stepped(_chamber_lines)
 
+    @classmethod
+    def at(cls, site: Site):
+        """The part for so many lines, all of one kind."""
+        count = len(site.between)
+        content = {"__module__": cls.__module__, "__doc__": cls.__doc__, "id": "", "count": count}
+        for k in range(count):
+            content[f"a_{k}"] = HydraulicPort("the port of a volume")
+            content[f"b_{k}"] = HydraulicPort("where it was joined")
+            content[f"flow_{k}"] = State(0.0, "m3/s", "flow to the volume", nominal=1e-4)
+        return super(LineFriction, type(f"{cls.__name__}On{count}", (cls,), content)).at(site)
+
     def equations(self):
-        q = self.flow
-        yield self.resolution * der(q) == self.b.q - q
-        yield self.b.p - self.a.p == self.laminar * q + self.turbulent * q * ca.fabs(q)
-        yield self.a.q + self.b.q == 0
+        for k in range(self.count):
+            a, b, q = (getattr(self, f"{name}_{k}") for name in ("a", "b", "flow"))
+            yield self.resolution * der(q) == b.q - q
+            yield b.p - a.p == self.laminar * q + self.turbulent * q * ca.fabs(q)
+            yield a.q + b.q == 0
 
 
 def _tank_ports(places: Places):

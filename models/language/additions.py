@@ -29,7 +29,8 @@ class Addition:
     reads : input of the part -> path of any variable of the model, or ``der(path)``.
     through : a signal (input or output of the model, input of a part, or ``der(state)``): the part's ``u`` takes what
         was there, its ``y`` goes on. Several by name: ``u_<name>`` and ``y_<name>``.
-    between : a port of the model: the part's ``a`` is joined to it, the part's ``b`` to the node it was on.
+    between : a port of the model: the part's ``a`` is joined to it, the part's ``b`` to the node it was on. Several by
+        name: ``a_<name>`` and ``b_<name>``.
     frees : a parameter of the model that becomes free; needs no part.
     holds : parameters that follow others and shall stay as they are from now on.
     effect, site : what a model file calls it.
@@ -40,7 +41,7 @@ class Addition:
     ties: Mapping[str, str] = field(default_factory=dict)
     reads: Mapping[str, str] = field(default_factory=dict)
     through: str | Mapping[str, str] | None = None
-    between: str | None = None
+    between: str | Mapping[str, str] | None = None
     frees: str | None = None
     effect: str = ""
     site: str = ""
@@ -66,10 +67,9 @@ def _hang(elaboration: Elaboration, addition: Addition, ends: dict) -> None:
 
     ``ends``: input of the model -> the part last put there and its output, behind which the next one goes.
     """
-    several = isinstance(addition.through, Mapping)
-    paths = {f"_{k}": path for k, path in addition.through.items()} if several else {"": addition.through}
+    paths = by_end(addition.through)
     known = {} if addition.through and _delays(addition.part) else ends
-    opened = {end: _open(elaboration, path, known.get(path)) for end, path in paths.items() if path}
+    opened = {end: _open(elaboration, path, known.get(path)) for end, path in paths.items()}
     part = addition.part.bind(addition.name, elaboration)
     for own, port in addition.ties.items():
         owner = _owner(elaboration, _port(elaboration, port))
@@ -80,8 +80,15 @@ def _hang(elaboration: Elaboration, addition: Addition, ends: dict) -> None:
         close(_end(part, f"u{end}"), _end(part, f"y{end}"))
         if known is ends and paths[end] in {entry.path for entry in elaboration.inputs}:
             ends[paths[end]] = (addition.name, getattr(part, f"y{end}"))
-    if addition.between:
-        _put_between(elaboration, _port(elaboration, addition.between), part)
+    for end, port in by_end(addition.between).items():
+        _put_between(elaboration, _port(elaboration, port), _end(part, f"a{end}"), _end(part, f"b{end}"))
+
+
+def by_end(where: str | Mapping[str, str] | None) -> dict[str, str]:
+    """What the names of a part's two ends there end with -> the place: "" for a single one."""
+    if isinstance(where, Mapping):
+        return {f"_{name}": place for name, place in where.items()}
+    return {"": where} if where else {}
 
 
 def _end(part: Component, name: str):
@@ -118,13 +125,14 @@ def _variable(elaboration: Elaboration, path: str) -> ca.SX:
     return known[path]
 
 
-def _put_between(elaboration: Elaboration, port: BoundPort, part: Component) -> None:
+def _put_between(elaboration: Elaboration, port: BoundPort, near: BoundPort, far: BoundPort) -> None:
+    """``near`` is joined to the port, ``far`` to what the port was joined to."""
     owner = _owner(elaboration, port)
     elaboration.connections[:] = [
-        (o, Connection(*(_end(part, "b") if end is port and o == owner else end for end in (c.first, c.second))))
+        (o, Connection(*(far if end is port and o == owner else end for end in (c.first, c.second))))
         for o, c in elaboration.connections
     ]
-    elaboration.connections.append((owner, join(port, _end(part, "a"))))
+    elaboration.connections.append((owner, join(port, near)))
 
 
 def _delays(part: Component) -> bool:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from .additions import Addition
+from .additions import Addition, by_end
 from .component import Component
 from .declarations import Input
 from .elaboration import BoundPort, Connection, Elaboration, Equation
@@ -78,12 +78,8 @@ def with_additions(model) -> WithAdditions:
 
 def _home(addition: Addition, plain: Elaboration) -> str:
     """Path of the innermost class from which everything the part is tied to can be named and connected."""
-    through = addition.through
-    through = list(through.values()) if isinstance(through, Mapping) else [through] if through else []
-    levels = [
-        _parent(_parent(port)) for port in (*addition.ties.values(), *([addition.between] * bool(addition.between)))
-    ]
-    for path in through:
+    levels = [_parent(_parent(port)) for port in (*addition.ties.values(), *by_end(addition.between).values())]
+    for path in by_end(addition.through).values():
         inner = path.removeprefix("der(").removesuffix(")")
         levels.append(_parent(_parent(inner)) if inner != path or path in plain.open_signals else "")
     levels += [_parent(path.removeprefix("der(").removesuffix(")")) for path in addition.reads.values()]

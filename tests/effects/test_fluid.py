@@ -8,6 +8,7 @@ import pytest
 from hydrotwin.models import cehA
 from hydrotwin.models.components import FlowSource, LineVolume, Plug
 from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.effects.effect import Site
 from hydrotwin.models.effects.fluid import (
     Cavitation,
     CheckValveCracking,
@@ -97,10 +98,20 @@ def test_hoses_of_one_kind_on_both_chambers_are_the_sum_of_either():
 
 @pytest.mark.parametrize("q", (-2e-4, 1e-5, 2e-4))
 def test_a_line_loses_pressure_in_the_direction_of_flow(q):
-    model = bench(LineFriction(laminar=2e9, turbulent=3e13), a="potential", b="flow")
-    y = run(model, np.linspace(0, 0.1, 101), a=1e6, b=q)
-    assert y["b_p"][-1] - 1e6 == pytest.approx(2e9 * q + 3e13 * q * abs(q), rel=1e-6)
-    assert y["a_q"][-1] == pytest.approx(-q)
+    line = LineFriction.at(Site("line", between={"0": "port"})).but(laminar=2e9, turbulent=3e13)
+    y = run(bench(line, a_0="potential", b_0="flow"), np.linspace(0, 0.1, 101), a_0=1e6, b_0=q)
+    assert y["b_0_p"][-1] - 1e6 == pytest.approx(2e9 * q + 3e13 * q * abs(q), rel=1e-6)
+    assert y["a_0_q"][-1] == pytest.approx(-q)
+
+
+def test_lines_of_one_kind_on_both_chambers_lose_what_either_does_at_its_own_flow():
+    model, time = benches.valve_bench(), np.linspace(0, 1, 1001)
+    values, name = {"turbulent": 1e15, "laminar": 0.0}, "line_friction"
+    cap, annulus, both = (add_effect(model, name, f, values) for f in ("cylinder.cap", "cylinder.annulus", "lines"))
+    chained = add_effect(cap, name, "cylinder.annulus", values)
+    ends = {k: run(m, time, spool=0.5)["position"][-1] for k, m in enumerate((model, cap, annulus, both, chained))}
+    assert ends[3] == pytest.approx(ends[4], rel=1e-9)
+    assert ends[3] < min(ends[1], ends[2]) < 0.95 * ends[0]
 
 
 def test_a_check_valve_in_the_return_keeps_a_pressure_while_oil_returns():

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrotwin.models.language import Input, Model, Output, Parameter
+from hydrotwin.models.language.additions import by_end
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Port
 from hydrotwin.models.language.places import Places
@@ -94,7 +95,8 @@ def _words(site, places: Places) -> str:
     if site.frees:
         return "a parameter of the machine"
     if site.between:
-        return f"behind a port ({_port_words([site.between], places)})"
+        ports = list(by_end(site.between).values())
+        return f"behind {_COUNTED.get(len(ports), 'a')} port{'s' * (len(ports) > 1)} ({_port_words(ports, places)})"
     if isinstance(site.through, Mapping) or (site.through or "").startswith("der("):
         return "the rate of a state"
     if site.through:

@@ -48,11 +48,6 @@ def _times_usual(made: Made, options) -> float:
     return rig.MACHINES[made.case.machine].parameters[path] * options["factor"]
 
 
-def _to_the_surroundings(made: Made, options) -> float:
-    """The rig leaks against the surroundings, the catalogue against a tank where there is one, the valve's at 5 bar."""
-    return options["cap"] if made.case.machine == "cehA" else math.nan
-
-
 # rig effect -> parameters of the catalogue's effect (last word of the path, a pattern) that mean the same, and what
 # they are in truth. Effects whose two forms differ (ripples, knees, bristles) have none.
 PARAMETERS = {
@@ -68,7 +63,7 @@ PARAMETERS = {
     },
     "internal_leakage": {"conductance": _option("conductance")},
     "turbulent_leakage": {"coefficient": _option("coefficient")},
-    "external_leakage": {"conductance": _to_the_surroundings},
+    "external_leakage": {"conductance": _option("cap")},
     "pump_slip": {"conductance": _option("conductance")},
     "entrained_air": {"fraction": _option("fraction")},
     "line_compliance": {"compliance": _option("cap")},

@@ -11,18 +11,18 @@ from hydrotwin.models.language.units import compatible
 from hydrotwin.models.laws.orifice import signed_root
 
 from .effect import Effect, Site
-from .sites import hydraulic_nodes, hydraulic_pairs, low_pressure_node, pumps
+from .sites import hydraulic_nodes, hydraulic_pairs, open_tank_node, pumps
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 IVANTYSYN = "J. and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001"
 
 
 class InternalLeakage(Effect):
-    """Laminar leak between two volumes, such as past the piston seal.
+    """Laminar leak between two volumes, such as past the piston seal, or to a tank within the machine.
 
         q = G (p_a - p_b)
 
-    Not to the tank: that is `ExternalLeakage`. Source: Merritt 1967.
+    Not to an open tank: that is `ExternalLeakage`. Source: Merritt 1967.
     """
 
     id, title = "internal_leakage", "internal leakage"
@@ -41,7 +41,7 @@ class InternalLeakage(Effect):
 
     @classmethod
     def sites(cls, places):
-        tank = low_pressure_node(places)
+        tank = open_tank_node(places)
         yield from (s for s in hydraulic_pairs(places) if not (tank and tank.name in s.ties.values()))
 
     def equations(self):
@@ -50,11 +50,11 @@ class InternalLeakage(Effect):
 
 
 class ExternalLeakage(Effect):
-    """Laminar leak out of the circuit: to the tank if the model has one, else to the surroundings.
+    """Laminar leak out of the circuit: to the surroundings, or a tank that is open to them.
 
         q = G (p - p_0)
 
-    Source: Merritt 1967.
+    Into a tank under pressure oil gets within the machine alone: that is `InternalLeakage`. Source: Merritt 1967.
     """
 
     id, title = "external_leakage", "external leakage"
@@ -73,7 +73,7 @@ class ExternalLeakage(Effect):
 
     @classmethod
     def sites(cls, places):
-        tank = low_pressure_node(places)
+        tank = open_tank_node(places)
         for site in hydraulic_nodes(places):
             yield replace(site, reads={"outside": f"{tank.name}.p"}) if tank else site
 
@@ -86,7 +86,7 @@ class ExternalLeakage(Effect):
 
 
 class LeakToTank(Component):
-    """External leak against the pressure of a tank: ``q = G (p - p_tank)``. Source: Merritt 1967."""
+    """External leak against the pressure of an open tank: ``q = G (p - p_tank)``. Source: Merritt 1967."""
 
     port = HydraulicPort("what leaks")
     outside = Input("Pa", "pressure of the tank", nominal=1e5)

@@ -15,6 +15,7 @@ from hydrotwin.models.language.units import compatible
 from .effect import Site
 
 HIGHEST_TANK_PRESSURE = 2e6  # Pa
+HIGHEST_OPEN_PRESSURE = 1.2e5  # Pa: that of the surroundings, gauge or absolute
 POINTS = 12  # at which two derivatives are compared
 SAME = 1e-6  # relative
 
@@ -183,6 +184,16 @@ def drives(places: Places) -> Iterator[Site]:
 
 def low_pressure_node(places: Places) -> Node | None:
     """The node of the tank: the lowest prescribed pressure, if it is below 20 bar."""
+    return _lowest_held(places, HIGHEST_TANK_PRESSURE)
+
+
+def open_tank_node(places: Places) -> Node | None:
+    """The node of a tank whose pressure is that of the surroundings."""
+    return _lowest_held(places, HIGHEST_OPEN_PRESSURE)
+
+
+def _lowest_held(places: Places, highest: float) -> Node | None:
+    """The node of the lowest prescribed pressure, if it is below ``highest`` [Pa]."""
     pressures = {}
     for node in places.nodes_of(HydraulicPort):
         if places.is_prescribed(node):
@@ -192,7 +203,7 @@ def low_pressure_node(places: Places) -> Node | None:
                 for p in places.model.flat.parameters
                 if p.name.rpartition(".")[0] in owners and compatible(p.unit, "Pa")
             ]
-            if held and min(held) < HIGHEST_TANK_PRESSURE:
+            if held and min(held) < highest:
                 pressures[node] = min(held)
     return min(pressures, key=pressures.get, default=None)
 

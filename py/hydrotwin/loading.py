@@ -141,7 +141,9 @@ def _with_file(model, file: ModelFile) -> Model:
     if not isinstance(model, Model):
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
-        answer = with_effects(model, file.effects).with_settings(file.settings, dict(file.provenance))
+        own = {p.name for p in model.flat.parameters}
+        machine = model.with_settings({path: s for path, s in file.settings.items() if path in own})
+        answer = with_effects(machine, file.effects).with_settings(file.settings, dict(file.provenance))
         _ = answer.flat
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None

@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.components import PressureSource
 from hydrotwin.models.effects import add_effect, candidates
-from hydrotwin.models.effects.sites import low_pressure_node
+from hydrotwin.models.effects.sites import low_pressure_node, open_tank_node
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.places import Places
 from tests.effects.benches import ValveBench, pump_bench, seen, valve_bench
@@ -38,10 +38,19 @@ def test_an_external_leak_takes_from_one_chamber_alone():
     assert out == pytest.approx(-5e-6) and into == 0
 
 
-def test_an_external_leak_runs_against_the_pressure_of_the_tank_whatever_it_is_set_to():
-    model = valve_bench().with_parameters({"tank.pressure": 3e5})
-    out, _ = change(model, "external_leakage", CHAMBERS, 0.0, "cylinder.cap", conductance=1e-12)
-    assert out == pytest.approx(-(5e6 - 3e5) * 1e-12)
+def with_tank(pressure):
+    return valve_bench().with_parameters({"tank.pressure": pressure})
+
+
+def test_an_external_leak_runs_to_an_open_tank():
+    out, _ = change(with_tank(1e5), "external_leakage", CHAMBERS, 0.0, "cylinder.cap", conductance=1e-12)
+    assert out == pytest.approx(-(5e6 - 1e5) * 1e-12)
+
+
+def test_oil_leaves_the_machine_to_the_surroundings_and_gets_into_a_tank_under_pressure_within_it():
+    for effect, site, against in (("external", "cylinder.cap", 0.0), ("internal", "cylinder.cap-tank.port", 5e5)):
+        out, _ = change(with_tank(5e5), f"{effect}_leakage", CHAMBERS, 0.0, site, conductance=1e-12)
+        assert out == pytest.approx(-(5e6 - against) * 1e-12)
 
 
 def test_a_turbulent_leak_grows_with_the_root_of_the_pressure():
@@ -50,9 +59,9 @@ def test_a_turbulent_leak_grows_with_the_root_of_the_pressure():
 
 
 def test_no_two_nodes_leak_under_two_names():
-    for model in (cehA.model(), spool_valve.model(), pump_bench(), valve_bench()):
+    for model in (cehA.model(), spool_valve.model(), pump_bench(), with_tank(0.0), with_tank(5e5)):
         inside = {frozenset(c.site.ties.values()) for c in candidates(model, ["internal_leakage"])}
-        tank = low_pressure_node(Places(model))
+        tank = open_tank_node(Places(model))
         outside = candidates(model, ["external_leakage"])
         assert len(inside) == len(candidates(model, ["internal_leakage"]))
         assert outside

@@ -216,3 +216,10 @@ def test_its_modelica_text_extends_the_machine(lagging, monkeypatch):
     answer = hydrotwin("modelica", "lagging.toml")
     assert answer.code == 0, answer.err
     assert "CoulombFriction coulomb_friction" in answer.out
+
+
+def test_an_effect_is_put_into_the_machine_as_the_file_says_it_is(tmp_path):
+    open_tank = spool_valve.model().with_parameters({"tank.pressure": 1e5})
+    leaking = add_effect(open_tank, "external_leakage", "cylinder.cap", {"conductance": 1e-12})
+    ht.write_model_file(tmp_path / "m.toml", "spool_valve", leaking)
+    same_equations(leaking, ht.load(tmp_path / "m.toml"))

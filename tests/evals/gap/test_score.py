@@ -123,14 +123,11 @@ def test_a_name_for_what_no_catalogue_has_counts_apart_when_it_does_not_predict(
     assert by["out-of-library, gap seen: named, and a gap is left that can be seen"].value == amiss
 
 
-def test_an_external_leak_is_compared_where_both_go_to_the_same_place():
-    leak = (("external_leakage", {"cap": 1e-14}),)
-    found = named("external_leakage", "cylinder.cap", parameters=(("external_leakage.conductance", 1e-14, 0.0, 1.0),))
-    assert row(found, truth=made(hidden=leak))["parameters"][0]["true"] is None
-    actuator = dataclasses.replace(
-        made(hidden=leak), case=Case("cehA", "single", ("external_leakage",), 5.0, "all", "drive", 1)
-    )
-    assert row(found, truth=actuator)["parameters"][0]["covered"]
+def test_a_leak_to_the_surroundings_is_not_one_to_the_tank():
+    leak = made(hidden=(("external_leakage", {"cap": 1e-14}),))
+    outside = named("external_leakage", "cylinder.cap", parameters=(("external_leakage.conductance", 1e-14, 0.0, 1.0),))
+    assert row(outside, truth=leak)["parameters"][0]["covered"]
+    assert row(named("internal_leakage", "cylinder.cap-tank.port"), truth=leak)["exact"] == [False]
 
 
 def test_a_gap_that_the_base_swallowed_is_not_held_against_silence():

@@ -161,8 +161,8 @@ def _refit(job: RefitJob) -> Refitted:
     best = _settled(task, q, found, iterations)
     if job.valley:
         lower = along_the_valleys(best[0], best[1], rounds=1, averaged=[job.valley])[0][0]
-        best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[2])
-    return _answer(best[0], q, best[1], best[2])
+        best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[-1])
+    return _answer(q, *best)
 
 
 def _task(job: RefitJob) -> Task:
@@ -250,22 +250,23 @@ def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np
 
 
 def _settled(task: Task, q: Question, found: Minimum, most: int):
-    """Weights and minimum in turns until they agree: ``(task, minimum, likelihood)``.
+    """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``.
 
     What was integrated with ease at the start may be stiff at the minimum: how is decided again.
     """
     if not task.flat.black_box:
         task = dataclasses.replace(task, propagator=task.propagator.undecided())
-    size, left = _sizes(task, q, found), max(LONGEST, 2 * most)
+    size, further = _sizes(residuals_of(task, found), q), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))
         shooting, _ = whole_runs(task)
-        found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, left))
-        left -= found.iterations
-        before, size = size, _sizes(task, q, found)
-        if left <= 0 or (number and np.nanmax(np.abs(np.log(size / before))) < STEADY):
+        found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, further))
+        further -= found.iterations
+        left = residuals_of(task, found)
+        before, size = size, _sizes(left, q)
+        if further <= 0 or (number and np.nanmax(np.abs(np.log(size / before))) < STEADY):
             break
-    return task, found, _likelihood(task, q, found)
+    return task, found, left, _likelihood(task, q, found, left)
 
 
 def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | None = None) -> list[np.ndarray]:
@@ -291,12 +292,13 @@ def _runs(task: Task, shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray
     return [np.full(s, np.inf) if r is None else r / unit for r, s in zip(runs, shapes, strict=True)]
 
 
-def _sizes(task: Task, q: Question, found: Minimum) -> np.ndarray:
-    return np.fmax(pooled_rmse(residuals_of(task, found)), q.noise)
+def _sizes(left: Sequence[np.ndarray], q: Question) -> np.ndarray:
+    return np.fmax(pooled_rmse(left), q.noise)
 
 
-def _likelihood(task: Task, q: Question, found: Minimum) -> float:
-    return likelihood(pooled_rmse(residuals_of(task, found)), q) + task.prior.cost(found.q)
+def _likelihood(task: Task, q: Question, found: Minimum, left: Sequence[np.ndarray] | None = None) -> float:
+    left = residuals_of(task, found) if left is None else left
+    return likelihood(pooled_rmse(left), q) + task.prior.cost(found.q)
 
 
 def likelihood(rmse: np.ndarray, q: Question) -> float:
@@ -312,7 +314,7 @@ def likelihood_by_output(rmse: np.ndarray, q: Question) -> np.ndarray:
         return np.where(used, q.counts * (np.log(size / q.noise) + 0.5 * (rmse / size) ** 2), 0.0)
 
 
-def _answer(task: Task, q: Question, found: Minimum, value: float) -> Refitted:
+def _answer(q: Question, task: Task, found: Minimum, left: Sequence[np.ndarray], value: float) -> Refitted:
     free, shooting = task.free, whole_runs(task)[0]
     values = free.values(found.q)
     names = shooting.start.names
@@ -323,8 +325,8 @@ def _answer(task: Task, q: Question, found: Minimum, value: float) -> Refitted:
     return Refitted(
         values=dict(zip(free.names, values.tolist(), strict=True)),
         states=tuple(dict(zip(names, (z * shooting.start.nominal).tolist(), strict=True)) for z in found.z),
-        size=np.fmax(pooled_rmse(residuals_of(task, found)), q.noise),
-        residuals_fit=tuple(residuals_of(task, found)),
+        size=_sizes(left, q),
+        residuals_fit=tuple(left),
         residuals_select=tuple(residuals_of(task, found, q.select)) if q.select else (),
         likelihood=value,
         parameters=len(free.names),
@@ -348,8 +350,8 @@ def conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
     task = _task(job)
     found = _from_starts(task, job)[0]
-    task, found, value = _settled(task, q, found, LAST_WORD)
+    task, found, left, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)
-    refitted = _answer(task, q, found, value)
+    refitted = _answer(q, task, found, left, value)
     return Concluded(fit, refitted, refitted.residuals_select)

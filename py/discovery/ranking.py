@@ -25,7 +25,7 @@ def ranking(
 ) -> tuple[Ranked, ...]:
     """Every candidate of a step, the named first; ``known`` are the declarations of their parameters by path.
 
-    explained : share of the gap that the answer closes; the rest of the probability is that of something else.
+    explained : how sure it is that the answer is among them; the rest of the probability is that of something else.
     """
     members = [] if choice is None else list(choice.members)
     rows, done = [], set()

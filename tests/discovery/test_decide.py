@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydrotwin.discovery.answering import _weight
+from hydrotwin.discovery.answering import SOUND, _weight
 from hydrotwin.discovery.decide import (
     CLEARLY,
     INEXACT,
@@ -208,9 +208,9 @@ def test_a_later_effect_is_trusted_by_its_share_of_the_whole_gap():
         step = SimpleNamespace(before=before, choice=SimpleNamespace(best=SimpleNamespace(structure=after)))
         return _weight(search, base, step)
 
-    assert weight(base, first) == pytest.approx(1.0, abs=0.005)
+    assert weight(base, first) == pytest.approx(SOUND, abs=0.005)
     share = 1.25 / 899
-    assert weight(first, second) == pytest.approx(share / (share + INEXACT), abs=0.05) and weight(first, second) < 0.5
+    assert weight(first, second) == pytest.approx(SOUND * share / (share + INEXACT), abs=0.05) and weight(first, second) < 0.5
     assert weight(second, second) < 0.02
 
 

@@ -33,7 +33,7 @@ REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise
 HEAVY = 5.0  # times the operations of the base
 SEVERAL = 3  # starts followed for limits, thresholds and refinements, whose first cost says little
 NEAR = 2.0  # times the noise: where the hollows of a cost are as deep as what is to be told apart
-IMPLAUSIBLE = 10.0  # times the largest usual value
+IMPLAUSIBLE = 10.0  # times the largest usual value, or of a limit that part of the smallest
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,13 +63,15 @@ class Tried:
         """A sentence when a value lies far outside what is usual, on the side where the effect is larger."""
         if self.structure is None:
             return ""
-        for c in self.members:
-            for name, (_, high) in c.typical.items():
-                value = self.structure.fitted.values.get(name, 0.0)
-                absent = c.neutral.get(name, 0.0)  # the larger a limit, the less it does; a stop may be far away
-                less = abs(absent) > high and value * absent > 0
-                if c.site.frees is None and high > 0 and abs(value) > IMPLAUSIBLE * high and not less:
-                    return f"{name} = {abs(value):.3g} is more than {IMPLAUSIBLE:g} times the usual {high:.3g}"
+        known = self.structure.fitted.values
+        for c in (c for c in self.members if c.site.frees is None):
+            for name, (low, high) in c.typical.items():
+                size, absent = abs(known.get(name, 0.0)), c.neutral.get(name, 0.0)
+                limits = abs(absent) > high and known.get(name, 0.0) * absent > 0  # the lower, the more it does
+                if high > 0 and size > IMPLAUSIBLE * high and not limits:
+                    return f"{name} = {size:.3g} is more than {IMPLAUSIBLE:g} times the usual {high:.3g}"
+                if limits and size < low / IMPLAUSIBLE:
+                    return f"{name} = {size:.3g} is less than 1/{IMPLAUSIBLE:g} of the usual {low:.3g}"
         return ""
 
 

@@ -323,6 +323,8 @@ def test_a_value_far_outside_what_is_usual_is_implausible(rubbing):
         ("command_saturation", "limit", 1e5, False),
         ("rate_limit", "rate", 1e6, False),
         ("check_valve_cracking", "pressure", 1e9, True),  # absent far below zero
+        ("relief_saturation", "pressure", 1e6, False),
+        ("relief_saturation", "pressure", 1e4, True),  # that is a leak
     ],
 )
 def test_a_value_nearer_to_where_nothing_happens_than_what_is_usual_is_plausible(name, parameter, value, implausible):

@@ -11,14 +11,14 @@ from hydrotwin.models.language import Input, Output, Parameter, State, der
 from .command import clipped, limits
 from .effect import Effect
 from .sites import model_outputs
-from .stepping import Lagged, followed, stepped
+from .stepping import Lagged, closely_followed, stepped
 
 FRADEN = "J. Fraden, Handbook of Modern Sensors, 2016"
 PADE = (1.0, 1 / 2, 3 / 28, 1 / 84, 1 / 1680)  # of the denominator of Pade's (4,4) form of exp(-s)
 
 
 class SensorLag(Lagged):
-    """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `followed`."""
+    """The reading follows the quantity with a lag: ``T y' + y = u``; written as in `closely_followed`."""
 
     id, title = "sensor_lag", "lag of the sensor"
     equation = "T y' + y = u"
@@ -32,18 +32,22 @@ class SensorLag(Lagged):
     u = Input("signal", "what is measured")
     y = Output("signal", "reading")
     lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
+    further = State(lambda part: 0.0, "signal", "v", fixed=False)
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 1.0), nominal=0.01, source=FRADEN, free=True)
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(model_outputs)
 
     def equations(self):
-        rate, y = followed(self.u, self.lagging, self.time_constant, self.resolution)
-        yield der(self.lagging) == rate
+        w, v, T, T_0 = self.lagging, self.further, self.time_constant, self.resolution
+        rate, second, y = closely_followed(self.u, w, v, T, T_0)
+        yield der(w) == rate
+        yield der(v) == second
         yield self.y == y
 
     def initial_equations(self):
         yield self.lagging == self.u
+        yield self.further == self.u
 
 
 class SensorScale(Effect):

@@ -58,3 +58,15 @@ def followed(u, w, time_constant, resolution):
     """
     tau = (time_constant**4 + resolution**4) ** 0.25
     return (u - w) / tau, u + time_constant / tau * (w - u)
+
+
+def closely_followed(u, w, v, time_constant, resolution):
+    """`followed` with a second state v, for signals not much slower than T_0: ``(w', v', y)``.
+
+        w' = (u - w)/tau,   v' = (w - v)/tau,   y = (1 - r)^2 u + r (3 - 2 r) w - r (1 - r) v,   r = T/tau
+
+    The same as 1/(1 + T s) but for r (1 - r)^2 (tau s)^3 and beyond, at any T; itself where r = 1.
+    """
+    tau = (time_constant**4 + resolution**4) ** 0.25
+    r = time_constant / tau
+    return (u - w) / tau, (w - v) / tau, (1 - r) ** 2 * u + r * (3 - 2 * r) * w - r * (1 - r) * v

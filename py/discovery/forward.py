@@ -14,7 +14,7 @@ from .choose import as_good, choose, label, refines, worth_refining
 from .decide import T_NEEDED, WORTH, closed, compared
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
-from .refinements import finer_first, more_than_inexact, with_refinements
+from .refinements import more_than_inexact, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
 from .roles import fairly_split
@@ -144,7 +144,6 @@ def _forward(
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             continue
-        choice = finer_first(search, base, now, tried, choice)
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = reconsidered(search, choice.best.structure)
     return Found(base if now.members else now, now, steps, tuple(screens))

@@ -11,7 +11,7 @@ import dataclasses
 from collections.abc import Sequence
 
 from .answering import Found, Step
-from .choose import Choice, choose, worth_refining
+from .choose import worth_refining
 from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, share_closed
 from .search import Search, Structure, Tried
 
@@ -28,21 +28,6 @@ def with_refinements(search: Search, found: Found) -> Found:
     tried = [t for t in search.singles(now, search.refinements(now, ranked)) if t.evidence]
     told = [t for t in tried if leans(t, now, found.base, search) or may_be(t, now)]
     return dataclasses.replace(found, steps=tuple(_beside(step, told) for step in found.steps))
-
-
-def finer_first(search: Search, base: Structure, now: Structure, tried: Sequence[Tried], choice: Choice) -> Choice:
-    """A finer form of what ``now`` names instead of a further effect that closes no more of the gap.
-
-    No more than the inexact form of an effect may leave: friction that differs by direction, written with a smooth
-    sign, leaves a little that a wrong payload beside plain friction does not.
-    """
-
-    def share(t: Tried) -> float:
-        return share_closed(base.fitted, t.structure.fitted, choice.best.structure.fitted, search.question)
-
-    finer = [t for t in tried if t.structure and any(c.refines(m) for c in t.members for m in now.members)]
-    as_much = [t for t in finer if share(choice.best) - share(t) <= INEXACT]
-    return (choose(as_much, len(search.candidates), search.question) if choice.best not in finer else None) or choice
 
 
 def leans(tried: Tried, now: Structure, base: Structure, search: Search) -> bool:

@@ -13,7 +13,7 @@ from hydrotwin.discovery import forward, refinements
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.decide import Evidence, bic_needed
-from hydrotwin.discovery.refinements import _beside, finer_first, leans, may_be, more_than_inexact, own_part
+from hydrotwin.discovery.refinements import _beside, leans, may_be, more_than_inexact, own_part
 from hydrotwin.discovery.search import IMPLAUSIBLE, Search, Structure, Tried
 from hydrotwin.models.effects import candidates
 from tests.discovery.slides import Inline, better, found, grown, one, question, record, records, searching, slide
@@ -136,21 +136,6 @@ def test_a_refinement_that_explains_more_than_an_inexact_form_may_be_it_however_
     assert not leans(trifle, now, base, search), "nothing is left"
     surely = dataclasses.replace(trifle, evidence=Evidence(40.0, 2.5, 0.5))
     assert not leans(surely, base, base, search), "then it is named instead"
-
-
-def test_a_finer_form_of_what_is_named_comes_before_a_further_effect_that_explains_no_more(rubbing):
-    search, base, _, ranked = rubbing
-    by = {s.candidate.id: s for s in ranked}
-    (plain,) = search.singles(base, [by["coulomb_friction"]])
-    now = plain.structure
-    both = search.singles(now, [by["stribeck_friction"], by["drift"]])
-    finer, further = (dataclasses.replace(t, evidence=better()) for t in both)
-    choice, own = (Choice(t, (t,), {label(t): 1.0}) for t in (further, finer))
-    assert finer_first(search, base, now, [finer, further], choice).best is finer
-    assert finer_first(search, base, now, [finer, further], own) is own
-    worse = dataclasses.replace(finer, structure=Structure(finer.structure.members, base.fitted))
-    assert finer_first(search, base, now, [worse, further], choice) is choice
-    assert finer_first(search, base, base, [finer, further], choice) is choice, "nothing is named yet"
 
 
 def test_a_refinement_that_may_be_it_shares_the_probability_of_the_simple_effect(rubbing):

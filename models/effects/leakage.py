@@ -18,11 +18,11 @@ IVANTYSYN = "J. and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001"
 
 
 class InternalLeakage(Effect):
-    """Laminar leak between two volumes, such as past the piston seal, or to a tank within the machine.
+    """Laminar leak between two volumes, such as past the piston seal.
 
         q = G (p_a - p_b)
 
-    Not to an open tank: that is `ExternalLeakage`. Source: Merritt 1967.
+    To a tank, too, if that is not open: else it is `ExternalLeakage`. Source: Merritt 1967.
     """
 
     id, title = "internal_leakage", "internal leakage"

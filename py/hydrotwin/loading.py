@@ -142,7 +142,7 @@ def _with_file(model, file: ModelFile) -> Model:
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
         own = {p.name for p in model.flat.parameters}
-        machine = model.with_settings({path: s for path, s in file.settings.items() if path in own})
+        machine = model.with_parameters({n: s["value"] for n, s in file.settings.items() if n in own and "value" in s})
         answer = with_effects(machine, file.effects).with_settings(file.settings, dict(file.provenance))
         _ = answer.flat
     except HydrotwinError as error:

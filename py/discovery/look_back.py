@@ -17,7 +17,7 @@ from .refit import RefitJob, refit
 from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried
 
 FROM_BEGINNING = 10  # candidates
-CONTENDERS = 6  # fitted again beside the best
+CONTENDERS = 12  # fitted again beside the best: nine effects on one pressure can be alike
 RIVALS = 6  # fitted once more in the hollow of the most likely
 ROUNDS = 2  # of it, when another has become the most likely
 CONFUSABLE = 8  # candidates that the screen passed over

@@ -141,13 +141,18 @@ def _with_file(model, file: ModelFile) -> Model:
     if not isinstance(model, Model):
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
-        own = {p.name for p in model.flat.parameters}
-        machine = model.with_parameters({n: s["value"] for n, s in file.settings.items() if n in own and "value" in s})
-        answer = with_effects(machine, file.effects).with_settings(file.settings, dict(file.provenance))
+        answer = with_effects(_as_it_is(model, file), file.effects).with_settings(file.settings, dict(file.provenance))
         _ = answer.flat
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None
     return answer
+
+
+def _as_it_is(model: Model, file: ModelFile) -> Model:
+    """The machine with the file's values: where its effects fit may depend on them, but not on what they free."""
+    own = {p.name for p in model.flat.parameters} if file.effects else ()
+    known = {n: {k: s[k] for k in ("value", "bounds") if k in s} for n, s in file.settings.items() if n in own}
+    return model.with_settings(known)
 
 
 def with_effects(model: Model, rows: Sequence[Mapping[str, str]]) -> Model:

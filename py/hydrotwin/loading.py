@@ -149,8 +149,11 @@ def _with_file(model, file: ModelFile) -> Model:
 
 
 def _as_it_is(model: Model, file: ModelFile) -> Model:
-    """The machine with the file's values: where its effects fit may depend on them, but not on what they free."""
-    own = {p.name for p in model.flat.parameters} if file.effects else ()
+    """The machine with the file's values: where its effects fit may depend on them, but not on what they free.
+
+    A payload that is freed and found to be nil would be none that can be wrong.
+    """
+    own = {p.name for p in model.flat.parameters} - {row["site"] for row in file.effects} if file.effects else ()
     known = {n: {k: s[k] for k in ("value", "bounds") if k in s} for n, s in file.settings.items() if n in own}
     return model.with_settings(known)
 

@@ -223,3 +223,9 @@ def test_an_effect_is_put_into_the_machine_as_the_file_says_it_is(tmp_path):
     leaking = add_effect(open_tank, "external_leakage", "cylinder.cap", {"conductance": 1e-12})
     ht.write_model_file(tmp_path / "m.toml", "spool_valve", leaking)
     same_equations(leaking, ht.load(tmp_path / "m.toml"))
+
+
+def test_a_freed_parameter_that_is_found_to_be_nil_comes_back(tmp_path):
+    wrong = add_effect(cehA.model(), "payload_error", "arm.extra_mass").with_parameters({"arm.extra_mass": 0.0})
+    ht.write_model_file(tmp_path / "m.toml", "cehA", wrong)
+    same_equations(wrong, ht.load(tmp_path / "m.toml"))

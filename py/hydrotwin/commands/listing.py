@@ -96,7 +96,7 @@ def _words(site, places: Places) -> str:
         return "a parameter of the machine"
     if site.between:
         ports = list(by_end(site.between).values())
-        return f"behind {_COUNTED.get(len(ports), 'a')} port{'s' * (len(ports) > 1)} ({_port_words(ports, places)})"
+        return f"behind {_several('port', len(ports))} ({_port_words(ports, places)})"
     if isinstance(site.through, Mapping) or (site.through or "").startswith("der("):
         return "the rate of a state"
     if site.through:
@@ -111,10 +111,15 @@ def _port_words(ports: list[str], places: Places) -> str:
     words = [_PORTS.get(kind, kind) for kind in kinds]
     if len(set(words)) > 1:
         return " and ".join(f"a {word}" for word in dict.fromkeys(words))
-    return f"a {words[0]}" if len(words) == 1 else f"{_COUNTED.get(len(words), len(words))} {words[0]}s"
+    return _several(words[0], len(words))
 
 
-_COUNTED = {2: "two", 3: "three", 4: "four"}
+def _several(word: str, count: int) -> str:
+    """``a port``, ``two ports``."""
+    return f"{_COUNTED.get(count, count)} {word}{'s' * (count > 1)}"
+
+
+_COUNTED = {1: "a", 2: "two", 3: "three", 4: "four"}
 
 
 def _declared_place(effect) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from hydrotwin.discovery import look_back
 from hydrotwin.discovery.choose import Choice, choose, label
-from hydrotwin.discovery.look_back import from_the_beginning, pruned, settled
+from hydrotwin.discovery.look_back import _contenders, from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
 from hydrotwin.discovery.search import Structure, Tried
 from hydrotwin.models.language import Model
@@ -64,6 +64,15 @@ def test_the_look_back_fits_contenders_again_as_it_does_the_best(rubbing):
     resting = dataclasses.replace(stribeck, structure=Structure(stribeck.structure.members, early))
     _, (_, again) = settled(search, base, [coulomb, resting], choose([coulomb], 5, search.question))
     assert again.structure.fitted.likelihood < early.likelihood - 10
+
+
+def test_of_nine_that_do_alike_every_one_is_fitted_again(rubbing):
+    search, base, _, ranked = rubbing
+    by = {s.candidate.id: s for s in ranked}
+    (coulomb,) = search.singles(base, [by["coulomb_friction"]])
+    alike = [dataclasses.replace(coulomb) for _ in range(8)]
+    choice = choose([coulomb], 5, search.question)
+    assert len(_contenders(search, [coulomb, *alike], choice, near=True)) == 9
 
 
 def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):

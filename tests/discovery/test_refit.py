@@ -13,6 +13,7 @@ from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
 from hydrotwin.discovery.resume import key_of
 from hydrotwin.models.language import Model
+from hydrotwin.simulation import prepare
 from tests.discovery.slides import (
     DAMPING,
     MASS,
@@ -54,6 +55,17 @@ def test_what_is_left_is_the_noise_on_recordings_fitted_and_held_out(fitted):
     assert fitted.rmse == pytest.approx([NOISE], rel=0.06)
     assert fitted.rmse_select == pytest.approx([NOISE], rel=0.06)
     assert len(fitted.residuals_fit) == 2 and len(fitted.residuals_select) == 1
+
+
+def test_what_is_left_is_that_of_the_values_given_however_early_the_fit_stops(plain):
+    flat = slide().flat
+    early = refit(RefitJob(flat, FREE, plain, iterations=1))
+    for recording, states, left in zip(plain.fit, early.states, early.residuals_fit, strict=True):
+        p, u = flat.parameter_vector(early.values), recording.u
+        x = np.array([states.get(s.name, 0.0) for s in flat.states])
+        y, _ = prepare(flat).run(recording.time, u, p, x)
+        np.testing.assert_allclose(left, y - recording.y, rtol=1e-9, atol=1e-12)
+    assert early.size == pytest.approx(np.fmax(early.rmse, plain.noise))
 
 
 def test_a_residual_is_never_weighed_by_less_than_the_noise(plain):

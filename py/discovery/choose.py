@@ -78,11 +78,18 @@ def _credible(tried: Sequence[Tried], probability: Mapping[str, float]) -> list[
 
 
 def _best(passing: Sequence[Tried], q: Question) -> Tried:
-    """The most likely on the fit recordings, unless another is clearly better on those held out."""
+    """The most likely on the fit recordings, unless another is clearly better on those held out.
+
+    Of those that leave no more than the inexact form of what is named does by itself, one of the fewest effects: how
+    far below that they come says how well each hides it, and the finer form of a named effect asks for nothing more.
+    """
     best = max(passing, key=lambda t: _score(t, q))
     rivals = [(compared(t.structure.fitted, best.structure.fitted, q), t) for t in passing if t is not best]
     better = [(over.closed, t) for over, t in rivals if over.paired_t > T_NEEDED and over.closed > HELD_OUT]
-    return max(better, key=lambda pair: pair[0])[1] if better else best
+    best = max(better, key=lambda pair: pair[0])[1] if better else best
+    if not (q.inexact and _explains(best, q)):
+        return best
+    return min((t for t in passing if _explains(t, q)), key=lambda t: (len(t.structure.members), -_score(t, q)))
 
 
 def _score(tried: Tried, q: Question) -> float:
@@ -144,8 +151,13 @@ def as_good(tried: Tried, best: Tried, q: Question) -> bool:
 
 def _exact(best: Tried, q: Question) -> bool:
     """Whether the best leaves nothing but noise of the sensors: then the likelihood tells."""
-    fitted = best.structure.fitted
-    return not q.inexact and not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any()
+    return not q.inexact and _explains(best, q)
+
+
+def _explains(tried: Tried, q: Question) -> bool:
+    """Whether it leaves nothing that asks for a reason."""
+    fitted = tried.structure.fitted
+    return not has_gap((*fitted.residuals_fit, *fitted.residuals_select), q.noise, CLEARLY).any()
 
 
 def _late_somewhere(tried: Tried, q: Question) -> bool:

@@ -254,7 +254,9 @@ class _Member:
         except SolveError:
             return None
         dy = dy[:, :, : len(self.unit)] * self.unit
-        return (y, dy) if np.isfinite(dy).all() else None
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nansum(np.square(dy / self.question.noise[:, None]))  # of a run that all but diverges: inf
+        return (y, dy) if np.isfinite(dy).all() and np.isfinite(squares) else None
 
 
 class _Now:
@@ -318,7 +320,8 @@ def _absorbed(d: np.ndarray, columns: np.ndarray, information: np.ndarray, membe
     prior = np.zeros((S.shape[1], S.shape[1]))
     prior[: len(member.free), : len(member.free)] = information
     normal = S.T @ S + prior
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    shown = np.diag(normal)
+    size = np.where(shown > 0, np.sqrt(np.maximum(shown, 0.0)), np.inf)  # what moves nothing stays where it is
     step = scipy.linalg.pinvh(normal / np.outer(size, size), rtol=1e-9) @ (S.T @ d.ravel() / size) / size
     return d - (S @ step).reshape(d.shape)
 

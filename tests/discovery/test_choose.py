@@ -170,6 +170,17 @@ def test_where_the_noise_holds_what_a_rough_law_leaves_the_likelihood_decides_no
     assert choice.members == (best, other) and choice.probability[label(other)] == pytest.approx(0.5, abs=0.01)
 
 
+def test_the_finer_form_of_what_is_named_stands_before_a_further_effect_where_both_leave_but_what_a_rough_law_does():
+    rough = dataclasses.replace(ASKED, inexact=True)
+    further, finer = tried("coulomb_friction", "null_bias", fit=1.0), tried("asymmetric_friction", fit=1.03)
+    assert compared(further.structure.fitted, finer.structure.fitted, ASKED).bic_gain > TOGETHER
+    choice = choose([further, finer], 30, rough)
+    assert choice.best is finer and further in choice.members  # it may as well be that
+    assert choose([further, finer], 30, ASKED).best is further
+    short = tried("asymmetric_friction", fit=1.3)  # it leaves more than the law does
+    assert choose([further, short], 30, rough).best is further
+
+
 @pytest.mark.parametrize(("outputs", "members"), [(1, 2), (2, 1)])
 def test_a_delay_of_the_only_input_or_of_the_only_output_is_a_class(outputs, members):
     u = np.linspace(0, 1, N)[:, None]

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.experiment import DIVERGED, _rms, candidates, next_experiment, seen_limits
+from hydrotwin.discovery.experiment import DIVERGED, _absorbed, _Member, _rms, candidates, next_experiment, seen_limits
 from hydrotwin.discovery.refit import Question, RefitJob, refit
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
@@ -167,3 +167,20 @@ def test_a_member_that_is_the_same_as_another_is_said_to_stay_alike(split):
 def test_a_run_that_diverges_is_a_large_difference_and_no_overflow():
     size, output = _rms(np.array([[1.0, 1e300], [1.0, np.inf]]))
     assert (size, output) == (DIVERGED, 1)
+
+
+def test_a_parameter_of_which_nothing_is_known_absorbs_nothing():
+    """What rounding leaves of its information, once the start states are eliminated, may be less than nothing."""
+    column, member = np.linspace(-1.0, 1.0, 50), SimpleNamespace(free=("gain", "bias"))
+    columns = np.stack([column, np.zeros(50)], axis=1)[:, None, :]
+    d = (3 * column + 0.5)[:, None]
+    left = _absorbed(d, columns, np.array([[0.0, 1e3], [1e3, -1e10]]), member)
+    np.testing.assert_allclose(left, 0.5, rtol=1e-9)
+
+
+def test_a_run_that_all_but_diverges_has_no_sensitivities(split):
+    member = _Member(*split.members[0], split.question)
+    time, u = np.arange(0.0, 1.0, 0.02), np.ones((50, 2))
+    assert member.sensitivities(time, u) is not None
+    member.unit = member.unit * 1e200
+    assert member.sensitivities(time, u) is None

@@ -144,7 +144,7 @@ class Propagator:
         return np.inf if self.method == "rosenbrock" and held else self.step
 
     def _decide(self, time, u, p, x0):
-        """Settle "auto" by a first explicit run, whose steps must be stable at the eigenvalues met along it.
+        """Settle "auto" by a first explicit run, whose steps must do for the eigenvalues met along it.
 
         Steps down to an eighth are tried: they cost less than the implicit method. Returns the run, as an engine
         does, when explicit steps will do, else None.
@@ -156,7 +156,7 @@ class Propagator:
                 return None
             for step in self.step / np.array(FINER):
                 answer = self._engines[False].propagate(time, u, p, step, x0)
-                if stiffness.explicit_is_stable(self.flat, step, time, u, p, x0, answer[-1]):
+                if stiffness.explicit_will_do(self.flat, step, time, u, p, x0, answer[-1]):
                     self.step, self.method = float(step), "explicit"
                     return answer
             self._engines[True] = self._engine(implicit=True)

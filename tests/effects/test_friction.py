@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydrotwin.models import cehA
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.friction import (
     AsymmetricFriction,
@@ -16,7 +17,9 @@ from hydrotwin.models.effects.friction import (
     ViscousFriction,
 )
 from hydrotwin.models.effects.sticking import Sticking
+from hydrotwin.simulation import prepare
 from tests.components.bench import at, bench, run
+from tests.discovery.slides import pushes
 from tests.effects import benches
 
 SPEEDS = (-0.5, -0.05, -0.01, 0.01, 0.05, 0.5)
@@ -172,3 +175,29 @@ def test_a_slope_of_friction_shows_in_its_first_derivative():
     little = run(model.with_parameters({"position_dependent_friction.slope": 1e-3}), time, force=200.0)["velocity"]
     more = run(model.with_parameters({"position_dependent_friction.slope": 2e-3}), time, force=200.0)["velocity"]
     assert plain[-1] - little[-1] == pytest.approx((plain[-1] - more[-1]) / 2, rel=1e-3) and plain[-1] > little[-1]
+
+
+@pytest.mark.parametrize(
+    ("effect", "forces", "seed"), [("asymmetric_friction", (800.0, 330.0), 5), ("coulomb_friction", (800.0,), 18)]
+)
+def test_derivatives_of_what_sticks_and_slips_are_those_of_finer_steps(effect, forces, seed):
+    """At the step of the model the run is right, its derivatives are not: the bristles swing 2.6 rad in one."""
+    (found,) = (c for c in candidates(cehA.model(), [effect]) if c.label.endswith("at arm.pin"))
+    flat = cehA.model().plus([found.addition]).flat
+    free = ("cylinder.cap_dead_volume", "cylinder.oil.bulk_modulus", *found.free)
+    values = {**dict(zip(found.free, forces, strict=True)), "cylinder.friction.viscous": 3500.0}
+    p, time = flat.parameter_vector(values), np.arange(0, 6, 0.01)
+    u = np.interp(time, *pushes(seed, 6.0, 1.5))[:, None]
+    x0 = flat.start_given(())(u[0], p, []).full().ravel()
+
+    def run_at(step=None, method="explicit"):
+        propagator = prepare(flat, free_parameters=free, step=step, method=method)
+        y, dy, *_ = propagator.sensitivity(time, u, p, x0, np.zeros((len(x0), len(free))))
+        return propagator.step, y / np.ptp(y, axis=0), dy / np.ptp(y, axis=0)[:, None]
+
+    def apart(one, other):
+        return np.linalg.norm(one - other, axis=(0, 1)) / np.linalg.norm(other, axis=(0, 1))
+
+    (_, y, exact), (_, near, wrong), (step, _, chosen) = run_at(1.25e-4), run_at(flat.step), run_at(method="auto")
+    assert np.abs(near - y).max() < 0.02 and apart(wrong, exact).max() > 0.4
+    assert step == flat.step / 2 and apart(chosen, exact).max() < 0.05

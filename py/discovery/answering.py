@@ -282,7 +282,7 @@ class View:
 
     def by_recording(self) -> tuple[RecordingGap, ...]:
         """Each recording, with the role it had."""
-        selecting = {r.name for r in self.data.select}
+        selecting = {r.name for r in self.data.select} - {r.name for r in self.data.fit}
         rows = []
         for role in ("train", "report"):
             for recording, before, after in self._pairs(role):

@@ -23,6 +23,7 @@ from .recordings import split
 from .refit import Question, RefitJob, Refitted, conclude, refit
 from .resume import recalled
 from .search import Search, Structure
+from .together import explained_together
 
 MOST_EFFECTS = 3
 KEPT = (Refitted,)  # answers that an interrupted search need not find again
@@ -101,6 +102,7 @@ def discover(
         job = RefitJob(flat, names, question, coarse=True, label=flat.name)
         base = _only(run(refit, [job], "identify the base", search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
+        search, found = explained_together(search, data, found, max_effects)
         return answer(search, data, found, model, began)
 
 

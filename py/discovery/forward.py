@@ -12,6 +12,7 @@ from hydrotwin.records.noise import channel_noise
 from .answering import Found, Step
 from .choose import as_good, choose, label, refines, worth_refining
 from .decide import T_NEEDED, WORTH, closed, compared
+from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
 from .refinements import more_than_inexact, with_refinements
@@ -60,8 +61,10 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
     search.ask(search.sensors)
     others = search.pairs(base, screen, ranked, tried)
     others += _beside_a_near_miss(search, base, tried) if not found.steps else []
+    others = both_ends(search, base, others)
     choice = choose(others, len(search.candidates) ** 2 // 2, search.question)
     if choice is None and not found.steps:
+        found = dataclasses.replace(found, screens=((screen, ranked, (*tried, *others)), *found.screens[1:]))
         others = from_the_beginning(search, base)
         choice = choose(others, len(search.candidates), search.question)
     if choice is None:
@@ -92,7 +95,7 @@ def _beside_a_near_miss(search: Search, base: Structure, tried: Sequence[Tried])
 
 def _pruned(search: Search, found: Found) -> Found:
     """What was found without the steps whose effects have become idle."""
-    last = pruned(search, found.last, found.base)
+    last = without_idle_ends(search, pruned(search, found.last, found.base))
     if last is found.last:
         return found
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
@@ -125,6 +128,7 @@ def _forward(
         screen, ranked = search.screened(now, search.refining(now) if explained else None)
         tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
         tried += () if explained else search.finer(now, ranked, tried)
+        tried = both_ends(search, now, tried)
         screens.append((screen if not screens else None, ranked, tried))
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
             better = [t for t in tried if t.evidence and worth_refining(t.evidence)]

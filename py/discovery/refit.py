@@ -61,6 +61,11 @@ class Question:
     inexact: bool = False
 
     @property
+    def held_out(self) -> bool:
+        """Whether those that select are others than those that are fitted to."""
+        return not {r.name for r in self.select} <= {r.name for r in self.fit}
+
+    @property
     def counts(self) -> np.ndarray:
         """Measured values of every output in the fit recordings, (ny,)."""
         return np.sum([np.isfinite(r.y).sum(axis=0) for r in self.fit], axis=0)

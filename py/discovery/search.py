@@ -89,6 +89,7 @@ class Search:
     sensors: np.ndarray = None  # noise (ny,) of the sensors, SI; the question's may hold more
     unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
     not_testable: dict[str, Screened] = field(default_factory=dict)
+    hints: dict[tuple[str, ...], Mapping[str, float]] = field(default_factory=dict)  # where fits may begin, too
     _big: FlatModel | None = None
     _models: dict[tuple[str, ...], Model] = field(default_factory=dict)
     _known: dict[tuple[str, ...], Structure | str] = field(default_factory=dict)
@@ -109,6 +110,13 @@ class Search:
         inexact = not np.array_equal(noise, self.sensors, equal_nan=True)
         self.question = dataclasses.replace(self.question, noise=noise, inexact=inexact)
         return self.forget()
+
+    def asking(self, question: Question) -> Search:
+        """A search of the same model and candidates that begins with another question."""
+        return dataclasses.replace(
+            self, question=question, sensors=question.noise, unusable=dict(self.unusable), not_testable={}, hints={},
+            _known={}, _seen=(None, None),
+        )  # fmt: skip
 
     def forget(self) -> bool:
         """Fit every structure anew from here on. True."""
@@ -232,8 +240,9 @@ class Search:
         jobs, index = [], []
         for k, (group, starts) in enumerate(groups):
             members = self.joined(now, group)
-            if tuple(sorted(c.label for c in members)) not in self._known:
-                jobs.append(self._job(now, members, starts))
+            key = tuple(sorted(c.label for c in members))
+            if key not in self._known:
+                jobs.append(self._job(now, members, [*starts, *([self.hints[key]] if key in self.hints else [])]))
                 index.append(k)
         answers = self.run(refit, jobs, "refit")
         for k, answer in zip(index, answers, strict=True):

@@ -58,8 +58,7 @@ def not_excited(elsewhere: Sequence[str]) -> str:
 
 def unconfirmed(search: Search, found: Found) -> str:
     """The answer when an effect explains what was fitted to and held-out recordings do not say so; else empty."""
-    base, q = found.base.fitted, search.question
-    best = found.last if found.steps else _likeliest(search, found)
+    base, q, best = found.base.fitted, search.question, likeliest(search, found)
     share = best and _closed_on_fit(best.fitted, base, q.noise)
     if not share or share < NAMED:
         return ""
@@ -73,8 +72,10 @@ def unconfirmed(search: Search, found: Found) -> str:
     )
 
 
-def _likeliest(search: Search, found: Found) -> Structure | None:
-    """What explains most of what was fitted to, of the effects that held-out recordings kept from a name."""
+def likeliest(search: Search, found: Found) -> Structure | None:
+    """What explains most of what was fitted to: as found, else of what held-out recordings kept from a name."""
+    if found.steps:
+        return found.last
     tried = [t for _, _, each in found.screens[:1] for t in each if t.evidence and not t.implausible]
     likely = [t for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(len(search.candidates))]
     best = max(likely, key=lambda t: t.evidence.bic_gain, default=None)
@@ -110,6 +111,11 @@ def findings_of(search: Search, found: Found, verdict: str, shown: float) -> lis
                 f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
                 f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
             )
+    if verdict in ("named", "class") and not search.question.held_out:
+        said.append(
+            "gap: no recording confirms this answer: what some of them show the others do not, so all were fitted to. "
+            "It stands because it leaves nothing but noise in any of them. Record another run that moves like them."
+        )
     if verdict == "class" and search.base.flat.black_box:
         said.append(
             "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "

@@ -1,0 +1,136 @@
+"""What one recording alone shows: named where it explains all recordings to the noise, looked for on both sides."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.ends import both_ends
+from hydrotwin.discovery.search import Structure
+from hydrotwin.models.components.mechanical import ForceSource
+from hydrotwin.models.effects.mechanism import FAR
+from hydrotwin.models.language import Component, Input, Model, Output, connect
+from hydrotwin.records import Record
+from tests.discovery.slides import Inline, PushedMass, found, question, record, searching
+
+LIMITED = ("command_saturation", "coulomb_friction", "null_bias", "dead_time")
+QUIET = {"highest": 90.0}  # N, far below the limit
+STOPS = (-0.2, 0.3)  # m
+HARD, DULL = 2e6, 5.0  # N/m, s/m
+PLACE_NOISE = 1e-4  # m
+
+
+class Rail(Component):
+    """The pushed mass, its place measured."""
+
+    force = Input("N", "force", nominal=300.0)
+    place = Output("m", "measured place", nominal=0.3)
+    mass = PushedMass()
+    source = ForceSource()
+
+    def equations(self):
+        yield connect(self.force, self.source.force)
+        yield connect(self.source.flange, self.mass.flange)
+        yield self.place == self.mass.position
+
+
+def rail():
+    return Model(Rail())
+
+
+def moved(seed: int, *pushes: float) -> Record:
+    """Ten seconds on a rail with stops, integrated here: each force [N] held for a second, then its opposite."""
+    time = np.arange(0.0, 10.0, 0.02)
+    levels = [f for push in pushes for f in (push, -push)]
+    force = np.array([levels[min(int(t), len(levels) - 1)] if t < len(levels) else 0.0 for t in time])
+    low, high = STOPS
+
+    def slope(t, x):
+        above, below = max(x[0] - high, 0.0), max(low - x[0], 0.0)
+        contact = HARD * (below * max(1 - DULL * x[1], 0.0) - above * max(1 + DULL * x[1], 0.0))
+        return [x[1], (force[min(int(t / 0.02 + 1e-9), len(force) - 1)] - 200.0 * x[1] + contact) / 50.0]
+
+    x = np.zeros((len(time), 2))
+    for k in range(len(time) - 1):
+        x[k + 1] = solve_ivp(slope, (time[k], time[k + 1] - 1e-12), x[k], rtol=1e-7, atol=1e-9).y[:, -1]
+    place = x[:, 0] + PLACE_NOISE * np.random.default_rng(seed).standard_normal(len(time))
+    return Record(time, {"force": force, "place": place}, {"force": "N", "place": "m"}, f"rail_{seed}")
+
+
+UP, DOWN, SHORT = (30.0, 50.0, 40.0, 83.0), (-20.0, 35.0, -30.0, -60.0), (20.0, -30.0, 40.0, -20.0)
+
+
+@pytest.mark.parametrize("shows", [0, 1, 2])
+def test_what_one_recording_alone_shows_is_named_whichever_it_is_where_it_explains_all(shows):
+    runs = [record(k) if k == shows else record(k, **QUIET) for k in range(3)]
+    runs = [record(k, limit=280.0) if k == shows else r for k, r in enumerate(runs)]
+    answer = found(runs, LIMITED, validate=[record(3, limit=280.0)])
+    assert [s.effect for s in answer.steps] == ["command_saturation"] and answer.verdict == "named"
+    assert answer.steps[0].parameters[0].value == pytest.approx(280.0, rel=0.01)
+    if shows == 1:  # the others bend the base, and the second one tells
+        assert {r.role for r in answer.recordings if r.record != "run_3"} == {"fit"}
+        assert any("no recording confirms this answer" in f for f in answer.findings)
+
+
+def test_what_no_effect_explains_to_the_noise_stays_unknown_where_one_recording_alone_shows_it():
+    runs = [record(0, pulse=150.0), record(1), record(2)]
+    answer = found(runs, (*LIMITED, "viscous_friction", "drift"), validate=[record(3)])
+    assert answer.verdict == "unknown" and not answer.steps
+    assert {r.role for r in answer.recordings} == {"fit", "select", "report"}, "the roles of the search that stands"
+    assert not any("no recording confirms" in f for f in answer.findings)
+
+
+def test_an_answer_that_other_recordings_confirm_does_not_ask_for_one():
+    answer = found([record(k, limit=280.0) for k in range(3)], LIMITED, validate=[record(3, limit=280.0)])
+    assert answer.verdict == "named" and not any("no recording confirms" in f for f in answer.findings)
+
+
+def stopping(*runs, names=("end_stop", "null_bias")):
+    asked = question(list(runs), rail(), {"place": PLACE_NOISE})
+    asked = dataclasses.replace(asked, fit=(*asked.fit, *asked.select), select=(*asked.fit, *asked.select))
+    search, fitted = searching(asked, names, rail())
+    return search, Structure((), fitted)
+
+
+def test_a_stop_found_at_one_end_is_looked_for_at_the_other():
+    search, base = stopping(moved(0, *UP), moved(1, *DOWN))
+    (stop,) = [c for c in search.candidates if c.id == "end_stop"]
+    (one_end,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -FAR}])])
+    assert one_end.structure.fitted.values["end_stop.low"] == pytest.approx(-FAR), "the trap is set"
+    one_end = dataclasses.replace(one_end, evidence=dataclasses.replace(one_end.evidence, bic_gain=1e3))
+    (both,) = both_ends(search, base, [one_end])
+    values = both.structure.fitted.values
+    assert (values["end_stop.low"], values["end_stop.high"]) == pytest.approx(STOPS, abs=0.02)
+    assert both.structure.fitted.rmse < 0.1 * one_end.structure.fitted.rmse
+    assert both_ends(search, base, [both]) == [both], "nothing is left to look for"
+
+
+def test_an_end_that_nothing_reaches_stays_far_away():
+    search, base = stopping(moved(0, *UP), moved(2, *SHORT))
+    (stop,) = [c for c in search.candidates if c.id == "end_stop"]
+    (one_end,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -FAR}])])
+    (same,) = both_ends(search, base, [one_end])
+    assert same.structure.fitted.values["end_stop.low"] == pytest.approx(-FAR)
+
+
+def test_what_is_not_worth_its_parameters_is_looked_at_no_further():
+    search, base = stopping(moved(0, *UP), moved(1, *DOWN))
+    (stop,) = [c for c in search.candidates if c.id == "end_stop"]
+    (one_end,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -FAR}])])
+    poor = dataclasses.replace(one_end, evidence=dataclasses.replace(one_end.evidence, bic_gain=0.0))
+    assert both_ends(search, base, [poor]) == [poor]
+
+
+def test_two_ends_that_two_recordings_reach_are_named_together():
+    runs = [moved(0, *UP), moved(1, *DOWN), moved(2, *SHORT)]
+    judging = [moved(3, 70.0, -70.0, 90.0)]
+    answer = discover(
+        rail(), runs, validate=judging, effects=["end_stop", "coulomb_friction"], executor=Inline()
+    )
+    assert [s.effect for s in answer.steps] == ["end_stop"]
+    values = {p.name: p.value for p in answer.steps[0].parameters}
+    assert (values["end_stop.low"], values["end_stop.high"]) == pytest.approx(STOPS, abs=5e-3)
+    assert {r.role for r in answer.recordings if r.record != "rail_3"} == {"fit"}
+    assert any("no recording confirms this answer" in f for f in answer.findings)

@@ -113,8 +113,8 @@ def findings_of(search: Search, found: Found, verdict: str, shown: float) -> lis
             )
     if verdict in ("named", "class") and not search.question.held_out:
         said.append(
-            "gap: no recording confirms this answer: what some of them show the others do not, so all were fitted to. "
-            "It stands because it leaves nothing but noise in any of them. Record another run that moves like them."
+            "gap: what some recordings show the others do not, so none was kept to choose by: all were fitted to. The "
+            "answer leaves nothing but noise in any of them."
         )
     if verdict == "class" and search.base.flat.black_box:
         said.append(

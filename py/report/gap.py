@@ -39,6 +39,7 @@ from .gap_tables import (
 from .gap_text import capital, certainty, joined, lowered, percent, sentence
 from .gap_words import (
     answer,
+    chose,
     class_sentence,
     display_units,
     experiment_sentence,
@@ -129,10 +130,12 @@ def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 
 
 def _candidates(discovery: Discovery) -> Section:
+    kept = chose(discovery)
+    chosen_by = "the recordings for choosing, which are not fitted to" if kept else "the same, all there are"
     lead = (
         "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
         "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
-        "the fit, paired t and gap closed on the recordings for choosing, which are not fitted to."
+        f"the fit, paired t and gap closed on {chosen_by}."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):

@@ -71,7 +71,7 @@ def test_what_one_recording_alone_shows_is_named_whichever_it_is_where_it_explai
     assert answer.steps[0].parameters[0].value == pytest.approx(280.0, rel=0.01)
     if shows == 1:  # the others bend the base, and the second one tells
         assert {r.role for r in answer.recordings if r.record != "run_3"} == {"fit"}
-        assert any("no recording confirms this answer" in f for f in answer.findings)
+        assert any("none was kept to choose by" in f for f in answer.findings)
 
 
 def test_what_no_effect_explains_to_the_noise_stays_unknown_where_one_recording_alone_shows_it():
@@ -79,12 +79,12 @@ def test_what_no_effect_explains_to_the_noise_stays_unknown_where_one_recording_
     answer = found(runs, (*LIMITED, "viscous_friction", "drift"), validate=[record(3)])
     assert answer.verdict == "unknown" and not answer.steps
     assert {r.role for r in answer.recordings} == {"fit", "select", "report"}, "the roles of the search that stands"
-    assert not any("no recording confirms" in f for f in answer.findings)
+    assert not any("none was kept to choose by" in f for f in answer.findings)
 
 
 def test_an_answer_that_other_recordings_confirm_does_not_ask_for_one():
     answer = found([record(k, limit=280.0) for k in range(3)], LIMITED, validate=[record(3, limit=280.0)])
-    assert answer.verdict == "named" and not any("no recording confirms" in f for f in answer.findings)
+    assert answer.verdict == "named" and not any("none was kept to choose by" in f for f in answer.findings)
 
 
 def stopping(*runs, names=("end_stop", "null_bias")):
@@ -133,4 +133,4 @@ def test_two_ends_that_two_recordings_reach_are_named_together():
     values = {p.name: p.value for p in answer.steps[0].parameters}
     assert (values["end_stop.low"], values["end_stop.high"]) == pytest.approx(STOPS, abs=5e-3)
     assert {r.role for r in answer.recordings if r.record != "rail_3"} == {"fit"}
-    assert any("no recording confirms this answer" in f for f in answer.findings)
+    assert any("none was kept to choose by" in f for f in answer.findings)

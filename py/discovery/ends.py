@@ -13,8 +13,8 @@ import numpy as np
 
 from hydrotwin.models.effects import Candidate
 
-from .probing import ProbeJob, amplitudes, probe, seen_by_parts
-from .refit import Question, likelihood, pooled_rmse, refit
+from .probing import ProbeJob, amplitudes, cost_of, probe, seen_by_parts
+from .refit import likelihood, refit
 from .screen import Screen
 from .search import Search, Structure, Tried
 
@@ -27,7 +27,7 @@ def both_ends(search: Search, now: Structure, tried: Sequence[Tried]) -> list[Tr
     better: dict[int, Tried] = {}
     starts = []
     for (t, job), runs in zip(jobs, search.run(probe, [job for _, job in jobs], "probe"), strict=True):
-        costs = [_cost(r, search.question) for r in runs]
+        costs = [cost_of(r, search.question) for r in runs]
         cost, values = min(zip(costs, job.amplitudes, strict=True), key=lambda pair: pair[0])
         if cost < likelihood(t.structure.fitted.rmse, search.question):
             starts.append((t, search.refit_of(t.structure, values)))
@@ -87,7 +87,3 @@ def _only(values: Sequence[Mapping[str, float]], idle: set[str], absent: Mapping
         if own and own not in found:
             found.append(own)
     return found
-
-
-def _cost(ran: Sequence[np.ndarray] | None, q: Question) -> float:
-    return np.inf if ran is None else likelihood(pooled_rmse(ran), q)

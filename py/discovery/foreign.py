@@ -20,10 +20,10 @@ from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner, usual
 from .discovery import Discovery
 from .executor import executor_for
 from .forward import begun, searched
-from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
+from .probing import ProbeJob, amplitudes, best_amplitude, cost_of, probe, seen_by_parts
 from .progress import reporting
 from .recordings import split
-from .refit import Question, RefitJob, likelihood, pooled_rmse, refit
+from .refit import Question, RefitJob, pooled_rmse, refit
 from .screen import Screen, Screened
 from .search import Search, Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
@@ -157,7 +157,7 @@ def closing_in(job: ProbeJob) -> list[tuple[Mapping[str, float], tuple[np.ndarra
     if len(names) != 1 or all(ran is None for _, ran in made):
         return made
     (name,) = names
-    cost = {values[name]: _cost(ran, job.question) for values, ran in made}
+    cost = {values[name]: cost_of(ran, job.question) for values, ran in made}
     known = sorted({*cost, 0.0})
     best = min(cost, key=cost.get)
     k = known.index(best)
@@ -166,12 +166,8 @@ def closing_in(job: ProbeJob) -> list[tuple[Mapping[str, float], tuple[np.ndarra
     def more(value: float) -> float:
         (ran,) = probe(dataclasses.replace(job, amplitudes=({name: float(value)},)))
         made.append(({name: float(value)}, ran))
-        return _cost(ran, job.question)
+        return cost_of(ran, job.question)
 
     if high > low:
         minimize_scalar(more, bounds=(low, high), method="bounded", options={"maxiter": CLOSER, "xatol": 0.0})
     return made
-
-
-def _cost(ran: Sequence[np.ndarray] | None, q: Question) -> float:
-    return np.inf if ran is None else likelihood(pooled_rmse(ran), q)

@@ -16,7 +16,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.simulation import prepare
 
-from .refit import Question, Refitted
+from .refit import Question, Refitted, likelihood, pooled_rmse
 from .screen import Screen, Screened
 
 APART = 1e6  # s between recordings that are seen as one
@@ -94,6 +94,11 @@ def probe(job: ProbeJob) -> list[tuple[np.ndarray, ...] | None]:
         except SolveError:
             found.append(None)
     return found
+
+
+def cost_of(ran: Sequence[np.ndarray] | None, q: Question) -> float:
+    """L of a run's residuals (n, ny) per recording, SI; infinite where it diverged."""
+    return np.inf if ran is None else likelihood(pooled_rmse(ran), q)
 
 
 def _residuals(job: ProbeJob, propagator, amplitude: Mapping[str, float]):

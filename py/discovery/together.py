@@ -33,8 +33,9 @@ def explained_together(search: Search, data: Split, found: Found, most: int) -> 
     (base,) = again.run(refit, [job], "identify the base")
     if isinstance(base, str):
         return search, found
-    base = Structure((), base)
-    _remember(again, base, likeliest(search, found))
+    base, known = Structure((), base), likeliest(search, found)
+    if known and not _promises(again, base, known):
+        return search, found
     other = searched(again, begun(again, base), most)
     whole = verdict_of(again, other) in ("named", "class") and again.explained(other.last)
     return (again, other) if whole else (search, found)
@@ -46,12 +47,15 @@ def _for_want_of_a_recording(search: Search, found: Found) -> bool:
     return bool(unconfirmed(search, found)) or not has_gap(fitted.residuals_fit, search.question.noise, CLEARLY).any()
 
 
-def _remember(search: Search, base: Structure, known: Structure | None) -> None:
-    """Fits of this structure may begin where the first search found it, with what the other recordings add to it."""
-    if known is None:
-        return
+def _promises(search: Search, base: Structure, known: Structure) -> bool:
+    """Whether what the first search found comes near the noise in all recordings; fits of it may begin there.
+
+    With what the other recordings add to it: the other end of a stop.
+    """
     tried = search.refitted(base, [(known.members, [known.fitted.values])])
     (grown,) = both_ends(search, base, tried)
     search.forget()
-    if grown.structure:
-        search.hints[tuple(sorted(known.key))] = grown.structure.fitted.values
+    if grown.structure is None or not search.near_noise(grown.structure):
+        return False
+    search.hints[tuple(sorted(known.key))] = grown.structure.fitted.values
+    return True

@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.ends import both_ends
 from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.together import _promises
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects.mechanism import FAR
 from hydrotwin.models.language import Component, Input, Model, Output, connect
@@ -85,6 +86,29 @@ def test_what_no_effect_explains_to_the_noise_stays_unknown_where_one_recording_
 def test_an_answer_that_other_recordings_confirm_does_not_ask_for_one():
     answer = found([record(k, limit=280.0) for k in range(3)], LIMITED, validate=[record(3, limit=280.0)])
     assert answer.verdict == "named" and not any("none was kept to choose by" in f for f in answer.findings)
+
+
+@pytest.mark.parametrize(("limit", "promising"), [(280.0, True), (np.inf, False)])
+def test_a_second_search_begins_only_with_what_comes_near_the_noise_in_all_recordings(limit, promising):
+    runs = [record(0, limit=limit), record(1, limit=limit), record(2, limit=limit, pulse=0.0 if promising else 100.0)]
+    search, fitted = searching(question(runs), LIMITED)
+    (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
+    base = Structure((), fitted)
+    (known,) = search.refitted(base, [((cut,), [{cut.free[0]: 250.0}])])
+    assert _promises(search, base, known.structure) is promising
+    assert (("command_saturation at force",) in search.hints) is promising
+
+
+def test_a_fit_begins_at_a_hint_too():
+    search, fitted = searching(question([record(k, limit=280.0) for k in range(3)]), LIMITED)
+    (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
+    far = [{cut.free[0]: 1e4}]  # where no derivative leads on
+    (lost,) = search.refitted(Structure((), fitted), [((cut,), far)])
+    assert lost.structure.fitted.values[cut.free[0]] == pytest.approx(1e4)
+    search.forget()
+    search.hints[(cut.label,)] = {cut.free[0]: 270.0}
+    (led,) = search.refitted(Structure((), fitted), [((cut,), far)])
+    assert led.structure.fitted.values[cut.free[0]] == pytest.approx(280.0, rel=0.01)
 
 
 def stopping(*runs, names=("end_stop", "null_bias")):

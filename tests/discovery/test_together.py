@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.ends import both_ends
 from hydrotwin.discovery.search import Structure
-from hydrotwin.discovery.together import _promises
+from hydrotwin.discovery.together import _remembered
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects.mechanism import FAR
 from hydrotwin.models.language import Component, Input, Model, Output, connect
@@ -83,20 +83,27 @@ def test_what_no_effect_explains_to_the_noise_stays_unknown_where_one_recording_
     assert not any("none was kept to choose by" in f for f in answer.findings)
 
 
+def test_what_is_left_in_one_recording_beside_an_effect_that_all_show_is_named_too():
+    quiet = {"highest": 200.0, "dry": 30.0}
+    runs = [record(0, **quiet), record(1, limit=280.0, dry=30.0), record(2, **quiet)]
+    answer = found(runs, LIMITED, validate=[record(3, limit=280.0, dry=30.0)])
+    assert {s.effect for s in answer.steps} == {"coulomb_friction", "command_saturation"}
+
+
 def test_an_answer_that_other_recordings_confirm_does_not_ask_for_one():
     answer = found([record(k, limit=280.0) for k in range(3)], LIMITED, validate=[record(3, limit=280.0)])
     assert answer.verdict == "named" and not any("none was kept to choose by" in f for f in answer.findings)
 
 
 @pytest.mark.parametrize(("limit", "promising"), [(280.0, True), (np.inf, False)])
-def test_a_second_search_begins_only_with_what_comes_near_the_noise_in_all_recordings(limit, promising):
+def test_what_the_first_search_found_is_remembered_and_asked_whether_it_comes_near_the_noise(limit, promising):
     runs = [record(0, limit=limit), record(1, limit=limit), record(2, limit=limit, pulse=0.0 if promising else 100.0)]
     search, fitted = searching(question(runs), LIMITED)
     (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
     base = Structure((), fitted)
     (known,) = search.refitted(base, [((cut,), [{cut.free[0]: 250.0}])])
-    assert _promises(search, base, known.structure) is promising
-    assert (("command_saturation at force",) in search.hints) is promising
+    assert _remembered(search, base, known.structure) is promising
+    assert ("command_saturation at force",) in search.hints
 
 
 def test_a_fit_begins_at_a_hint_too():

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from hydrotwin.discovery.discover import discover
-from hydrotwin.discovery.ends import both_ends
+from hydrotwin.discovery.ends import both_ends, without_idle_ends
 from hydrotwin.discovery.search import Structure
 from hydrotwin.discovery.together import _remembered
 from hydrotwin.models.components.mechanical import ForceSource
@@ -144,6 +144,18 @@ def test_an_end_that_nothing_reaches_stays_far_away():
     (one_end,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -FAR}])])
     (same,) = both_ends(search, base, [one_end])
     assert same.structure.fitted.values["end_stop.low"] == pytest.approx(-FAR)
+
+
+def test_an_end_that_explains_nothing_is_put_far_away_again():
+    search, base = stopping(moved(0, *UP), moved(2, *SHORT))
+    (stop,) = [c for c in search.candidates if c.id == "end_stop"]
+    (both,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -0.25}])])
+    assert both.structure.fitted.values["end_stop.low"] > -0.5
+    values = without_idle_ends(search, both.structure).fitted.values
+    assert values["end_stop.low"] == pytest.approx(-FAR) and values["end_stop.high"] == pytest.approx(0.3, abs=0.02)
+    reached, base = stopping(moved(0, *UP), moved(1, *DOWN))
+    (kept,) = reached.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -0.205}])])
+    assert without_idle_ends(reached, kept.structure) is kept.structure
 
 
 def test_what_is_not_worth_its_parameters_is_looked_at_no_further():

@@ -6,15 +6,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hydrotwin.discovery import forward, together
+from hydrotwin.discovery.answering import Found
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.ends import both_ends, without_idle_ends
+from hydrotwin.discovery.forward import _pruned
+from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.search import Structure
-from hydrotwin.discovery.together import _remembered
+from hydrotwin.discovery.together import _remembered, explained_together
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects.mechanism import FAR
 from hydrotwin.models.language import Component, Input, Model, Output, connect
 from hydrotwin.records import Record
-from tests.discovery.slides import Inline, PushedMass, found, question, record, searching
+from tests.discovery.slides import NOISE, Inline, PushedMass, found, question, record, searching
 
 LIMITED = ("command_saturation", "coulomb_friction", "null_bias", "dead_time")
 QUIET = {"highest": 90.0}  # N, far below the limit
@@ -106,6 +110,35 @@ def test_what_the_first_search_found_is_remembered_and_asked_whether_it_comes_ne
     assert ("command_saturation at force",) in search.hints
 
 
+def asked_again(monkeypatch, known, other):
+    """What `explained_together` answers to a search that found nothing, when it knows this and finds the other."""
+    runs = [record(k, limit=280.0) for k in range(3)]
+    search, fitted = searching(question(runs), LIMITED)
+    (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
+    base = Structure((), fitted)
+    (limited,) = search.refitted(base, [((cut,), [{cut.free[0]: 250.0}])])
+    structures = {"base": base, "limited": limited.structure, "poor": Structure((cut,), fitted), None: None}
+    found = Found(base, base, (), ())
+    monkeypatch.setattr(together, "unconfirmed", lambda *_: "a limit would explain it")
+    monkeypatch.setattr(together, "likeliest", lambda *_: structures[known])
+    monkeypatch.setattr(together, "verdict_of", lambda s, f: "unknown" if f is found else "named")
+    finds = dataclasses.replace(found, last=structures[other])
+    monkeypatch.setattr(together, "searched", lambda *_: finds)
+    data = split(search.base.flat, runs, [], noise={"speed": NOISE})
+    return explained_together(search, data, found, 2)[1] is finds
+
+
+def test_a_search_in_all_recordings_counts_only_when_it_leaves_nothing(monkeypatch):
+    assert asked_again(monkeypatch, None, "limited")
+    assert not asked_again(monkeypatch, None, "poor")
+
+
+def test_what_comes_nowhere_near_the_noise_is_not_searched_for_again(monkeypatch):
+    assert asked_again(monkeypatch, "limited", "limited")
+    monkeypatch.setattr(together, "_remembered", lambda *_: False)
+    assert not asked_again(monkeypatch, "limited", "limited")
+
+
 def test_a_fit_begins_at_a_hint_too():
     search, fitted = searching(question([record(k, limit=280.0) for k in range(3)]), LIMITED)
     (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
@@ -156,6 +189,15 @@ def test_an_end_that_explains_nothing_is_put_far_away_again():
     reached, base = stopping(moved(0, *UP), moved(1, *DOWN))
     (kept,) = reached.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -0.205}])])
     assert without_idle_ends(reached, kept.structure) is kept.structure
+    last = _pruned(search, Found(base, both.structure, (), ())).last
+    assert last.fitted.values["end_stop.low"] == pytest.approx(-FAR), "at the end of every search"
+
+
+def test_every_step_of_a_search_looks_at_the_other_ends(monkeypatch):
+    seen = []
+    monkeypatch.setattr(forward, "both_ends", lambda search, now, tried: seen.extend(tried) or list(tried))
+    found([record(k, limit=280.0) for k in range(3)], LIMITED)
+    assert "command_saturation" in {t.members[0].id for t in seen}
 
 
 def test_what_is_not_worth_its_parameters_is_looked_at_no_further():

@@ -53,10 +53,12 @@ def without_idle_ends(search: Search, now: Structure) -> Structure:
 
 def _sides(candidate: Candidate) -> list[str]:
     """Parameters of a limit each of which acts alone, as the two ends of a stroke; of others none."""
+    if not hasattr(candidate.effect, "probes_for"):
+        return []
     absent = candidate.neutral
-    moved = [[n for n, v in p.items() if v != absent[n]] for p in candidate.probes]
+    moved = [[n for n, v in p.items() if n in absent and v != absent[n]] for p in candidate.probes]
     alone = sorted({names[0] for names in moved if len(names) == 1})
-    return alone if hasattr(candidate.effect, "probes_for") and len(alone) > 1 else []
+    return alone if len(alone) > 1 else []
 
 
 def _absent(structure: Structure, candidate: Candidate, name: str) -> bool:

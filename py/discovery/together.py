@@ -2,9 +2,8 @@
 
 A slide that meets one stop in one recording and the other stop in another tells nothing by recording: what is fitted to
 the one cannot prove itself in the other. Where a search has ended so, or leaves nothing in what was fitted to and a lot
-in what was not, all recordings to learn from are fitted to.
-Blocks of them then stand where held-out ones would, which confirms less; so more is asked: nothing may be left, in any
-output of any recording. What validates is not looked at.
+in what was not, all recordings to learn from are fitted to. Blocks of them then stand where held-out ones would, which
+confirms less; so more is asked: nothing may be left, in any output of any recording. What validates is not looked at.
 """
 
 from __future__ import annotations

@@ -134,6 +134,11 @@ def _sensor_signed(**shares) -> Options:
     return lambda level, f: {"output": f.output, **{n: f.sign * level * s * f.spread for n, s in shares.items()}}
 
 
+def _ripple(level, f):
+    """Seven periods over the span of the output, as a scale with a coarse pitch has them."""
+    return {"output": f.output, "amplitude": 0.1 * level * f.spread, "period": f.spread / 7}
+
+
 AMPLITUDES: dict[str, Options] = {
     "coulomb_friction": grown(force=(1000.0, 3500.0)),
     "stribeck_friction": grown(kinetic=(600.0, 2000.0), extra=(480.0, 1600.0)),
@@ -182,6 +187,7 @@ AMPLITUDES: dict[str, Options] = {
     "sensor_scale": lambda level, f: {"output": f.output, "factor": 1 + 0.2 * f.sign * level},
     "sensor_delay": lambda level, f: {"output": f.output, "seconds": 0.2 * level},
     "sensor_lag": lambda level, f: {"output": f.output, "time_constant": 0.2 * level},
+    "sensor_hysteresis": _sensor(width=0.3),
     "quantisation": _sensor(step=0.3),
     "pump_ripple": grown(share=0.5),
     "cogging": grown(speed=100.0),
@@ -190,7 +196,7 @@ AMPLITUDES: dict[str, Options] = {
     "external_push": _push,
     "payload_change": lambda level, f: {"mass": level * (40.0, 350.0)[f.second], "time": 0.5 * f.seconds},
     "load_spring": grown(stiffness=5e4),
-    "sensor_play": _sensor(width=0.3),
+    "sensor_ripple": _ripple,
     "sensor_drift": _sensor_signed(rate=0.005),
 }
 STIFF = {"structural_compliance", "backlash", "end_stop", "presliding_friction", "actuator_lag", "supply_droop"}

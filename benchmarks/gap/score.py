@@ -93,6 +93,7 @@ PARAMETERS = {
     "sensor_scale": {"error": lambda made, o: o["factor"] - 1},
     "sensor_delay": {"time": _option("seconds")},
     "sensor_lag": {"time_constant": _option("time_constant")},
+    "sensor_hysteresis": {"half_width": _option("width", 0.5)},
     "quantisation": {"step": _option("step")},
 }
 ASYMMETRY = rig.EFFECTS["asymmetric_friction"].defaults["asymmetry"]

@@ -50,6 +50,47 @@ class SensorLag(Lagged):
         yield self.further == self.u
 
 
+class SensorHysteresis(Lagged):
+    """The reading follows the quantity with play: slack in what drives the sensor, or hysteresis of its material.
+
+        y stays where it is while |u - y| < h
+
+    Written as T_p z' = deadzone(u - z, h), y = u + h clip((z - u)/(h + h_0), -1, 1): with h = 0, y is u; with h_0 far
+    below h, y is z where that lies inside the play and at its edge where z lags behind it. ``offset`` is where in its
+    play it starts, -1 to 1. Sources: Fraden 2016, section 3.6; Krasnosel'skii and Pokrovskii, Systems with Hysteresis,
+    1989, section 2 (the play operator).
+    """
+
+    id, title = "sensor_hysteresis", "hysteresis of the sensor"
+    equation = "y stays while |u - y| < h, else follows at distance h"
+    source = FRADEN
+    typical = {"half_width": (0.0005, 0.02)}
+    probes = ({"half_width": 0.005}, {"half_width": 0.02})
+    confused_with = ("coulomb_friction", "presliding_friction", "backlash", "spool_hysteresis", "quantisation")
+    experiment = "slow reversals, with a second sensor on the same motion: what sticks stops in both, play in one"
+    order = 1
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    dragged = State(lambda part: 0.0, "signal", "z", fixed=False)
+    half_width = Parameter(
+        0.0, "signal", "half width h of the play", bounds=(0, 0.3), nominal=0.005, source=FRADEN, free=True
+    )
+    offset = Parameter(0.0, "1", "start within the play", bounds=(-1, 1), nominal=1.0, source="unknown: centre")
+    resolution = Parameter(1e-3, "s", "T_p", bounds=(1e-5, 0.1), source="numerical")
+    smallest = Parameter(1e-7, "signal", "h_0", bounds=(1e-12, 1.0), source="numerical")
+
+    sites = stepped(model_outputs)
+
+    def equations(self):
+        u, z, h = self.u, self.dragged, self.half_width
+        yield self.resolution * der(z) == ca.fmax(u - z - h, 0) + ca.fmin(u - z + h, 0)
+        yield self.y == u + h * clipped((z - u) / (h + self.smallest), 1)
+
+    def initial_equations(self):
+        yield self.dragged == self.u + self.offset * self.half_width
+
+
 class SensorScale(Effect):
     """The reading is too large or too small by a share: ``y = (1 + e) u``."""
 

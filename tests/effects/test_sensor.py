@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -110,7 +111,46 @@ def test_a_quantised_reading_has_the_variance_that_the_noise_floor_allows_for():
     assert np.var(error) == pytest.approx(q**2 / 12, rel=0.1)
 
 
-@pytest.mark.parametrize("effect", ["sensor_lag", "sensor_delay", "sensor_bias", "sensor_scale", "quantisation"])
+def play(signal, h, start=0.0):
+    """The play operator of half width h (Krasnosel'skii): clip the last value into the band around the present one."""
+    followed = [signal[0] + start * h]
+    for value in signal[1:]:
+        followed.append(min(max(followed[-1], value - h), value + h))
+    return np.array(followed)
+
+
+@pytest.mark.parametrize(("h", "offset"), [(0.3, 0.0), (0.3, 1.0), (0.02, -1.0), (0.6, 0.0)])
+def test_a_sensor_with_hysteresis_reads_what_the_play_operator_gives(h, offset):
+    """Reversals inside the play included: of the largest the reading does not move at all."""
+    signal = sine(2) + 0.5 * np.sin(2 * np.pi * 9 * TIME)
+    reading = passed("sensor_hysteresis", "reading", TIME, signal, half_width=h, offset=offset)
+    fine = np.interp(np.arange(0.0, TIME[-1], 1e-5), TIME, signal)
+    expected = np.interp(TIME, np.arange(0.0, TIME[-1], 1e-5), play(fine, h, offset))
+    np.testing.assert_allclose(reading, expected, atol=2e-3 * 3.0)
+
+
+def test_a_small_play_leaves_the_reading_behind_the_motion():
+    small = 1e-3
+    rate = np.cos(2 * np.pi * 2 * TIME)
+    behind = passed("sensor_hysteresis", "reading", TIME, sine(2), half_width=small) - sine(2)
+    clear = (np.abs(rate) > 0.1) & (TIME > 0.01)
+    np.testing.assert_allclose(behind[clear], -small * np.sign(rate[clear]), atol=1e-6)
+
+
+@pytest.mark.parametrize(("lead", "slope"), [(0.01, -1.0), (-0.01, 1.0)])
+def test_the_derivative_by_a_play_that_is_not_there_is_that_of_a_small_one(lead, slope):
+    """By it the screen finds the effect: one way while the quantity leads, the other way where it goes back."""
+    flat = add_effect(pass_on(), "sensor_hysteresis", "reading").flat
+    t, x, u, p = flat.ode.sx_in()
+    by_parameters = ca.Function("by_parameters", [t, x, u, p], [ca.jacobian(flat.ode(t, x, u, p)[1], p)])
+    where = [q.name for q in flat.parameters].index("sensor_hysteresis.half_width")
+    state = [-lead if s.name == "sensor_hysteresis.dragged" else 0.0 for s in flat.states]
+    assert float(by_parameters(0.0, state, [0.0], flat.parameter_vector())[0, where]) == pytest.approx(slope)
+
+
+@pytest.mark.parametrize(
+    "effect", ["sensor_lag", "sensor_delay", "sensor_bias", "sensor_scale", "sensor_hysteresis", "quantisation"]
+)
 def test_a_state_that_a_doubtful_sensor_measures_starts_from_its_first_sample_nonetheless(effect):
     model = add_effect(axis(), effect, "position")
     assert {s.name: s.measured_by for s in model.flat.states}["carriage.position"] == "position"

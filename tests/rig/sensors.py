@@ -1,4 +1,4 @@
-"""What sensors do to the truth before it is recorded: delay, lag, play, scale, bias, drift, noise, quantisation."""
+"""What sensors do to the truth before it is recorded: delay, lag, play, ripple, scale, bias, drift, noise, steps."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ FINE = 2e-4  # spacing at which lag and play follow an output [s]
 DEFAULTS = {
     "sensor_delay": {"output": None, "seconds": 0.02},
     "sensor_lag": {"output": None, "time_constant": 0.02},
-    "sensor_play": {"output": None, "width": 0.0},
+    "sensor_hysteresis": {"output": None, "width": 0.0},
+    "sensor_ripple": {"output": None, "amplitude": 0.0, "period": 1.0},
     "sensor_scale": {"output": None, "factor": 1.02},
     "sensor_bias": {"output": None, "value": 0.0},
     "sensor_drift": {"output": None, "rate": 0.0},
@@ -46,7 +47,7 @@ def extra_times(effects, time):
     for name, options in effects:
         if name == "sensor_delay":
             wanted.append(np.maximum(time - options["seconds"], time[0]))
-        if name in ("sensor_lag", "sensor_play"):
+        if name in ("sensor_lag", "sensor_hysteresis"):
             wanted.append(np.arange(time[0], time[-1], FINE))
     return wanted
 
@@ -58,13 +59,15 @@ def measured(output, trace_times, trace, time, effects):
     for name, o in mine:
         if name == "sensor_lag":
             trace = lagged(trace_times, trace, o["time_constant"])
-        elif name == "sensor_play":
+        elif name == "sensor_hysteresis":
             trace = play(trace, o["width"])
         elif name == "sensor_delay":
             delay += o["seconds"]
     values = trace[_index(trace_times, np.maximum(time - delay, time[0]))]
     for name, o in mine:
-        if name == "sensor_scale":
+        if name == "sensor_ripple":
+            values = values + o["amplitude"] * np.sin(2 * np.pi * values / o["period"])
+        elif name == "sensor_scale":
             values = values * o["factor"]
         elif name == "sensor_bias":
             values = values + o["value"]

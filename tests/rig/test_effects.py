@@ -9,7 +9,7 @@ from tests import rig
 
 FITTING = [(machine, name) for machine in rig.MACHINES for name, e in rig.EFFECTS.items() if machine in e.machines]
 LATE = {"payload_change": {"time": 2.0}, "external_push": {"start": 2.0, "end": 3.0}}
-SENSOR = {"value": 1e-3, "width": 1e-3, "rate": 1e-3, "step": 1e-3}
+SENSOR = {"value": 1e-3, "width": 1e-3, "rate": 1e-3, "step": 1e-3, "amplitude": 1e-3, "period": 1e-2}
 HARD = {"end_stop": 5e-3}  # a stiff contact: the only effect whose step error is above a thousandth of the noise
 
 
@@ -79,6 +79,14 @@ def test_a_lagging_sensor_follows_the_closed_form():
     t = np.maximum(time - 0.1, 0)
     expected = 120 * (1 - (0.05 * np.exp(-t / 0.05) - 0.03 * np.exp(-t / 0.03)) / 0.02)
     assert run["motor_speed"] == pytest.approx(expected, abs=2e-3)
+
+
+def test_a_rippled_sensor_is_off_by_a_sine_of_what_it_measures():
+    time, command = rig.drive("spool_valve", 4.0, seed=2)
+    plain = rig.record("spool_valve", command, time)["position"]
+    uneven = {"sensor_ripple": {"output": "position", "amplitude": 1e-4, "period": 0.01}}
+    seen = rig.record("spool_valve", command, time, effects=uneven)["position"]
+    assert seen - plain == pytest.approx(1e-4 * np.sin(2 * np.pi * plain / 0.01), abs=1e-15)
 
 
 def test_several_effects_of_one_kind_are_pairs():

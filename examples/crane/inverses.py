@@ -33,31 +33,11 @@ SUPPLY, TANK, VISCOUS = 180e5, 5e5, 1.5e4  # Pa, Pa, N.s/m: gauges, and a guess
 Currents = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-@dataclass(frozen=True)
-class Play:
-    """The spool stays until its command has moved by 2 h: half width h, and what is left of the steady points."""
-
-    half_width: float
-    left: float
-
-
 def curve(points: SteadyPoints, axis: str, half_width: float = 0.0) -> Characteristic:
     """The steady points as a characteristic, with the play of the spool taken out of the commands."""
     wanted = Signal(f"wanted_{axis}_velocity", "m/s", "wanted velocity of the cylinder", 0.1, "linear")
     command = points.command - half_width * points.raised
     return Characteristic(Signal(f"{axis}_current", "1"), wanted, command, points.velocity, points.sigma, PERIOD)
-
-
-def play(points: SteadyPoints) -> Play:
-    """The half width with which the points lie closest to a rising curve."""
-
-    def left(h: float) -> float:
-        order = np.argsort(points.command - h * points.raised)
-        v = points.velocity[order]
-        return float(np.sqrt(np.mean((isotonic_regression(v).x - v) ** 2)))
-
-    best = minimize_scalar(left, bounds=(0.0, 0.05), method="bounded")
-    return Play(float(best.x), float(best.fun))
 
 
 def lateness(records: list[Record], axis: str, forward: Characteristic) -> float:

@@ -106,17 +106,17 @@ def ways(machine, *, quick: bool = False, forward: Mapping[str, Block] | None = 
     records = {axis: recordings(machine, axis, seed=seed) for axis in AXES}
     points = {axis: steady_points(records[axis], axis) for axis in AXES}
     curves = {axis: inverses.curve(points[axis], axis) for axis in AXES}
-    play = {axis: inverses.play(points[axis]).half_width for axis in AXES}
     late = {axis: inverses.lateness(records[axis], axis, curves[axis]) for axis in AXES}
     none = dict.fromkeys(AXES, 0.0)
 
     def of(make) -> dict[str, inverses.Currents]:
         return {axis: make(axis) for axis in AXES}
 
+    both = {axis: inverses.loaded_valve(points[axis], axis) for axis in AXES}
+    play = {axis: max(both[axis].half_width, 0.0) for axis in AXES}
     table = of(lambda axis: inverses.learned(curves[axis], axis))
     played = of(lambda axis: inverses.learned(inverses.curve(points[axis], axis, play[axis]), axis))
     loaded = {axis: inverses.loaded_valve(points[axis], axis, with_play=False) for axis in AXES}
-    both = {axis: inverses.loaded_valve(points[axis], axis) for axis in AXES}
     found = [
         Way("straight line", of(lambda axis: inverses.straight_line(points[axis])), none, none),
         Way("straight line, dead time", of(lambda axis: inverses.straight_line(points[axis])), late, none),
@@ -128,9 +128,8 @@ def ways(machine, *, quick: bool = False, forward: Mapping[str, Block] | None = 
         found += [Way(f"{name}, dead time", currents, late, none) for name, currents in _slow(records, curves).items()]
     found += [
         Way("valve under load, dead time", of(lambda axis: loaded[axis].currents), late, none),
-        Way("valve under load, dead time, play", of(lambda axis: both[axis].currents), late,
-            {axis: max(both[axis].half_width, 0.0) for axis in AXES}),
-    ]  # fmt: skip
+        Way("valve under load, dead time, play", of(lambda axis: both[axis].currents), late, play),
+    ]
     if forward:
         given = of(lambda axis: inverses.learned_from_block(forward[axis], axis))
         found.append(Way("given blocks, dead time", given, late, none))

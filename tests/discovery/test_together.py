@@ -105,7 +105,7 @@ def test_what_the_first_search_found_is_remembered_and_asked_whether_it_comes_ne
     assert ("command_saturation at force",) in search.hints
 
 
-def asked_again(monkeypatch, known, other):
+def asked_again(monkeypatch, known, other, diverges=False):
     """What `explained_together` answers to a search that found nothing, when it knows this and finds the other."""
     runs = [record(k, limit=280.0) for k in range(3)]
     search, fitted = searching(question(runs), LIMITED)
@@ -120,12 +120,18 @@ def asked_again(monkeypatch, known, other):
     finds = dataclasses.replace(found, last=structures[other])
     monkeypatch.setattr(together, "searched", lambda *_: finds)
     data = split(search.base.flat, runs, [], noise={"speed": NOISE})
+    if diverges:
+        search.run = lambda work, jobs, what: ["it left the finite numbers"] * len(jobs)
     return explained_together(search, data, found, 2)[1] is finds
 
 
 def test_a_search_in_all_recordings_counts_only_when_it_leaves_nothing(monkeypatch):
     assert asked_again(monkeypatch, None, "limited")
     assert not asked_again(monkeypatch, None, "poor")
+
+
+def test_where_no_base_can_be_fitted_to_all_recordings_the_first_search_stands(monkeypatch):
+    assert not asked_again(monkeypatch, None, "limited", diverges=True)
 
 
 def test_what_comes_nowhere_near_the_noise_is_not_searched_for_again(monkeypatch):

@@ -75,7 +75,7 @@ class Question:
 class RefitJob:
     """One structure to fit.
 
-    starts : parameter values by path, the first for the rest; the best few by cost are followed.
+    starts : parameter values by path, the first for the rest; the best few by cost are followed, equal ones once.
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
     coarse : lead the start through short windows first.
@@ -217,7 +217,7 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[Minimum, int]:
             np.array([values.get(n, v) for n, v in zip(task.free.names, task.free.start, strict=True)])
         )
         points.append((shooting.cost(q, z), q))
-    points.sort(key=lambda pair: pair[0])
+    points = _different(points)
     slower = task.flat.step / task.propagator.step * (IMPLICIT if task.propagator.method == "rosenbrock" else 1)
     most = max(FEWEST, min(job.iterations, int(2 * job.iterations / max(slower, 1.0))))
     found, stopped = [], None
@@ -229,6 +229,19 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[Minimum, int]:
     if not found:
         raise stopped
     return min(found, key=lambda f: _likelihood(task, job.question, f)), most
+
+
+def _different(points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
+    """(cost, point) in order of cost, each cost once.
+
+    Stops and opening pressures that nothing reaches all cost what the base does, often less than a start that does
+    something: all of them together are one start, or none of the others would be followed.
+    """
+    kept: list[tuple[float, np.ndarray]] = []
+    for cost, q in sorted(points, key=lambda pair: pair[0]):
+        if not kept or not np.isclose(cost, kept[-1][0], rtol=1e-9, atol=0.0):
+            kept.append((cost, q))
+    return kept
 
 
 def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -> Minimum:

@@ -12,6 +12,7 @@ from hydrotwin.discovery.decide import bic_gain, correlation_times
 from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
 from hydrotwin.discovery.resume import key_of
+from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Model
 from hydrotwin.simulation import prepare
 from tests.discovery.slides import (
@@ -24,6 +25,7 @@ from tests.discovery.slides import (
     TwoSensors,
     Unstable,
     question,
+    record,
     records,
     slide,
     started,
@@ -109,6 +111,18 @@ def test_of_several_starts_the_one_in_the_right_valley_is_followed():
     flat, free, delay = started("dead_time")
     best = refit(RefitJob(flat, free, late, ({delay: 0.0}, {delay: 0.4}, {delay: 0.1})))
     assert best.values[delay] == pytest.approx(0.12, abs=2e-3)
+
+
+def test_starts_that_nothing_reaches_do_not_keep_one_that_does_something_from_being_followed():
+    """Three limits far above every force cost what none costs; one far too low costs more, and leads to the true."""
+    runs = [record(k, limit=280.0) for k in range(3)]
+    model, asked = slide(), question(runs)
+    (limit,) = [c for c in candidates(model, ["command_saturation"])]
+    (path,) = limit.free
+    flat = model.plus([limit.addition]).flat
+    starts = [{path: value} for value in (1e4, 2e4, 3e4, 60.0)]
+    found = refit(RefitJob(flat, (*FREE, path), asked, tuple(starts), follow=3))
+    assert found.values[path] == pytest.approx(280.0, rel=0.01)
 
 
 def test_of_several_starts_that_are_followed_only_the_likeliest_is_fitted_to_the_end(monkeypatch):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import re
 import time
 from collections.abc import Sequence
 from functools import cached_property
@@ -14,7 +16,7 @@ from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
 
 from .cases import Made
-from .score import is_it
+from .score import PARAMETERS, is_it
 
 STARTS = 6
 
@@ -47,16 +49,19 @@ class Bench:
     def candidates(self) -> tuple[Candidate, ...]:
         return candidates(self.model)
 
-    def refitted(self, chosen: Sequence[Candidate], follow: int = 2, base=None) -> Refitted | str:
+    def refitted(self, chosen: Sequence[Candidate], follow: int = 2, base=None, own=()) -> Refitted | str:
         """The base model with candidates added, everything free, from their probes (the best ``follow`` go on).
 
         base: values of the base parameters to start from, in place of those of the base model fitted.
+        own: values of the candidates' parameters to start from besides.
         """
         model = self.model.plus([c.addition for c in chosen])
         free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
         probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
-        starts = [{**(base or self.base.values), **{k: v for probe in own for k, v in probe.items()}} for own in probes]
-        return refit(RefitJob(model.flat, free, self.question, tuple(starts[:STARTS]), follow=follow))
+        points = [dict(own)] if own else []
+        points += [{k: v for probe in several for k, v in probe.items()} for several in probes]
+        starts = tuple({**(base or self.base.values), **point} for point in points[:STARTS])
+        return refit(RefitJob(model.flat, free, self.question, starts, follow=follow))
 
     def rmse(self, found: Refitted) -> dict[str, float]:
         """Held-out RMSE by recorded output, SI."""
@@ -67,7 +72,8 @@ class Bench:
 def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
     """Held-out RMSE of the true structure refitted; None where the catalogue cannot express it.
 
-    It starts from the base model fitted and from the true base parameters: it is the best that can be, not a rival.
+    It starts from the base model fitted and from the true base parameters, from probes and, where they can be compared,
+    from the true parameters of the effects: it is the best that can be, not a rival.
     ``without``: the number of a hidden effect to leave out, to see whether it is needed.
     """
     made, sets = bench.made, []
@@ -81,10 +87,26 @@ def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
         fitting = [c for c in bench.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
         if not fitting:
             return None
-        sets.append(fitting)
-    jobs = product(product(*sets), (None, made.truth))
-    found = [r for chosen, base in jobs if not isinstance(r := bench.refitted(chosen, base=base), str)]
+        sets.append([(c, at_truth(made, h, c)) for c in fitting])
+    found = []
+    for pairs, base in product(product(*sets), (None, made.truth)):
+        own = {name: value for _, values in pairs for name, value in values.items()}
+        found.append(bench.refitted([c for c, _ in pairs], base=base, own=own))
+    found = [r for r in found if not isinstance(r, str)]
     return bench.rmse(min(found, key=lambda r: r.likelihood)) if found else None
+
+
+def at_truth(made: Made, hidden: int, candidate: Candidate) -> dict[str, float]:
+    """The true values of a candidate's parameters, by path, as far as truth and catalogue mean the same by them."""
+    effect, options = made.hidden[hidden]
+    values = {}
+    for path in candidate.free:
+        word = path.rpartition(".")[2]
+        true = next((f(made, options) for w, f in PARAMETERS.get(effect, {}).items() if re.fullmatch(w, word)), None)
+        true = options.get(word) if true is None else true
+        if isinstance(true, (int, float)) and math.isfinite(true):
+            values[path] = float(true)
+    return values
 
 
 def timed(work, *arguments):

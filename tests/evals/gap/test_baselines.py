@@ -7,9 +7,11 @@ import pytest
 from benchmarks.gap import baselines
 from benchmarks.gap.baselines import bic_alone, gaussian_process, residuals
 from benchmarks.gap.cases import Case, make
-from benchmarks.gap.refits import Bench, oracle
+from benchmarks.gap.refits import Bench, at_truth, oracle
 from benchmarks.gap.score import row_of, times_noise
 from hydrotwin.models.effects import candidates
+
+SENSORS = "position+pressures"
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +23,16 @@ def test_the_true_structure_refitted_reaches_the_noise_and_the_base_does_not(ben
     best, base = (times_noise(rmse, bench.made.noise) for rmse in (oracle(bench), bench.rmse(bench.base)))
     assert best == pytest.approx(1.0, abs=0.06)
     assert base > 1.5 * best
+
+
+def test_the_true_structure_begins_at_the_truth_too_so_that_limits_are_reached():
+    """No derivative leads to an opening pressure from where nothing reaches it."""
+    bench = Bench(make(Case("spool_valve", "single", ("check_valve_cracking",), 5.0, SENSORS, "sweep", 101, 8.0)))
+    ((effect, options),) = bench.made.hidden
+    (feeding, *_) = candidates(bench.model, [effect])
+    assert sorted(at_truth(bench.made, 0, feeding).values()) == sorted(options.values())
+    best, base = (times_noise(rmse, bench.made.noise) for rmse in (oracle(bench), bench.rmse(bench.base)))
+    assert best == pytest.approx(1.0, abs=0.06) and base > 3 * best
 
 
 def test_residuals_are_measured_minus_simulated_over_the_noise(bench):

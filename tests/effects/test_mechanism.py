@@ -127,6 +127,34 @@ def test_a_damped_joint_creeps_to_where_its_spring_ends():
     np.testing.assert_allclose(y["a_s"] - y["b_s"], expected, atol=0.04e-3)  # the lag T_0 of 0.5 ms
 
 
+@pytest.mark.parametrize("relaxation", [0.0, 2e-4, 7.5e-4, 1e-3, 3e-3])
+def test_a_joint_loses_no_more_at_twenty_hertz_than_its_damper(relaxation):
+    """Steel loses little: the lags that keep a loop away, one millisecond together, are not to damp it."""
+    model = bench(StructuralCompliance(compliance=1e-6, relaxation=relaxation), a="flow", b="potential")
+    period, turn = 1e-4, 2 * np.pi * 20.0
+    time = period * np.arange(2501)
+    y = run(model, time, a=1000.0 * np.sin(turn * time))
+    wave = np.exp(-1j * turn * time[500:2500])  # four periods, after what began
+    force = np.sum(1000.0 * np.sin(turn * (time[500:2500] - period / 2)) * wave)  # held: half a sample late
+    ratio = np.sum((y["a_s"] - y["b_s"])[500:2500] * wave) / force
+    assert ratio == pytest.approx(1e-6 / (1 + 1j * turn * relaxation), rel=0.025)
+
+
+@pytest.mark.parametrize("relaxation", np.linspace(0.0, 1.2e-3, 7))
+def test_what_takes_back_the_lags_of_a_joint_never_drives_it(relaxation):
+    """Work is lost in every cycle at every frequency: the deflection lags the force, Im x/F < 0."""
+    flat = bench(StructuralCompliance(compliance=1e-6, relaxation=relaxation), a="flow", b="potential").flat
+    unit, p = np.eye(len(flat.states)), flat.parameter_vector()
+    pushed = [float(i.name == "a") for i in flat.inputs]
+    columns = [flat.ode(0.0, x, np.zeros(len(pushed)), p) for x in unit]
+    rates, outputs = (np.column_stack([np.array(c[k]).ravel() for c in columns]) for k in (0, 1))
+    forced = np.array(flat.ode(0.0, np.zeros(len(unit)), pushed, p)[0]).ravel()
+    names = [o.name for o in flat.outputs]
+    stretch = outputs[names.index("a_s")] - outputs[names.index("b_s")]
+    for turn in np.logspace(1, 5, 60):
+        assert (stretch @ np.linalg.solve(1j * turn * unit - rates, forced)).imag < 0
+
+
 def test_a_joint_with_play_jumps_where_the_force_changes_sign():
     model = bench(Backlash(gap=1e-3), a="flow", b="potential")
     time = np.linspace(0, 2, 401)

@@ -57,8 +57,8 @@ class SensorHysteresis(Lagged):
 
     Written as T_p z' = deadzone(u - z, h), y = u + h clip((z - u)/(h + h_0), -1, 1): with h = 0, y is u; with h_0 far
     below h, y is z where that lies inside the play and at its edge where z lags behind it. ``offset`` is where in its
-    play it starts, -1 to 1. Sources: Fraden 2016, section 3.6; Krasnosel'skii and Pokrovskii, Systems with Hysteresis,
-    1989, section 2 (the play operator).
+    play it starts, -1 to 1. Sources: Fraden 2016; M. Krasnosel'skii and A. Pokrovskii, Systems with Hysteresis, 1989
+    (the play operator).
     """
 
     id, title = "sensor_hysteresis", "hysteresis of the sensor"

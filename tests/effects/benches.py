@@ -143,6 +143,14 @@ def passed(effect: str, site: str, time, signal, /, **values):
     return run(replace(flat, inputs=smooth), time, signal)[:, 0]
 
 
+def play(signal, h, start=0.0):
+    """The play operator of half width h (Krasnosel'skii): clip the last value into the band around the present one."""
+    followed = [signal[0] + start * h]
+    for value in signal[1:]:
+        followed.append(min(max(followed[-1], value - h), value + h))
+    return np.array(followed)
+
+
 def seen(model: Model, paths, u=(), **states):
     """Any variables of a model by path, at its start but for ``states`` (dots as two underscores)."""
     flat = model.flat

@@ -124,7 +124,7 @@ def test_a_damped_joint_creeps_to_where_its_spring_ends():
     time = np.linspace(0, 0.2, 2001)
     y = run(model, time, a=np.where(time < 0.05, 0.0, 1000.0))
     expected = 1e-3 * (1 - np.exp(-np.maximum(time - 0.05, 0) / 0.02))
-    np.testing.assert_allclose(y["a_s"] - y["b_s"], expected, atol=0.04e-3)  # the lag T_0 of 0.5 ms
+    np.testing.assert_allclose(y["a_s"] - y["b_s"], expected, atol=0.04e-3)  # while the lags of 0.5 ms begin
 
 
 @pytest.mark.parametrize("relaxation", [0.0, 2e-4, 7.5e-4, 1e-3, 3e-3])

@@ -9,7 +9,7 @@ import pytest
 from hydrotwin.models.effects import add_effect
 from hydrotwin.models.effects.sensor import SensorSaturation
 from hydrotwin.models.language import Model
-from tests.effects.benches import axis, pass_on, passed
+from tests.effects.benches import axis, pass_on, passed, play
 
 TIME = np.arange(0.0, 2.0, 1e-3)
 STEP = np.where(TIME < 0.1, 0.0, 3.0)
@@ -109,14 +109,6 @@ def test_a_quantised_reading_has_the_variance_that_the_noise_floor_allows_for():
     q = 0.02
     error = passed("quantisation", "reading", TIME, sine(1.3), step=q) - sine(1.3)
     assert np.var(error) == pytest.approx(q**2 / 12, rel=0.1)
-
-
-def play(signal, h, start=0.0):
-    """The play operator of half width h (Krasnosel'skii): clip the last value into the band around the present one."""
-    followed = [signal[0] + start * h]
-    for value in signal[1:]:
-        followed.append(min(max(followed[-1], value - h), value + h))
-    return np.array(followed)
 
 
 @pytest.mark.parametrize(("h", "offset"), [(0.3, 0.0), (0.3, 1.0), (0.02, -1.0), (0.6, 0.0)])

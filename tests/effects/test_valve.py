@@ -11,7 +11,7 @@ from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, connect
 from hydrotwin.models.language.places import Places
 from hydrotwin.simulation import prepare
-from tests.effects.benches import ValveBench, run, seen, valve_bench
+from tests.effects.benches import ValveBench, play, run, seen, valve_bench
 
 OPENING = "valve.spool"
 CAP, ROD = "cylinder__cap_pressure", "cylinder__rod_pressure"
@@ -79,15 +79,6 @@ def test_an_overlap_closes_the_valve_near_its_centre():
 def test_an_overlap_may_differ_by_side():
     left = opening("asymmetric_overlap", TIME, TRIANGLE, positive=0.2, negative=0.05)
     np.testing.assert_allclose(left, np.maximum(TRIANGLE - 0.2, 0) + np.minimum(TRIANGLE + 0.05, 0), atol=1e-9)
-
-
-def play(signal, h):
-    """The exact play operator, from the centre of its play."""
-    y, found = signal[0], []
-    for u in signal:
-        y = min(max(y, u - h), u + h)
-        found.append(y)
-    return np.array(found)
 
 
 def test_a_spool_with_hysteresis_follows_like_a_play():

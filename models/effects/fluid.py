@@ -6,7 +6,7 @@ what flows: a fraction of air acts on every volume of the machine alike, however
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -33,10 +33,9 @@ def oil_pressures(places: Places) -> list[str]:
 
 @dataclass(frozen=True)
 class OilSite(Site):
-    """All volumes of a machine: one oil. ``stiffness`` is its bulk modulus [Pa] as far as the model tells."""
+    """All volumes of a machine: one oil."""
 
     count: int = 1
-    stiffness: float = 1.4e9
 
 
 class OilEffect(Effect):
@@ -51,18 +50,23 @@ class OilEffect(Effect):
                 reads={f"p_{k}": path for k, path in found.items()},
                 through={str(k): f"der({path})" for k, path in found.items()},
                 count=len(found),
-                stiffness=_stiffness(places),
             )
 
     @classmethod
     def at(cls, site: Site):
         """The part for so many volumes."""
-        content = {"__module__": cls.__module__, "__doc__": cls.__doc__, "id": "", "count": site.count}
+        own = {"__module__": cls.__module__, "__doc__": cls.__doc__, "id": "", "count": site.count}
+        return type(f"{cls.__name__}On{site.count}", (cls,), own | cls.content(site))()
+
+    @classmethod
+    def content(cls, site: OilSite) -> dict:
+        """What it has for each volume."""
+        content = {}
         for k in range(site.count):
             content[f"p_{k}"] = Input("Pa", "pressure", nominal=1e6)
             content[f"u_{k}"] = Input("Pa/s", "its rate without the effect", nominal=1e6)
             content[f"y_{k}"] = Output("Pa/s", "its rate", nominal=1e6)
-        return type(f"{cls.__name__}On{site.count}", (cls,), content)()
+        return content
 
     def softer(self, p):
         """By how much the oil is softer at absolute pressure p [Pa]."""
@@ -73,10 +77,10 @@ class OilEffect(Effect):
             yield getattr(self, f"y_{k}") == getattr(self, f"u_{k}") / self.softer(getattr(self, f"p_{k}"))
 
 
-def _stiffness(places: Places) -> float:
-    """The model's bulk modulus: what is called so, else that of mineral oil."""
-    named = [p.value for p in places.model.flat.parameters if p.name.endswith("bulk_modulus")]
-    return max(named, default=1.4e9)
+def _bulk_modulus(places: Places) -> dict[str, str]:
+    """What the effect reads as the stiffness of the oil: the largest that the model calls a bulk modulus, if any."""
+    named = [(p.value, p.name) for p in places.model.flat.parameters if p.name.endswith("bulk_modulus")]
+    return {"stiffness": max(named)[1]} if named else {}
 
 
 class EntrainedAir(OilEffect):
@@ -84,28 +88,33 @@ class EntrainedAir(OilEffect):
 
         dp/dt = (dp/dt without air) / (1 + a (beta/(n p)) (p_0/p)^(1/n))
 
-    ``a`` is the volume of air per volume of oil at atmospheric pressure p_0. beta is the model's bulk modulus when
-    the effect was added; were that wrong, ``a beta`` is what the recordings tell.
+    ``a`` is the volume of air per volume of oil at atmospheric pressure p_0; beta is the model's bulk modulus, that of
+    mineral oil where it has none.
     Validity: as AirLadenBulkModulus. Source: Merritt 1967, section 2.3; Nykaenen et al. 2000.
     """
 
     id, title = "entrained_air", "entrained air"
     equation = "1/beta_e = 1/beta + a (p_0/p)^(1/n) / (n p)"
     source = NYKAENEN
-    typical = {"fraction": (1e-3, 0.05)}
-    probes = ({"fraction": 2e-3}, {"fraction": 0.02})
+    typical = {"fraction": (1e-3, 0.05), "exponent": (1.0, 1.4)}
+    probes = ({"fraction": 2e-3, "exponent": 1.3}, {"fraction": 0.02, "exponent": 1.3})
     confused_with = ("line_compliance", "structural_compliance", "cavitation")
     experiment = "fast reversals at low and at high mean pressure, with pressures: air stiffens, a hose does not"
 
     fraction = Parameter(0.0, "1", "a, free air at p_0", bounds=(0, 0.3), nominal=0.01, source=NYKAENEN, free=True)
-    stiffness = Parameter(1.4e9, "Pa", "beta of the oil alone", bounds=(1e6, 1e11), source="the model's")
-    exponent = Parameter(1.4, "1", "n: 1 isothermal, 1.4 adiabatic", bounds=(1, 1.67), source=MERRITT)
+    stiffness = Parameter(1.4e9, "Pa", "beta of the oil alone", bounds=(1e6, 1e11), source=MERRITT)
+    exponent = Parameter(1.4, "1", "n: 1 isothermal, 1.4 adiabatic", (1, 1.67), 1.0, MERRITT, True)
     reference = Parameter(1.013e5, "Pa", "p_0", bounds=(1e4, 1e6), source="atmosphere")
 
     @classmethod
-    def at(cls, site: Site):
-        """The part, with the stiffness of the model's oil."""
-        return super().at(site).but(stiffness=site.stiffness)
+    def sites(cls, places: Places):
+        for site in super().sites(places):
+            yield replace(site, reads={**site.reads, **_bulk_modulus(places)})
+
+    @classmethod
+    def content(cls, site: OilSite) -> dict:
+        read = Input("Pa", "beta of the oil alone", nominal=1e9)
+        return super().content(site) | ({"stiffness": read} if "stiffness" in site.reads else {})
 
     def softer(self, p):
         n, p_0 = self.exponent, self.reference

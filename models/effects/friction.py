@@ -72,8 +72,8 @@ class CoulombFriction(Sticking):
     force = dry()
 
     def equations(self):
-        yield self.sticking()
-        yield self.flange.f == self.force * self.sign()
+        yield self.sticking(self.force)
+        yield self.flange.f == self.force * self.sign(self.force)
 
 
 class StribeckFriction(Sticking):
@@ -102,10 +102,10 @@ class StribeckFriction(Sticking):
     stribeck_velocity = Parameter(0.02, "m/s", "v_s", bounds=(2e-3, 0.3), nominal=0.02, source=OLSSON, free=True)
 
     def equations(self):
-        yield self.sticking()
-        v = der(self.flange.s)
+        most, v = self.force + self.excess, der(self.flange.s)
+        yield self.sticking(most)
         level = self.force + self.excess * ca.exp(-((v / self.stribeck_velocity) ** 2))
-        yield self.flange.f == level * self.sign()
+        yield self.flange.f == level * self.sign(most)
 
 
 class PreslidingFriction(Lagged):
@@ -171,9 +171,9 @@ class PositionDependentFriction(Sticking):
     slope = Parameter(0.0, "N/m", "k", bounds=(-1e6, 1e6), nominal=1000.0, source=ARMSTRONG, free=True)
 
     def equations(self):
-        yield self.sticking()
         level = ca.fmax(self.force + self.slope * self.flange.s, 0)
-        yield self.flange.f == level * self.sign()
+        yield self.sticking(level)
+        yield self.flange.f == level * self.sign(level)
 
 
 class AsymmetricFriction(Sticking):
@@ -197,8 +197,10 @@ class AsymmetricFriction(Sticking):
     back = dry(0.0, "F_-, towards smaller s", ARMSTRONG)
 
     def equations(self):
-        yield self.sticking()
-        yield self.flange.f == self.out * ca.fmax(self.sign(), 0) + self.back * ca.fmin(self.sign(), 0)
+        most = ca.fmax(self.out, self.back)
+        yield self.sticking(most)
+        sign = self.sign(most)
+        yield self.flange.f == self.out * ca.fmax(sign, 0) + self.back * ca.fmin(sign, 0)
 
 
 class AsymmetricViscousFriction(Effect):
@@ -269,6 +271,6 @@ class PressureDependentFriction(Sticking):
                 yield SteppedSite(part.path, ties, reads, step=places.model.step)
 
     def equations(self):
-        yield self.sticking()
         level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b
-        yield self.flange.f == level * self.sign()
+        yield self.sticking(level)
+        yield self.flange.f == level * self.sign(level)

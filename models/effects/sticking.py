@@ -9,37 +9,42 @@ from hydrotwin.models.language import Flange, Parameter, State, der
 from .sites import flanges
 from .stepping import Lagged, stepped
 
+LEAST = 2e-3  # of delta_1: what it gives where there is no friction, so that nothing is divided by zero
+
 
 class Sticking(Lagged):
-    """What every dry friction has: sign(v) of the motion of a flange, with rest.
+    """What every dry friction has: sign(v) of the motion of a flange, with rest, at a friction of level F.
 
-        zeta' = (v - |v| zeta) / (delta + |v| T_0),   sign(v) = zeta + T_1 zeta'
+        zeta' = (v - |v| zeta) / (delta + |v| T_0),   sign(v) = (delta zeta + T_0 v) / (delta + T_0 |v|)
 
-    Sliding, zeta is the sign; at rest it is whatever holds the load, and the machine stands still, where a smoothed
-    sign would creep. ``delta`` is how far it gives before it slides, 0.5 um: less than is measured. T_0 keeps the
-    bristles slower than the integration step at any speed; T_1 damps them where they hold (sliding, zeta' is nil).
-    Sources: P. Dahl, A solid friction model, 1968; Canudas de Wit et al. 1995 (the damping).
+    Sliding, it is the sign; at rest it is whatever holds the load, and the machine stands still, where a smoothed sign
+    would creep. ``delta = F delta_1 / (F + k delta_1)`` is how far it gives before it slides: small friction is held by
+    k, large friction gives delta_1 at most. Oil is stiff: what gives more is seen in the pressures at rest. T_0 keeps
+    the bristles slower than the integration step at any speed and damps them where they hold; a constant F never does
+    work (it stores F delta zeta^2 / 2). Sources: P. Dahl, A solid friction model, 1968; Canudas de Wit et al. 1995.
     """
 
     shortest = 0.5
 
     flange = Flange("where it rubs")
-    give = Parameter(5e-7, "m", "delta, displacement before sliding", bounds=(1e-9, 1e-2), source="numerical")
+    give = Parameter(5e-7, "m", "delta_1, most that it gives before sliding", bounds=(1e-9, 1e-2), source="numerical")
+    stiffness = Parameter(2e9, "N/m", "k, stiffness that holds", bounds=(1e3, 1e14), source="numerical")
     resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-6, 0.1), source="numerical")
-    damping_time = Parameter(2.5e-4, "s", "T_1", bounds=(0, 0.1), source="numerical")
     bristles = State(0.0, "1", "zeta, mean deflection of the bristles", bounds=(-3, 3))
 
     sites = stepped(flanges)
 
-    def sign(self):
+    def sign(self, level):
         """sign(v), with what holds at rest."""
-        return self.bristles + self.damping_time * self._rate()
+        give, v, lag = self._give(level), der(self.flange.s), self.resolution
+        return (give * self.bristles + lag * v) / (give + lag * ca.fabs(v))
 
-    def sticking(self):
+    def sticking(self, level):
         """The equation of the bristles."""
-        return der(self.bristles) == self._rate()
-
-    def _rate(self):
         v = der(self.flange.s)
         speed = ca.fabs(v)
-        return (v - speed * self.bristles) / (self.give + speed * self.resolution)
+        return der(self.bristles) == (v - speed * self.bristles) / (self._give(level) + speed * self.resolution)
+
+    def _give(self, level):
+        firm, level = self.stiffness * self.give, ca.fmax(level, 0)
+        return self.give * (level + LEAST * firm) / (level + firm)

@@ -26,7 +26,7 @@ class Addition:
 
     name : its path in the model; its parameters are ``<name>.<parameter>``.
     ties : port of the part -> port of the model whose node it joins.
-    reads : input of the part -> path of any variable of the model, or ``der(path)``.
+    reads : input of the part -> path of any variable or parameter of the model, or ``der(path)``.
     through : a signal (input or output of the model, input of a part, or ``der(state)``): the part's ``u`` takes what
         was there, its ``y`` goes on. Several by name: ``u_<name>`` and ``y_<name>``.
     between : a port of the model: the part's ``a`` is joined to it, the part's ``b`` to the node it was on. Several by
@@ -118,7 +118,8 @@ def _parent(path: str) -> str:
 
 
 def _variable(elaboration: Elaboration, path: str) -> ca.SX:
-    known = {e.path: e.symbol for group in ("variables", "states", "inputs") for e in getattr(elaboration, group)}
+    groups = ("variables", "states", "inputs", "parameters")
+    known = {e.path: e.symbol for group in groups for e in getattr(elaboration, group)}
     known |= {f"der({s.path})": elaboration.derivatives[s.symbol.element_hash()][1] for s in elaboration.states}
     if path not in known:
         raise DeclarationError(f"{elaboration.name}: no variable '{path}'. {nearest(path, known)}")

@@ -26,7 +26,7 @@ from hydrotwin.simulation import prepare
 from .refit import Question, RefitJob, Refitted, refit
 
 # Last word of a path -> the value at which its sign is as good as exact, SI; the lag only of what gives.
-EXACT = {"smoothing_velocity": 1e-6, "give": 1e-7, "resolution": 1e-5}
+EXACT = {"smoothing_velocity": 1e-6, "give": 1e-8, "resolution": 1e-5}
 MATTERS = 0.1  # of the noise: a smaller floor changes nothing
 
 

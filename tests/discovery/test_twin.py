@@ -25,7 +25,8 @@ def rubbing():
 
 def with_smoothing(search, now, width):
     """The same structure with bristles that give ``width`` [m]."""
-    values = {**now.fitted.values, "coulomb_friction.give": width}
+    soft = {"coulomb_friction.give": width, "coulomb_friction.stiffness": 1e3}
+    values = {**now.fitted.values, **soft}
     flat = search.model(now.members).with_settings({k: {"value": v} for k, v in values.items()}, {}).flat
     smoothing = smoothed_signs(flat, now.members)
     return TwinJob(flat, search.names(now.members), search.question, now.fitted, smoothing)

@@ -64,6 +64,17 @@ def test_air_softens_both_chambers_as_its_pressure_says(p, fraction):
     assert np.array(soft) * softer == pytest.approx(plain, rel=1e-9)
 
 
+def test_air_is_judged_by_the_bulk_modulus_that_the_oil_has_now():
+    """An identification moves both; the share of air must not be one of a modulus that nobody believes any more."""
+    airy = add_effect(benches.pump_bench(), "entrained_air", values={"fraction": 0.01})
+    pressures = {"cap_pressure": 5e5, "rod_pressure": 5e5}
+    for beta in (0.7e9, 2.1e9):
+        model = airy.with_parameters({"cylinder.oil.bulk_modulus": beta})
+        softer = 1 + beta * 0.01 / (1.4 * 5e5) * (1.013e5 / 5e5) ** (1 / 1.4)
+        plain = rates(benches.pump_bench().with_parameters({"cylinder.oil.bulk_modulus": beta}), **pressures)
+        assert np.array(rates(model, **pressures)) * softer == pytest.approx(plain, rel=1e-9)
+
+
 def test_the_effect_of_air_is_that_of_the_law_of_oil_with_air():
     model, law = bottle(), AirLadenBulkModulus(bulk_modulus=BETA, air_fraction=0.01)
     by_law = Model(Bottle(bottle=Bottle.bottle.but(oil=law)), "bottle")
@@ -75,7 +86,9 @@ def test_the_effect_of_air_is_that_of_the_law_of_oil_with_air():
 
 def test_air_is_in_all_oil_of_a_machine_and_the_third_order_form_has_none_to_show():
     (found,) = candidates(cehA.model(), ["entrained_air"])
-    assert set(found.site.reads.values()) == {"cylinder.cap_pressure", "cylinder.rod_pressure"}
+    assert set(found.site.reads.values()) == {
+        "cylinder.cap_pressure", "cylinder.rod_pressure", "cylinder.oil.bulk_modulus"
+    }  # fmt: skip
     assert not candidates(cehA.third_order(), ["entrained_air"])
 
 

@@ -191,17 +191,30 @@ class EndStop(Effect):
 
 
 class _Joint(Lagged):
-    """Between two flanges that move together; the force passes through two small lags, so that no loop arises.
+    """Between two flanges that move together: a spring beside a damper, without a loop of equations.
 
-    T_1 f_1' = f_a - f_1,   T_0 f_2' = f_1 - f_2,   s_a - s_b = stretch(f_2),   T_1 = T_0 unless a joint is damped
+        s_a - s_b = stretch(f),   f + tau f' = F approximately
+
+    The force passes through two small lags, so that no loop arises. Those alone would damp a joint more than steel
+    does, so a third one takes back what they are slower than tau:
+
+        T_1 f_1' = F - f_1,   T_0 f_2' = f_1 - f_2,   T_0 f_3' = f_2 - f_3,   f = f_2 + k (f_2 - f_3)
+        T_1 = max(T_0, tau - T_0),   k = max(2 - tau/T_0, 0):   T_1 + T_0 - k T_0 = tau
+
+    The same as f + tau f' = F to the first power of s T_0, with a loss at every frequency.
     """
 
-    shortest = 0.5
+    shortest = 0.75  # all three at half a step would swing too fast for it
 
     a = Flange("the port of the part")
     b = Flange("what it was joined to")
+    relaxation = Parameter(
+        0.0, "s", "damping over stiffness tau", bounds=(0, 0.05), nominal=1e-3, source="joints 0.1-5 ms", free=True
+    )
+    resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
     first = State(0.0, "N", "f_1", nominal=1e3, fixed=False)
     passed = State(0.0, "N", "f_2", nominal=1e3, fixed=False)
+    last = State(0.0, "N", "f_3", nominal=1e3, fixed=False)
 
     sites = stepped(flange_joints)
 
@@ -209,20 +222,18 @@ class _Joint(Lagged):
         """s_a - s_b [m] under a force [N]."""
         raise NotImplementedError
 
-    def lag(self):
-        """The first lag T_1 [s]."""
-        return self.resolution
-
     def equations(self):
-        f, f_1, f_2, T_0 = self.a.f, self.first, self.passed, self.resolution
-        yield self.lag() * der(f_1) == f - f_1
+        f_1, f_2, f_3, tau, T_0 = self.first, self.passed, self.last, self.relaxation, self.resolution
+        yield ca.fmax(T_0, tau - T_0) * der(f_1) == self.a.f - f_1
         yield T_0 * der(f_2) == f_1 - f_2
-        yield self.a.s - self.b.s == self.stretch(f_2)
+        yield T_0 * der(f_3) == f_2 - f_3
+        yield self.a.s - self.b.s == self.stretch(f_2 + ca.fmax(2 - tau / T_0, 0) * (f_2 - f_3))
         yield self.a.f + self.b.f == 0
 
     def initial_equations(self):
         yield self.first == self.a.f
         yield self.passed == self.first
+        yield self.last == self.passed
 
 
 class StructuralCompliance(_Joint):
@@ -230,14 +241,7 @@ class StructuralCompliance(_Joint):
 
         x + tau x' = c F,   x = s_a - s_b
 
-    A spring 1/c beside a damper tau/c (Kelvin and Voigt). The lags of a joint alone would damp it more than steel does,
-    so a third one takes back what they are slower than tau:
-
-        T_1 f_1' = F - f_1,   T_0 f_2' = f_1 - f_2,   T_0 f_3' = f_2 - f_3,   x = c (f_2 + k (f_2 - f_3))
-        T_1 = max(T_0, tau - T_0),   k = max(2 - tau/T_0, 0):   T_1 + T_0 - k T_0 = tau
-
-    The same as x + tau x' = c F to the first power of s T_0, with a loss at every frequency. Source: Merritt 1967,
-    section 6.
+    A spring 1/c beside a damper tau/c (Kelvin and Voigt). Source: Merritt 1967, section 6.
     """
 
     id, title = "structural_compliance", "compliance of the structure"
@@ -246,47 +250,29 @@ class StructuralCompliance(_Joint):
     typical = {"compliance": (1e-9, 2e-7), "relaxation": (0.0, 5e-3)}
     probes = ({"compliance": 1e-8}, {"compliance": 1e-7}, {"compliance": 6e-7, "relaxation": 3e-3})
     confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag", "spool_lag")
-    shortest = 0.75  # all three at half a step would swing too fast for it
     experiment = "steps of force with position measured on both sides, or with pressures"
 
     compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)
-    relaxation = Parameter(
-        0.0, "s", "damping over stiffness tau", bounds=(0, 0.05), nominal=1e-3, source="joints 0.1-5 ms", free=True
-    )
-    resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
-    last = State(0.0, "N", "f_3", nominal=1e3, fixed=False)
 
     def stretch(self, force):
-        behind = ca.fmax(2 - self.relaxation / self.resolution, 0)
-        return self.compliance * (force + behind * (force - self.last))
-
-    def lag(self):
-        return ca.fmax(self.resolution, self.relaxation - self.resolution)
-
-    def equations(self):
-        yield from super().equations()
-        yield self.resolution * der(self.last) == self.passed - self.last
-
-    def initial_equations(self):
-        yield from super().initial_equations()
-        yield self.last == self.passed
+        return self.compliance * force
 
 
 class Backlash(_Joint):
     """Play of a pin: the load follows only when the other side of the hole is reached, which gives a little.
 
-        s_a - s_b = h/2 sign(F) + c F,   sign smoothed as tanh(F / F_0)
+        s_a - s_b = h/2 sign(f) + c f,   f + tau f' = F,   sign smoothed as tanh(f / F_0)
 
     The force tells the side, so that the play needs no start of its own. Sources: Decker, Maschinenelemente (play);
     Johnson, Contact Mechanics (what a pin in its hole gives).
     """
 
     id, title = "backlash", "play of a joint"
-    equation = "s_a - s_b = h/2 sign(F) + c F"
+    equation = "s_a - s_b = h/2 sign(f) + c f,   f + tau f' = F"
     source = MACHINE_ELEMENTS
-    typical = {"gap": (1e-4, 2e-3), "compliance": (0.0, 1e-7)}
+    typical = {"gap": (1e-4, 2e-3), "compliance": (0.0, 1e-7), "relaxation": (0.0, 5e-3)}
     probes = ({"gap": 2e-4, "compliance": 2e-8}, {"gap": 1e-3, "compliance": 2e-8})
-    refines = {"structural_compliance": {"compliance": "compliance"}}
+    refines = {"structural_compliance": {"compliance": "compliance", "relaxation": "relaxation"}}
     confused_with = ("structural_compliance", "command_deadband", "presliding_friction")
     experiment = "reverse the load slowly: position jumps by the play where the force changes sign"
 
@@ -294,7 +280,6 @@ class Backlash(_Joint):
     compliance = Parameter(
         0.0, "m/N", "compliance c of the contact", bounds=(0, 1e-6), nominal=1e-8, source=CONTACT, free=True
     )
-    resolution = Parameter(2e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
     force_scale = Parameter(200.0, "N", "F_0", bounds=(1, 1e5), source="numerical: 1-10 % of the forces")
 
     def stretch(self, force):

@@ -275,12 +275,13 @@ class Backlash(_Joint):
     refines = {"structural_compliance": {"compliance": "compliance", "relaxation": "relaxation"}}
     confused_with = ("structural_compliance", "command_deadband", "presliding_friction")
     experiment = "reverse the load slowly: position jumps by the play where the force changes sign"
+    shortest = 0.6  # a contact is stiffer than a structure
 
     gap = Parameter(0.0, "m", "play h", bounds=(0, 0.01), nominal=5e-4, source=MACHINE_ELEMENTS, free=True)
     compliance = Parameter(
         0.0, "m/N", "compliance c of the contact", bounds=(0, 1e-6), nominal=1e-8, source=CONTACT, free=True
     )
-    force_scale = Parameter(200.0, "N", "F_0", bounds=(1, 1e5), source="numerical: 1-10 % of the forces")
+    force_scale = Parameter(50.0, "N", "F_0", bounds=(1, 1e5), source="numerical: less than what is carried")
 
     def stretch(self, force):
         return self.gap / 2 * ca.tanh(force / self.force_scale) + self.compliance * force

@@ -69,6 +69,15 @@ def test_what_dry_friction_holds_does_not_move_on_its_oil(machine, site, force, 
     assert max(error.values()) < worst < 0.1 * max(relative_error(MODELS[machine](), record).values()), error
 
 
+def test_play_with_the_contact_of_the_rig_is_the_play_of_the_rig():
+    record = rig_record("cehA", duration=10.0, effects={"backlash": {"gap": 5e-4, "stiffness": 3e7, "damping": 5e3}})
+    (found,) = candidates(MODELS["cehA"](), ["backlash"])
+    values = {"gap": 5e-4, "compliance": 1 / 3e7, "relaxation": 5e3 / 3e7}
+    loose = MODELS["cehA"]().plus([found.addition]).with_parameters({f"backlash.{k}": v for k, v in values.items()})
+    error = relative_error(loose, record)
+    assert max(error.values()) < 4e-3 < 0.3 * max(relative_error(MODELS["cehA"](), record).values()), error
+
+
 @pytest.mark.parametrize("machine", MODELS)
 def test_a_model_reproduces_the_reference_that_lies_beside_it(machine):
     path = REFERENCES[machine]

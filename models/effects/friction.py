@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import casadi as ca
 
 from hydrotwin.models.language import Flange, HydraulicPort, Input, Parameter, State, der
 from hydrotwin.models.language.places import Places
 
-from .effect import Effect
+from .effect import Effect, Site
 from .sites import flanges
-from .stepping import Lagged, SteppedSite, stepped
-from .sticking import Sticking
+from .stepping import Lagged, stepped
+from .sticking import Sticking, held
 
 OLSSON = "H. Olsson et al., Friction models and friction compensation, 1998"
 CANUDAS = "C. Canudas de Wit et al., A new model for control of systems with friction, 1995"
@@ -231,6 +233,16 @@ class AsymmetricViscousFriction(Effect):
         yield self.flange.f == self.difference * v * ca.tanh(v / self.smoothing_velocity)
 
 
+def _pistons(places: Places) -> Iterator[Site]:
+    """Moving parts with two chambers."""
+    for part in places.parts:
+        moving, oil = part.ports_of(Flange), part.ports_of(HydraulicPort)
+        node = places.node_at(f"{part.path}.{moving[0]}") if moving and len(oil) == 2 else None
+        if node:
+            a, b = (f"{part.path}.{port}.p" for port in oil)
+            yield Site(part.path, ties={"flange": node.name}, reads={"p_a": a, "p_b": b})
+
+
 class PressureDependentFriction(Sticking):
     """Seals that are pressed on by the oil rub more.
 
@@ -260,15 +272,7 @@ class PressureDependentFriction(Sticking):
     piston_seal = Parameter(0.0, "N/Pa", "a", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
     rod_seal = Parameter(0.0, "N/Pa", "r", bounds=(0, 0.01), nominal=1e-5, source=BONCHIS, free=True)
 
-    @classmethod
-    def sites(cls, places: Places):
-        for part in places.parts:
-            moving, oil = part.ports_of(Flange), part.ports_of(HydraulicPort)
-            node = places.node_at(f"{part.path}.{moving[0]}") if moving and len(oil) == 2 else None
-            if node:
-                a, b = (f"{part.path}.{port}.p" for port in oil)
-                ties, reads = {"flange": node.name}, {"p_a": a, "p_b": b}
-                yield SteppedSite(part.path, ties, reads, step=places.model.step)
+    sites = held(_pistons)
 
     def equations(self):
         level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b

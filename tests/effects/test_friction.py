@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models import cehA
+from hydrotwin.models.components import Arm
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.friction import (
     AsymmetricFriction,
@@ -16,7 +17,9 @@ from hydrotwin.models.effects.friction import (
     StribeckFriction,
     ViscousFriction,
 )
+from hydrotwin.models.effects.inertia import moved_mass
 from hydrotwin.models.effects.sticking import Sticking
+from hydrotwin.models.language.places import Places
 from hydrotwin.simulation import prepare
 from tests.components.bench import at, bench, run
 from tests.discovery.slides import pushes
@@ -132,7 +135,7 @@ def test_sliding_bristles_rub_with_the_stribeck_force(v):
     assert y["flange_f"][-1] == pytest.approx(50.0 * (1 + 0.4 * np.exp(-((v / 0.02) ** 2))) * np.sign(v), rel=1e-4)
 
 
-@pytest.mark.parametrize(("effect", "give", "within"), [("presliding", 1e-4, 0.1), ("coulomb", 50.0 / 2e9, 0.3)])
+@pytest.mark.parametrize(("effect", "give", "within"), [("presliding", 1e-4, 0.1), ("coulomb", 6.25e-8, 0.3)])
 def test_friction_holds_a_mass_that_is_pushed_less_than_it_takes(effect, give, within):
     time = np.linspace(0, 20, 4001)
     push = 40.0 * np.minimum(time / 5, 1.0)
@@ -201,3 +204,21 @@ def test_derivatives_of_what_sticks_and_slips_are_those_of_finer_steps(effect, f
     (_, y, exact), (_, near, wrong), (step, _, chosen) = run_at(1.25e-4), run_at(flat.step), run_at(method="auto")
     assert np.abs(near - y).max() < 0.02 and apart(wrong, exact).max() > 0.4
     assert step == flat.step / 2 and apart(chosen, exact).max() < 0.15
+
+
+@pytest.mark.parametrize(("mass", "expected"), [(500.0, 7e8), (5.0, 7e6)])
+def test_what_is_held_is_held_as_firmly_as_the_step_follows_with_its_mass(mass, expected):
+    """A light slide on bristles that hold an excavator would swing thirty times in a step."""
+    model = benches.axis().with_parameters({"carriage.mass": mass})
+    flat = add_effect(model, "coulomb_friction").flat
+    assert next(p.value for p in flat.parameters if p.name == "coulomb_friction.stiffness") == expected
+
+
+@pytest.mark.parametrize("angle", [-0.3, 0.2, 0.7])
+def test_the_mass_behind_a_linkage_is_that_which_its_flange_feels(angle):
+    """J / h^2, h the lever of the paper's Eq. 12: not the weight on the arm."""
+    m1, m2, L, pin, x0 = 46.7, 1.64, 0.488, 0.225, 0.3055
+    d = np.sqrt(x0**2 - pin**2)
+    h = pin * d * np.cos(angle) / np.sqrt(pin**2 + d**2 + 2 * pin * d * np.sin(angle))
+    model = cehA.model().but(arm=Arm(angle=angle))
+    assert moved_mass(Places(model), "arm.pin") == pytest.approx((m1 + m2 / 3) * L**2 / h**2, rel=1e-6)

@@ -58,7 +58,7 @@ def test_every_parameter_means_the_same_in_model_and_rig(machine):
 
 @pytest.mark.parametrize(
     ("machine", "site", "force", "worst"),
-    [("cehA", "arm.pin", 55.0, 6e-3), ("cehA", "arm.pin", 500.0, 1e-2), ("spool_valve", "cylinder.rod", 250.0, 2e-4)],
+    [("cehA", "arm.pin", 55.0, 1e-2), ("cehA", "arm.pin", 500.0, 1.5e-2), ("spool_valve", "cylinder.rod", 250.0, 2e-4)],
 )
 def test_what_dry_friction_holds_does_not_move_on_its_oil(machine, site, force, worst):
     """The rig sticks exactly. What gives half a micrometre leaves 1.8 times the noise of the force on the piston."""

@@ -15,12 +15,13 @@ from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
 
 from .answering import answer
+from .base import identified
 from .discovery import Discovery
 from .executor import LOCAL, Starts, executor_for, processors
 from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
-from .refit import Question, RefitJob, Refitted, conclude, refit
+from .refit import Question, Refitted, conclude
 from .resume import recalled
 from .search import Search, Structure
 from .together import explained_together
@@ -99,8 +100,7 @@ def discover(
         report("identify the base", 0, 1, "")
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
         search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
-        job = RefitJob(flat, names, question, coarse=True, label=flat.name)
-        base = _only(run(refit, [job], "identify the base", search.models_ahead()))
+        base = _only(identified(search, search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         search, found = explained_together(search, data, found, max_effects)
         return answer(search, data, found, model, began)
@@ -134,10 +134,10 @@ def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:
     return free_parameters(flat, free).names
 
 
-def _only(answers: list) -> Refitted:
-    if isinstance(answers[0], str):
-        raise SolveError(f"gap: the base model cannot be identified ({answers[0]}). Correct its start values first.")
-    return answers[0]
+def _only(found: Refitted | str) -> Refitted:
+    if isinstance(found, str):
+        raise SolveError(f"gap: the base model cannot be identified ({found}). Correct its start values first.")
+    return found
 
 
 def _runner(pool, report, memory, cores: int = 1):

@@ -16,6 +16,7 @@ from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
 
 from .answering import answer
+from .base import identified
 from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner, usual_of
 from .discovery import Discovery
 from .executor import executor_for
@@ -23,7 +24,7 @@ from .forward import begun, searched
 from .probing import ProbeJob, amplitudes, best_amplitude, cost_of, probe, seen_by_parts
 from .progress import reporting
 from .recordings import split
-from .refit import Question, RefitJob, pooled_rmse, refit
+from .refit import Question, pooled_rmse
 from .screen import Screen, Screened
 from .search import Search, Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
@@ -75,10 +76,9 @@ def discover_around(
     with reporting(progress, model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory)
         report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
-        job = RefitJob(bounded.flat, names, question, coarse=True, label=model.name)
-        base = _only(run(refit, [job], "identify the base"))
         told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
         search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
+        base = _only(identified(search))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         return answer(search, data, found, model, began)
 

@@ -161,8 +161,7 @@ def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bo
 
 def _from_first(search: Search, structure: Structure, effect: Mapping[str, float] = MappingProxyType({})) -> RefitJob:
     """A structure's fit again, its base parameters from where the identification began, an effect's from others."""
-    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
-    return search.refit_of(structure, {**first, **effect}, states=(), size=None, coarse=True, iterations=40)
+    return search.refit_of(structure, {**search.first, **effect}, states=(), size=None, coarse=True, iterations=40)
 
 
 def along_valleys(search: Search, structure: Structure) -> list[RefitJob]:
@@ -176,7 +175,7 @@ def from_the_beginning(search: Search, base: Structure) -> list[Tried]:
     The base identified without the effect may have bent until the screen no longer sees it: less volume for air. So
     candidates are screened where the base has hardly moved, and the most promising take part in an identification.
     """
-    first = {p.name: p.value for p in search.base.flat.parameters if p.name in search.free}
+    first = search.first
     job = RefitJob(search.base.flat, search.free, search.question, (first,), iterations=1, label=search.base.name)
     near = search.run(refit, [job], "look back")[0]
     if isinstance(near, str):

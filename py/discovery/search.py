@@ -86,6 +86,7 @@ class Search:
     run: Callable[[Callable, Sequence, str], list]
     report: Callable[[str, int, int, str], None]
     told: tuple[bool, ...] = ()  # outputs whose noise the user gave
+    first: Mapping[str, float] = field(default_factory=dict)  # base parameters where the identification began
     sensors: np.ndarray = None  # noise (ny,) of the sensors, SI; the question's may hold more
     unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
     not_testable: dict[str, Screened] = field(default_factory=dict)
@@ -98,6 +99,7 @@ class Search:
     def __post_init__(self):
         self.sensors = self.question.noise if self.sensors is None else self.sensors
         self.told = self.told or (False,) * len(self.question.noise)
+        self.first = self.first or {p.name: p.value for p in self.base.flat.parameters if p.name in self.free}
         missing = [o.name for o, n in zip(self.base.flat.outputs, self.question.counts, strict=True) if not n]
         unseen = [c for c in self.candidates if c.site.through in missing]  # faults of sensors that are not there
         self.candidates = tuple(c for c in self.candidates if c not in unseen)

@@ -31,7 +31,7 @@ def explained_together(search: Search, data: Split, found: Found, most: int) -> 
     )
     again = search.asking(question)
     flat = again.base.flat
-    job = RefitJob(flat, again.free, question, coarse=True, label=flat.name)
+    job = RefitJob(flat, again.free, question, (again.first,), coarse=True, label=flat.name)
     (base,) = again.run(refit, [job], "identify the base")
     if isinstance(base, str):
         return search, found

@@ -8,7 +8,7 @@ of a fraction of a second, each from its own start states, have one valley; then
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 import numpy as np
@@ -126,19 +126,27 @@ def horizons(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) ->
 
 def fastest_oscillation(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) -> float | None:
     """Frequency [Hz] of the fastest lightly damped mode at the starts of the recordings; None when all are damped."""
+    return oscillation(flat, recordings)(p)
+
+
+def oscillation(flat: FlatModel, recordings: Sequence[Recording]) -> Callable[[np.ndarray], float | None]:
+    """`fastest_oscillation` as a function of the parameters."""
     t, x, u, q = (ca.SX.sym(n, flat.ode.size1_in(i)) for i, n in enumerate("txup"))
     jacobian = ca.Function("modes", [t, x, u, q], [ca.densify(ca.jacobian(flat.ode(t, x, u, q)[0], x))])
-    fastest = 0.0
-    for recording in recordings:
-        for k in np.linspace(0, len(recording.time) - 1, 4).astype(int):
-            x0 = start_from_measured(flat, recording, p, int(k))
-            A = np.array(jacobian(recording.time[k], x0, recording.u[k], p))
+    points = [(r, int(k)) for r in recordings for k in np.linspace(0, len(r.time) - 1, 4)]
+
+    def fastest(p: np.ndarray) -> float | None:
+        found = 0.0
+        for r, k in points:
+            A = np.array(jacobian(r.time[k], start_from_measured(flat, r, p, k), r.u[k], p))
             if not np.isfinite(A).all():
                 continue
             modes = np.linalg.eigvals(A)
             light = np.abs(modes.imag) > np.abs(modes) * np.sqrt(1 - LIGHTLY_DAMPED**2)
-            fastest = max(fastest, float(np.abs(modes[light]).max(initial=0.0)) / (2 * np.pi))
-    return fastest or None
+            found = max(found, float(np.abs(modes[light]).max(initial=0.0)) / (2 * np.pi))
+        return found or None
+
+    return fastest
 
 
 def longest_delay(flat: FlatModel, p: np.ndarray, seconds: float) -> float:

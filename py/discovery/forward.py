@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
-from .choose import as_good, choose, label, refines, worth_refining
+from .choose import Choice, as_good, choose, label, refines, worth_refining
 from .decide import T_NEEDED, WORTH, closed, compared
 from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
@@ -94,15 +94,46 @@ def _beside_a_near_miss(search: Search, base: Structure, tried: Sequence[Tried])
 
 
 def _pruned(search: Search, found: Found) -> Found:
-    """What was found without the steps whose effects have become idle."""
+    """What was found without the steps, and without the members of a pair, that have become idle."""
     last = without_idle_ends(search, pruned(search, found.last, found.base))
     if last is found.last:
         return found
+    gone = {c.label for step in found.steps for c in step.choice.best.members} - set(last.key)
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
-    steps = [dataclasses.replace(s, revised={}) for s in steps]  # made with the others in place
+    steps = [dataclasses.replace(_without(s, gone), revised={}) for s in steps]  # made with the others in place
     if len(steps) == 1:  # it explains what all of them did
-        steps = [_alone(search, steps[0], found.base, last)]
+        step = _alone(search, steps[0], found.base, last)
+        if len(found.steps) == 1:  # of a pair: nothing was ever compared with the other by itself
+            return _compared_again(search, dataclasses.replace(found, last=last, steps=(step,)))
+        steps = [step]
     return dataclasses.replace(found, last=last, steps=tuple(steps))
+
+
+def _without(step: Step, gone: Collection[str]) -> Step:
+    """A step whose pairs have lost these effects (labels); several that become the same count together."""
+    if not gone & {c.label for c in step.choice.best.members}:
+        return step
+    members: dict[str, Tried] = {}
+    probability: dict[str, float] = {}
+    for t in step.choice.members:
+        less = dataclasses.replace(t, members=tuple(c for c in t.members if c.label not in gone))
+        if less.members:
+            members.setdefault(label(less), less)
+            probability[label(less)] = probability.get(label(less), 0.0) + step.choice.probability[label(t)]
+    best, *others = members.values()
+    alone = (t for t in step.tried if len(t.members) == 1 and label(t) not in members)
+    return dataclasses.replace(step, choice=Choice(best, (best, *others), probability), tried=(best, *others, *alone))
+
+
+def _compared_again(search: Search, found: Found) -> Found:
+    """What is left of a pair beside all that was tried alone, as after any other choice."""
+    (step,) = found.steps
+    base, tried = settled(search, found.base, step.tried, step.choice)
+    choice = choose(tried, len(search.candidates), search.question)
+    if choice is None:
+        return dataclasses.replace(found, base=base, last=base, steps=())
+    step = Step(choice, step.ranked, tuple(tried), base)
+    return dataclasses.replace(found, base=base, last=choice.best.structure, steps=(step,))
 
 
 def _alone(search: Search, step: Step, base: Structure, last: Structure) -> Step:

@@ -31,11 +31,12 @@ def explained_together(search: Search, data: Split, found: Found, most: int) -> 
     )
     again = search.asking(question)
     flat = again.base.flat
-    job = RefitJob(flat, again.free, question, (again.first,), coarse=True, label=flat.name)
-    (base,) = again.run(refit, [job], "identify the base")
-    if isinstance(base, str):
+    begun_anew = RefitJob(flat, again.free, question, (again.first,), coarse=True, label=flat.name)
+    going_on = RefitJob(flat, again.free, question, (found.base.fitted.values,), label=flat.name)
+    bases = [b for b in again.run(refit, [begun_anew, going_on], "identify the base") if not isinstance(b, str)]
+    if not bases:
         return search, found
-    base = Structure((), base)
+    base = Structure((), min(bases, key=lambda fitted: fitted.likelihood))
     near = known is None or _remembered(again, base, known)
     if not (near or only_others):
         return search, found

@@ -6,6 +6,7 @@ import pytest
 
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
+from hydrotwin.discovery.forward import _pruned, _without
 from hydrotwin.discovery.revise import _keeping, revised
 from hydrotwin.discovery.search import Structure, Tried
 from tests.discovery.slides import question, records, searching
@@ -82,3 +83,34 @@ def test_of_two_named_together_each_gets_a_class_of_its_own(late_and_rubbing):
     after, replaced = revised(search, Found(base, pair.structure, (step,), ()))
     assert not replaced
     assert {label(c.best) for c in after.steps[0].choices()} == {c.label for c in members}
+
+
+def test_a_pair_that_lost_a_member_is_a_class_of_what_is_left(late_and_rubbing):
+    search, base = late_and_rubbing
+    by = {c.id: c for c in search.candidates}
+    late, rubs, off = by["dead_time"], by["coulomb_friction"], by["null_bias"]
+    pairs = [Tried(members, None) for members in ((late, rubs), (off, rubs), (late, off))]
+    alone = [Tried((late,), None), Tried((rubs,), None)]
+    share = dict(zip(map(label, pairs), (0.5, 0.3, 0.2), strict=True))
+    step = Step(Choice(pairs[0], tuple(pairs), share), (), (*alone, *pairs), base)
+    assert _without(step, {off.label}) is step, "what the best never had"
+    less = _without(step, {rubs.label})
+    assert less.choice.probability == {late.label: 0.5, off.label: 0.3, label(pairs[2]): 0.2}
+    assert [label(t) for t in less.choice.members] == list(less.choice.probability)
+    assert [label(t) for t in less.tried] == [*less.choice.probability, rubs.label]
+
+
+def test_of_a_pair_of_which_one_is_idle_the_other_is_compared_with_all_that_was_tried_alone():
+    search, fitted = searching(question(records(3, dry=30.0)), EFFECTS)
+    base, by = Structure((), fitted), {c.id: c for c in search.candidates}
+    members = (by["null_bias"], by["coulomb_friction"])
+    (pair,) = search.refitted(base, [(members, [{**members[0].probes[0], **members[1].probes[0]}])])
+    alone = search.refitted(base, [((by["actuator_lag"],), by["actuator_lag"].probes)])
+    step = Step(Choice(pair, (pair,), {label(pair): 1.0}), (), (*alone, pair), base)
+    after = _pruned(search, Found(base, pair.structure, (step,), ()))
+    (step,) = after.steps
+    assert after.last.key == (by["coulomb_friction"].label,) == tuple(c.label for c in step.choice.best.members)
+    assert {label(t) for t in step.tried} >= {by["coulomb_friction"].label, by["actuator_lag"].label}
+    for t in step.tried:
+        assert {n for c in t.members for n in c.free} <= t.structure.fitted.values.keys(), "as the report asks"
+    assert step.choice.best.evidence.closed > 0.99

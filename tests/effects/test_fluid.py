@@ -89,6 +89,7 @@ def test_air_is_in_all_oil_of_a_machine_and_the_third_order_form_has_none_to_sho
     assert set(found.site.reads.values()) == {
         "cylinder.cap_pressure", "cylinder.rod_pressure", "cylinder.oil.bulk_modulus"
     }  # fmt: skip
+    assert set(found.free) == {"entrained_air.fraction", "entrained_air.exponent"}, "between slow and quick is fitted"
     assert not candidates(cehA.third_order(), ["entrained_air"])
 
 

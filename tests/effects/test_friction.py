@@ -7,6 +7,7 @@ import pytest
 
 from hydrotwin.models import cehA
 from hydrotwin.models.components import Arm
+from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.friction import (
     AsymmetricFriction,
@@ -19,6 +20,7 @@ from hydrotwin.models.effects.friction import (
 )
 from hydrotwin.models.effects.inertia import moved_mass
 from hydrotwin.models.effects.sticking import Sticking
+from hydrotwin.models.language import Component, Flange, Input, Model, Output, Parameter, State, connect, der
 from hydrotwin.models.language.places import Places
 from hydrotwin.simulation import prepare
 from tests.components.bench import at, bench, run
@@ -222,3 +224,44 @@ def test_the_mass_behind_a_linkage_is_that_which_its_flange_feels(angle):
     h = pin * d * np.cos(angle) / np.sqrt(pin**2 + d**2 + 2 * pin * d * np.sin(angle))
     model = cehA.model().but(arm=Arm(angle=angle))
     assert moved_mass(Places(model), "arm.pin") == pytest.approx((m1 + m2 / 3) * L**2 / h**2, rel=1e-6)
+
+
+class Floating(Component):
+    """A massless carriage between a spring and a dashpot: a force moves it at a speed, at once."""
+
+    flange = Flange("where forces act")
+    damping = Parameter(400.0, "N.s/m", "dashpot")
+    stiffness = Parameter(1e4, "N/m", "spring")
+    position = State(0.0, "m", "position", nominal=0.1)
+
+    def equations(self):
+        yield self.flange.s == self.position
+        yield self.damping * der(self.position) + self.stiffness * self.position == self.flange.f
+
+
+class Pushed(Component):
+    """The carriage, pushed."""
+
+    force = Input("N", "force", nominal=10.0)
+    place = Output("m", "measured position", nominal=0.1)
+    carriage = Floating()
+    source = ForceSource()
+
+    def equations(self):
+        yield connect(self.force, self.source.force)
+        yield connect(self.source.flange, self.carriage.flange)
+        yield self.place == self.carriage.position
+
+
+def test_what_has_no_mass_is_held_as_firmly_as_is_usual():
+    model = Model(Pushed())
+    assert np.isnan(moved_mass(Places(model), "carriage.flange"))
+    flat = add_effect(model, "coulomb_friction").flat
+    held = next(p.value for p in flat.parameters if p.name == "coulomb_friction.stiffness")
+    assert held == CoulombFriction.stiffness.value
+
+
+def test_a_level_below_nothing_is_no_friction():
+    """A friction that falls along the stroke ends where it reaches zero."""
+    part = PositionDependentFriction(force=20.0, slope=-400.0)
+    assert force(part, 0.2, place=0.1) == pytest.approx(0.0, abs=1e-9)

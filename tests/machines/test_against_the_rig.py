@@ -75,7 +75,7 @@ def test_play_with_the_contact_of_the_rig_is_the_play_of_the_rig():
     values = {"gap": 5e-4, "compliance": 1 / 3e7, "relaxation": 5e3 / 3e7}
     loose = MODELS["cehA"]().plus([found.addition]).with_parameters({f"backlash.{k}": v for k, v in values.items()})
     error = relative_error(loose, record)
-    assert max(error.values()) < 4e-3 < 0.3 * max(relative_error(MODELS["cehA"](), record).values()), error
+    assert max(error.values()) < 3.2e-3 < 0.3 * max(relative_error(MODELS["cehA"](), record).values()), error
 
 
 @pytest.mark.parametrize("machine", MODELS)

@@ -100,7 +100,7 @@ def discover(
         report("identify the base", 0, 1, "")
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
         search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
-        base = _only(identified(search, search.models_ahead()))
+        base = _or_refused(identified(search, search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         search, found = explained_together(search, data, found, max_effects)
         return answer(search, data, found, model, began)
@@ -134,7 +134,7 @@ def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:
     return free_parameters(flat, free).names
 
 
-def _only(found: Refitted | str) -> Refitted:
+def _or_refused(found: Refitted | str) -> Refitted:
     if isinstance(found, str):
         raise SolveError(f"gap: the base model cannot be identified ({found}). Correct its start values first.")
     return found

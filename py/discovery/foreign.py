@@ -17,7 +17,7 @@ from hydrotwin.models.language.declarations import Parameter
 
 from .answering import answer
 from .base import identified
-from .discover import MOST_EFFECTS, _bounded, _free_names, _only, _runner, usual_of
+from .discover import MOST_EFFECTS, _bounded, _free_names, _or_refused, _runner, usual_of
 from .discovery import Discovery
 from .executor import executor_for
 from .forward import begun, searched
@@ -78,7 +78,7 @@ def discover_around(
         report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
         told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
         search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
-        base = _only(identified(search))
+        base = _or_refused(identified(search))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         return answer(search, data, found, model, began)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 
 from .horizon import oscillation
@@ -32,7 +33,10 @@ def tuned_starts(flat: FlatModel, recordings: Sequence[Recording], free: FreePar
     hertz = oscillation(flat, recordings)
 
     def log_frequency(q: np.ndarray) -> float:
-        found = hertz(free.vector(q))
+        try:
+            found = hertz(free.vector(q))
+        except SolveError:  # no equilibrium to begin in
+            found = None
         return np.log(found) if found else np.nan
 
     q0 = free.scaled(free.start)

@@ -9,7 +9,7 @@ import pytest
 
 from hydrotwin.discovery import look_back
 from hydrotwin.discovery.choose import Choice, choose, label
-from hydrotwin.discovery.look_back import _contenders, from_the_beginning, pruned, settled
+from hydrotwin.discovery.look_back import _contenders, _from_first, from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
 from hydrotwin.discovery.search import Structure, Tried
 from hydrotwin.models.language import Model
@@ -227,3 +227,10 @@ def test_members_of_a_class_go_on_from_where_the_base_of_the_most_likely_came_to
     (job,) = asked
     assert job.starts[0]["mass.mass"] == coulomb.structure.fitted.values["mass.mass"]
     assert again.structure.fitted.values["mass.mass"] == pytest.approx(50.0, rel=0.05)
+
+
+def test_what_begins_anew_begins_where_the_base_did(rubbing):
+    search, base, *_ = rubbing
+    assert _from_first(search, base).starts[0] == {n: START[n] for n in search.free}
+    moved = dataclasses.replace(search, first={**search.first, "mass.mass": 33.0})
+    assert _from_first(moved, base).starts[0]["mass.mass"] == 33.0

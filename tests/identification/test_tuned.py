@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydrotwin.identification import tuned
 from hydrotwin.identification.horizon import fastest_oscillation
 from hydrotwin.identification.problem import free_parameters, recordings
 from hydrotwin.identification.tuned import CLOSE, EACH_WAY, SPACING, tuned_starts
+from hydrotwin.models.language.errors import SolveError
 from tests.identification.drive import drive, recorded
 from tests.identification.hanging import FREE, hanging, swinging
 
@@ -53,3 +55,16 @@ def test_a_damped_model_has_no_other_frequencies():
 def test_nothing_that_is_free_moves_the_mode():
     flat, measured, _ = asked(hanging())
     assert tuned_starts(flat, measured, free_parameters(flat, ["body.damping"])) == []
+
+
+def test_a_frequency_at_which_the_machine_finds_no_rest_is_no_start(monkeypatch):
+    flat, measured, free = asked(hanging())
+    known = tuned.oscillation(flat, measured)
+
+    def restless_above(p):
+        if (hertz := known(p)) > 35.0:
+            raise SolveError("hanging: no static equilibrium found.")
+        return hertz
+
+    monkeypatch.setattr(tuned, "oscillation", lambda *_: restless_above)
+    assert len(tuned_starts(flat, measured, free)) == EACH_WAY  # 22 and 27 Hz of 32, not 38 and 46

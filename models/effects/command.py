@@ -74,12 +74,13 @@ class ActuatorLag(Lagged):
     confused_with = ("dead_time", "spool_lag", "sensor_lag")
     experiment = "steps, sampled fast: a dead time shifts the first movement, a lag rounds it"
     order = 1
+    shortest = 0.5
 
     u = Input("signal", "command")
     y = Output("signal", "what follows it")
     lagging = State(lambda lag: 0.0, "signal", "w", fixed=False)
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 2.0), nominal=0.01, source="typical", free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(commands)
 
@@ -115,7 +116,7 @@ class RateLimit(Lagged):
     y = Output("signal", "what follows it")
     limited = State(lambda part: 0.0, "signal", "z", fixed=False)
     rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
-    resolution = Parameter(5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(commands)
 

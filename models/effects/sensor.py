@@ -28,13 +28,14 @@ class SensorLag(Lagged):
     confused_with = ("sensor_delay", "actuator_lag", "dead_time", "spool_lag")
     experiment = "steps sampled fast, with a second sensor: a lag of the drive shows in all outputs, this in one"
     order = 1
+    shortest = 0.5
 
     u = Input("signal", "what is measured")
     y = Output("signal", "reading")
     lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
     further = State(lambda part: 0.0, "signal", "v", fixed=False)
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 1.0), nominal=0.01, source=FRADEN, free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(model_outputs)
 

@@ -155,12 +155,13 @@ class SpoolLag(Lagged):
     confused_with = ("actuator_lag", "dead_time", "sensor_lag")
     experiment = "small steps sampled fast, with the spool's position measured"
     order = 5
+    shortest = 0.5
 
     u = Input("signal", "position of the spool")
     y = Output("signal", "what follows it")
     lagging = State(lambda part: 0.0, "signal", "w", fixed=False)
     time_constant = Parameter(0.0, "s", "lag T", bounds=(0, 0.5), nominal=0.01, source=JELALI, free=True)
-    resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
+    resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(_slow_spools)
 

@@ -13,7 +13,7 @@ from hydrotwin.models.effects.command import CommandSaturation, RateLimit
 from hydrotwin.models.language import Component, Input, Model, Output, State, connect, der
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-from tests.effects.benches import axis, passed, pump_bench, seen, valve_bench
+from tests.effects.benches import axis, pass_on, passed, pump_bench, run, seen, valve_bench
 
 TIME = np.arange(0.0, 1.0, 1e-3)
 STEP = np.where(TIME < 0.1, 0.0, 3.0)
@@ -43,7 +43,15 @@ def test_a_lag_follows_a_step_exponentially():
 @pytest.mark.parametrize("lag", [0.0005, 0.003, 0.1])
 def test_a_lag_of_any_length_is_behind_a_ramp_by_itself(lag):
     lagging = passed("actuator_lag", "command", TIME, TIME, time_constant=lag)
-    assert (TIME - lagging)[-1] == pytest.approx(lag, abs=2e-5)
+    uneven = 5e-4**2 / (12 * lag)  # what a lag makes of a ramp of steps, each the mean over a step of the model
+    assert (TIME - lagging)[-1] == pytest.approx(lag + uneven, abs=1e-5)
+
+
+@pytest.mark.parametrize("lag", [0.0005, 0.001, 0.003])
+def test_a_lag_down_to_one_step_of_the_model_follows_a_held_command_exponentially(lag):
+    late = add_effect(pass_on(), "actuator_lag", "command", {"time_constant": lag})
+    since = np.maximum(TIME - 0.1, 0)
+    np.testing.assert_allclose(run(late, TIME, STEP)[:, 0], 3.0 * (1 - np.exp(-since / lag)), atol=0.02 * 3.0)
 
 
 def test_a_limited_rate_turns_a_step_into_a_ramp():

@@ -96,10 +96,11 @@ class ActuatorLag(Lagged):
 class RateLimit(Lagged):
     """The command is followed no faster than at a rate R.
 
-        z' = clip((u - z) / T_0, -R, R),   y = u where |u - z| < R T_0, else z
+        z' = clip((u - z) / T_0, -R, R),   y = u - s(|u - z| / (R T_0)) (u - z),   s(x) = clip(2 x - 1/2, 0, 1)
 
-    so that what is slower than R passes unchanged and what is faster becomes a ramp. Between R T_0 and 1.5 R T_0 y goes
-    over from one to the other.
+    What is faster becomes a ramp, which arrives as late as the exact one in the mean: the integral of s from 0 to 1 is
+    1/2, as that of what is left of a ramp. What is slower than R/4 passes unchanged, what is slower than R is no more
+    than T_0 late.
     """
 
     id, title = "rate_limit", "limited rate"
@@ -134,8 +135,8 @@ class RateLimit(Lagged):
     def equations(self):
         u, z, near = self.u, self.limited, self.rate * self.resolution
         yield self.resolution * der(z) == clipped(u - z, near)
-        behind = ca.fmin(ca.fmax(2 * ca.fabs(u - z) / near - 2, 0), 1)
-        yield self.y == u - behind * (u - z)
+        share = ca.fmin(ca.fmax(2 * ca.fabs(u - z) / near - 0.5, 0), 1)
+        yield self.y == u - share * (u - z)
 
     def initial_equations(self):
         yield self.limited == self.u

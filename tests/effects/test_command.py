@@ -12,7 +12,7 @@ from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.command import CommandSaturation, RateLimit
 from hydrotwin.models.language import Component, Input, Model, Output, State, connect, der
 from hydrotwin.records import Record
-from hydrotwin.simulation import simulate
+from hydrotwin.simulation import prepare, simulate
 from tests.effects.benches import axis, pass_on, passed, pump_bench, run, seen, valve_bench
 
 TIME = np.arange(0.0, 1.0, 1e-3)
@@ -57,12 +57,25 @@ def test_a_lag_down_to_one_step_of_the_model_follows_a_held_command_exponentiall
 def test_a_limited_rate_turns_a_step_into_a_ramp():
     limited = passed("rate_limit", "command", TIME, STEP, rate=10.0)
     ramp = np.clip(10.0 * (TIME - 0.099), 0.0, 3.0)  # the step takes one sample
-    np.testing.assert_allclose(limited, ramp, atol=0.0075)  # 1.5 R T_0, where it arrives
-    assert np.sum(np.abs(limited - ramp) > 1e-9) <= 1
+    np.testing.assert_allclose(limited, ramp, atol=0.0025)  # R T_0, where it arrives
+    assert np.sum(np.abs(limited - ramp) > 1e-9) <= 3
+
+
+@pytest.mark.parametrize("milliseconds", [2.5, 5.0, 20.0])
+def test_a_ramp_that_lasts_a_few_steps_of_the_model_holds_back_as_much_as_the_exact_one(milliseconds):
+    lasts = 1e-3 * milliseconds
+    late = add_effect(pass_on(), "rate_limit", "command", {"rate": 3.0 / lasts}).flat
+    start = np.asarray(late.start_given()([0.0], late.parameter_vector(), [])).ravel()
+    output, states, *_ = prepare(late, method="vm").run(TIME, STEP[:, None], late.parameter_vector(), start)
+    memory = np.asarray(states)[:, [s.name for s in late.states].index("memory")]
+    held_back = 3.0 * (TIME[-1] - 0.1) - memory[-1]
+    assert held_back == pytest.approx(3.0 * lasts / 2, rel=0.02)
 
 
 def test_a_limited_rate_leaves_what_is_slower_alone():
-    np.testing.assert_allclose(passed("rate_limit", "command", TIME, SINE, rate=60.0), SINE, atol=1e-9)
+    np.testing.assert_allclose(passed("rate_limit", "command", TIME, SINE, rate=600.0), SINE, atol=1e-9)
+    nearly = passed("rate_limit", "command", TIME, SINE, rate=38.0)
+    np.testing.assert_allclose(nearly, SINE, atol=38.0 * 5e-4)  # T_0 late, and half a step of the model
 
 
 def test_commands_beyond_a_limit_do_no_more_than_the_limit():

@@ -124,6 +124,15 @@ def test_the_pin_stretches_by_force_over_stiffness():
     assert run["rod_position"] - x == pytest.approx(run["piston_force"] / 5e6, rel=1e-6)
 
 
+def test_behind_a_pin_that_gives_all_that_moves_weighs_what_is_stated():
+    pin = {"structural_compliance": {"stiffness": 1e9, "damping": 0.0}}
+    run = still(1.5, 4000, parameters=FRICTIONLESS, effects={**KICK, **pin})
+    x, lever = geometry(run["arm_angle"][0])
+    mass = (M1 + M2 / 3) * LENGTH**2 / lever**2
+    in_series = 1 / (1 / stiffness(run["rod_position"][0]) + 1 / 1e9)
+    assert ringing_frequency(run, 0.1) == pytest.approx(np.sqrt(in_series / mass) / (2 * np.pi), rel=1.5e-3)
+
+
 def test_the_end_stop_carries_what_the_pump_pushes():
     time = ticks(2.0)
     stop = {"end_stop": {"low": -0.03, "high": 0.03, "stiffness": 5e7, "damping": 20.0}}

@@ -31,14 +31,18 @@ def test_the_closed_valve_holds_the_load():
     assert run["pressure_a"] * AA - run["pressure_b"] * AB == pytest.approx(np.full(1001, LOAD), rel=1e-9)
 
 
+@pytest.mark.parametrize("joint", [np.inf, 1e9])
 @pytest.mark.parametrize("start", [0.2, 0.45, 0.7])
-def test_behind_the_closed_valve_the_mass_rings_on_the_oil_spring(start):
-    run = run_of(0.0, ticks(4.0), start=start, parameters={"cylinder.friction.viscous": 0.0}, effects=KICK)
+def test_behind_the_closed_valve_the_mass_rings_on_the_oil_spring(start, joint):
+    gives = {} if np.isinf(joint) else {"structural_compliance": {"stiffness": joint, "damping": 0.0}}
+    frictionless = {"cylinder.friction.viscous": 0.0}
+    run = run_of(0.0, ticks(4.0), start=start, parameters=frictionless, effects={**KICK, **gives})
     v, t = run["velocity"][100:], run["time"][100:]
     up = np.flatnonzero((v[:-1] < 0) & (v[1:] >= 0))
     crossings = t[up] - v[up] * 1e-3 / (v[up + 1] - v[up])
     frequency = (len(crossings) - 1) / (crossings[-1] - crossings[0])
-    assert frequency == pytest.approx(np.sqrt(spring(start) / 350) / (2 * np.pi), rel=2e-3)
+    in_series = 1 / (1 / spring(start) + 1 / joint)
+    assert frequency == pytest.approx(np.sqrt(in_series / 350) / (2 * np.pi), rel=2e-3)
     assert np.ptp(v[-300:]) == pytest.approx(np.ptp(v[:300]), rel=1e-3)
 
 

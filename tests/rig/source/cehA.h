@@ -80,6 +80,7 @@ static void cehA_motion(const CehA *p, double t, const double *x, int direction,
     Link k = link_of(p, x[C_THETA], x[C_OMEGA]);
     double pin, m1 = cehA_payload(p), L = p->length;
     double J = (m1 + p->arm_mass / 3) * L * L;
+    if (cehA_loose(p)) J -= p->rod_mass * k.lever * k.lever; /* as stated for all that moves: the rod is part of it */
     double drive = cehA_drive(p, t, x, &dx[C_Z], &pin) - direction * dry;
     dx[C_THETA] = x[C_OMEGA];
     if (!cehA_loose(p)) {

@@ -73,7 +73,10 @@ static double spool_drive(const Spool *p, double t, const double *x, double *dz,
     return loose ? force - *pin_force : force - p->load - external_force(c) - p->spring * x[S_X];
 }
 
-static double spool_mass(const Spool *p) { return p->mass + payload_change((const Common *)p); }
+/* The stated mass is that of all that moves: a rod of its own is part of it. */
+static double spool_mass(const Spool *p) {
+    return p->mass + payload_change((const Common *)p) - (spool_loose(p) ? p->rod_mass : 0);
+}
 
 static void spool_motion(const Spool *p, double t, const double *x, int direction, double dry, double *dx) {
     double pin, drive = spool_drive(p, t, x, &dx[S_Z], &pin) - direction * dry, held = direction == 0 && dry > 0;

@@ -66,7 +66,7 @@ def test_a_ramp_that_lasts_a_few_steps_of_the_model_holds_back_as_much_as_the_ex
     lasts = 1e-3 * milliseconds
     late = add_effect(pass_on(), "rate_limit", "command", {"rate": 3.0 / lasts}).flat
     start = np.asarray(late.start_given()([0.0], late.parameter_vector(), [])).ravel()
-    output, states, *_ = prepare(late, method="vm").run(TIME, STEP[:, None], late.parameter_vector(), start)
+    _, states, *_ = prepare(late, method="vm").run(TIME, STEP[:, None], late.parameter_vector(), start)
     memory = np.asarray(states)[:, [s.name for s in late.states].index("memory")]
     held_back = 3.0 * (TIME[-1] - 0.1) - memory[-1]
     assert held_back == pytest.approx(3.0 * lasts / 2, rel=0.02)

@@ -127,7 +127,7 @@ def test_the_pin_stretches_by_force_over_stiffness():
 def test_behind_a_pin_that_gives_all_that_moves_weighs_what_is_stated():
     pin = {"structural_compliance": {"stiffness": 1e9, "damping": 0.0}}
     run = still(1.5, 4000, parameters=FRICTIONLESS, effects={**KICK, **pin})
-    x, lever = geometry(run["arm_angle"][0])
+    _, lever = geometry(run["arm_angle"][0])
     mass = (M1 + M2 / 3) * LENGTH**2 / lever**2
     in_series = 1 / (1 / stiffness(run["rod_position"][0]) + 1 / 1e9)
     assert ringing_frequency(run, 0.1) == pytest.approx(np.sqrt(in_series / mass) / (2 * np.pi), rel=1.5e-3)

@@ -24,6 +24,7 @@ from .gap_text import (
 )
 
 AT_NOISE = 1.1  # times the noise: nothing worth a name is left below this
+BEYOND_COUNTING = 1000.0  # times the noise: the error itself says more
 WORSE = 1.1  # a recording whose RMSE grew by more speaks against the effect
 NOT_JUDGED = ("not testable", "cannot be added")
 TOLD = 3  # outputs, places and effects told on the first screen; the tables below have all
@@ -75,7 +76,7 @@ def facts(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     told = []
     if discovery.steps:
         told.append(closed_sentence(discovery, shown))
-    told.append(left_sentence(discovery))
+    told.append(left_sentence(discovery, shown))
     told += [capital(sentence(u.sentence)) for u in discovery.unknown[:TOLD] if u.sentence]
     if any(len(s.members) > 1 for s in discovery.steps):
         told.append(f"These recordings cannot tell them apart. {experiment_sentence(discovery)}")
@@ -178,7 +179,7 @@ def _span(gaps: Sequence[OutputGap]) -> str:
     return f"from {span} of those of the {len(gaps)} others"
 
 
-def left_sentence(discovery: Discovery) -> str:
+def left_sentence(discovery: Discovery, shown: Mapping[str, str]) -> str:
     """What is left over the noise of the sensors."""
     rows, fresh = unseen(discovery)
     ratio = {o.output: o.rmse_after / o.noise for o in rows if o.noise > 0.0 and math.isfinite(o.rmse_after)}
@@ -194,10 +195,17 @@ def left_sentence(discovery: Discovery) -> str:
         worst = max(ratio, key=ratio.__getitem__)
         return f"{where} is the noise of the sensors: at most {number_text(ratio[worst])} times it, on {worst}."
     worst = sorted(over, key=over.__getitem__, reverse=True)[:TOLD]
-    words = [f"{number_text(over[n], 2)} times the noise on {n}" for n in worst]
+    by_name = {o.output: o for o in rows}
+    words = [_over_noise(by_name[n], over[n], shown) for n in worst]
     rest = len(ratio) - len(over)
     done = f"; {rest} other output{'s are' if rest > 1 else ' is'} at the noise" if rest else ""
     return f"{where}: {joined(words)}{done}."
+
+
+def _over_noise(o: OutputGap, times: float, shown: Mapping[str, str]) -> str:
+    if times < BEYOND_COUNTING:
+        return f"{number_text(times, 2)} times the noise on {o.output}"
+    return f"{_rmse(o, o.rmse_after, shown)} on {o.output}, whose sensor is far finer"
 
 
 def class_sentence(discovery: Discovery) -> str:

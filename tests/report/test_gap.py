@@ -71,6 +71,13 @@ def test_a_named_effect_is_told_with_what_it_closes_on_unseen_recordings_and_wha
     assert headline(named())["motor_speed"][-2] == "no gap"
 
 
+def test_what_is_left_over_a_far_finer_sensor_is_told_in_its_unit():
+    first, *others = named().outputs["validate"]
+    fine = replace(named(), outputs={"validate": (replace(first, noise=1e-5 * first.rmse_after), *others)})
+    text = first_screen(fine)
+    assert "What is left: 0.00705° on arm_angle, whose sensor is far finer; 2 other outputs are at" in text
+
+
 def test_without_recordings_held_back_nothing_claims_to_be_unseen():
     seen = replace(named(), outputs={"train": named().outputs["train"]})
     text = first_screen(seen)

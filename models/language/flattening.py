@@ -204,6 +204,8 @@ def _solve_once(elaboration, equations, unknowns, waiting):
     nonlinear: list[NonlinearBlock] = []
     blocks = ordered_blocks(incidence, unknown_of)
     wanted = {j for j, u in enumerate(unknowns) if u.symbol.element_hash() in waiting}
+    numbers = {p.symbol.element_hash(): p.declaration.value for p in elaboration.parameters}
+    values = {key: value for key, value in numbers.items() if not callable(value)}
     for block in _leading_to(wanted, blocks, incidence, unknown_of) if waiting else blocks:
         members = [unknowns[int(unknown_of[i])] for i in block]
         given = _given_outright(equations[block[0]], members[0].symbol) if len(block) == 1 else None
@@ -215,7 +217,7 @@ def _solve_once(elaboration, equations, unknowns, waiting):
         def describe(block=block):
             return "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in block[:6])
 
-        solution, record = solve_block(elaboration.name, members, residuals, describe)
+        solution, record = solve_block(elaboration.name, members, residuals, describe, values)
         for member, expression in zip(members, solution, strict=True):
             expressions[member.symbol.element_hash()] = expression
         if record:

@@ -5,7 +5,7 @@ A block is a set of equations that determine the same set of unknowns together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -15,6 +15,7 @@ from .errors import TopologyError
 
 NEWTON_STEPS = 12
 LARGEST_NONLINEAR_BLOCK = 4
+GOLDEN = 0.6180339887498949  # its multiples differ from each other, and so do differences of them
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,11 @@ def solve_block(
     unknowns: Sequence[Unknown],
     residuals: Sequence[ca.SX],
     describe: Callable[[], str],
+    values: Mapping[int, float] | None = None,
 ) -> tuple[list[ca.SX], NonlinearBlock | None]:
     """Expressions for ``unknowns`` that make all ``residuals`` zero, and the Newton record if one was needed.
+
+    values : numbers of known symbols by hash, at which nothing may be divided by zero.
 
     Raises
     ------
@@ -52,7 +56,7 @@ def solve_block(
     jacobian = ca.simplify(ca.jacobian(residual, symbols))
     if not ca.depends_on(jacobian, symbols):
         offset = ca.substitute(residual, symbols, ca.SX.zeros(len(unknowns)))
-        return _eliminate(model, unknowns, jacobian, -offset, describe), None
+        return _eliminate(model, unknowns, jacobian, -offset, describe, values), None
     left, residuals, explicit = (
         _torn(unknowns, residuals) if len(unknowns) > LARGEST_NONLINEAR_BLOCK else (unknowns, residuals, [])
     )
@@ -98,7 +102,7 @@ def _is_given(equation: ca.SX, symbol: ca.SX) -> bool:
     return slope.is_constant() and not slope.is_zero()
 
 
-def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe) -> list[ca.SX]:
+def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=None) -> list[ca.SX]:
     """Gaussian elimination on expressions; constant pivots first, so that nothing is divided without need."""
     n = len(unknowns)
     a = [[matrix[i, j] for j in range(n)] for i in range(n)]
@@ -106,7 +110,7 @@ def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe) -> list[c
     rows, order = list(range(n)), []
     columns = set(range(n))
     while rows:
-        row, column = _pivot(a, rows, columns)
+        row, column = _pivot(a, rows, columns, values or {})
         if row is None:
             stuck = ", ".join(unknowns[j].path for j in sorted(columns))
             raise TopologyError(
@@ -132,17 +136,33 @@ def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe) -> list[c
     return solution
 
 
-def _pivot(a, rows, columns):
-    """The entry to divide by: a number before an expression, then the one that fills least."""
-    best, best_cost = (None, None), np.inf
+def _pivot(a, rows, columns, values):
+    """The entry to divide by: a number before an expression, one that stays off zero, then the one that fills least.
+
+    A compliance is zero until it is looked for: what is a number times it must not be divided by.
+    """
+    fills = {}
     for i in rows:
         filled = [j for j in columns if not a[i][j].is_zero()]
         for j in filled:
-            fill = (len(filled) - 1) * (sum(not a[k][j].is_zero() for k in rows) - 1)
-            cost = fill + (0 if a[i][j].is_constant() else 1000)
-            if cost < best_cost:
-                best, best_cost = (i, j), cost
-    return best
+            fills[i, j] = (len(filled) - 1) * (sum(not a[k][j].is_zero() for k in rows) - 1)
+    numbers = {entry: fill for entry, fill in fills.items() if a[entry[0]][entry[1]].is_constant()}
+    if numbers or not fills:
+        return min(numbers, key=numbers.__getitem__, default=(None, None))
+    zeros = _zeros([a[i][j] for i, j in fills], values)
+    return min(zip(fills, zeros, fills.values(), strict=True), key=lambda row: row[1:])[0]
+
+
+def _zeros(entries: Sequence[ca.SX], values: Mapping[int, float]) -> list[int]:
+    """At how many of two points every entry is zero or no number; what has no value is zero at one of them."""
+    together = ca.vertcat(*entries)
+    symbols = ca.symvar(together)
+    evaluate = ca.Function("entries", [ca.vertcat(*symbols)], [together])
+    anywhere = 1.0 + np.modf(np.arange(1, len(symbols) + 1) * GOLDEN)[0]
+    points = [[values.get(s.element_hash(), 0.0) for s in symbols]]
+    points.append([values.get(s.element_hash(), x) for s, x in zip(symbols, anywhere, strict=True)])
+    found = np.array([evaluate(p) for p in points]).reshape(len(points), -1)
+    return ((found == 0) | ~np.isfinite(found)).sum(axis=0).tolist()
 
 
 def _newton(model, unknowns, residual, symbols, describe):

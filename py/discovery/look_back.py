@@ -193,7 +193,7 @@ def from_the_beginning(search: Search, base: Structure) -> list[Tried]:
     tried = []
     for s, fitted in zip(chosen, search.run(refit, jobs, "look back"), strict=True):
         if not isinstance(fitted, str):
-            structure = search.keep(Structure((s.candidate,), fitted))
+            structure = search.lower(Structure((s.candidate,), fitted))
             tried.append(search.judged(Tried((s.candidate,), s, structure), base))
     return tried
 

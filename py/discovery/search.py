@@ -297,6 +297,12 @@ class Search:
         self._known[tuple(sorted(structure.key))] = structure
         return structure
 
+    def lower(self, structure: Structure) -> Structure:
+        """This fit of a structure, or the one known where that is lower."""
+        known = self._known.get(tuple(sorted(structure.key)))
+        stays = isinstance(known, Structure) and known.fitted.likelihood <= structure.fitted.likelihood
+        return known if stays else self.keep(structure)
+
     def judged(self, tried: Tried, now: Structure) -> Tried:
         """The evidence of a candidate against another structure."""
         if tried.structure is None:

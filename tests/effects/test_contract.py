@@ -5,12 +5,14 @@ from __future__ import annotations
 import dataclasses
 from functools import cache
 from itertools import product
+from pathlib import Path
 from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
+import hydrotwin
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.effects import CATALOGUE, candidates
 from hydrotwin.models.effects.effect import neutral_difference
@@ -26,6 +28,12 @@ MACHINES = {
     "axis": benches.axis,
     "tanks": benches.tanks,
 }
+EXAMPLES = {  # models of users, on which the whole catalogue is looked for
+    "emps": "examples/emps/model.py:axis",
+    "cascaded_tanks": "examples/cascaded_tanks/model.py:model",
+    "eha_bench": "examples/eha_bench/model.py:model",
+}
+ROOT = Path(__file__).parents[2]
 UNIFORM = np.random.default_rng(7).uniform(-1, 1, (6, 3))
 STATES = np.random.default_rng(8).uniform(-0.05, 0.05, 20)
 STABLE = 2.7  # |rate| x step up to which Runge-Kutta of order four decays
@@ -34,7 +42,7 @@ FINEST = 8  # by which the simulation divides the step before it turns to an imp
 
 @cache
 def machine(name):
-    return MACHINES[name]()
+    return MACHINES[name]() if name in MACHINES else hydrotwin.load(f"{ROOT / EXAMPLES[name]}")
 
 
 @cache
@@ -230,7 +238,7 @@ def prepared(name, label):
     return Prepared(added(name, label).flat)
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", [*MACHINES, *EXAMPLES])
 def test_all_candidates_in_one_model_at_neutral_are_the_model_without_them(name):
     model = machine(name)
     more, base = Prepared(model.plus([c.addition for c in found(name)]).flat), bare(name)

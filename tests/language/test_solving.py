@@ -67,6 +67,27 @@ def test_a_linear_loop_is_solved_exactly_for_every_parameter():
     assert float(slope(values)[k]) == pytest.approx(float(up - down) / (2 * h), rel=1e-6)
 
 
+class Crossed(Component):
+    """Two equations whose coefficients are all parameters: c x + 2 y = 1,  3 x + 4 y = 2, with c = 0."""
+
+    x = Variable("1")
+    y = Variable("1")
+    seconds = State(0.0, "s", "a model has a state")
+    absent = Parameter(0.0, "1")
+    two = Parameter(2.0, "1")
+    three = Parameter(3.0, "1")
+    four = Parameter(4.0, "1")
+
+    def equations(self):
+        yield self.absent * self.x + self.two * self.y == 1
+        yield self.three * self.x + self.four * self.y == 2
+        yield der(self.seconds) == 1
+
+
+def test_what_is_zero_until_it_is_looked_for_is_not_divided_by():
+    assert observed(Model(Crossed()), ["x", "y"], [], []) == pytest.approx([0.0, 0.5], abs=1e-15)
+
+
 class Orifices(Component):
     """Two turbulent orifices in series between a supply and a sink that holds a flow-dependent pressure."""
 

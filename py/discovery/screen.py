@@ -36,6 +36,10 @@ TESTABLE = 3.0  # predicted |t| of an effect at its largest usual amplitude
 BLIND = 1e-6  # of the largest projected column: no derivative
 ABSORBED = 1e-6  # of the plain column: what the base parameters leave of it is rounding
 FARTHEST = 0.7  # in q of a base parameter: a factor of two
+NEUTRAL_DIVERGES = (
+    "the fitted model with all candidates at neutral diverges. Look for fewer of them at once (effects or exclude), or "
+    "give a smaller step."
+)
 LONGEST = 3.0  # in units of the largest probe: how far a linear prediction is followed
 
 
@@ -108,7 +112,7 @@ class Screen:
         every = self.shooting.all_sensitivities(q, self.z)
         for i, (recording, found) in enumerate(zip(self.question.fit, every, strict=True)):
             if found is None:
-                raise SolveError(f"{self.flat.name}: the fitted model with all candidates at neutral diverges.")
+                raise SolveError(f"{self.flat.name}: {NEUTRAL_DIVERGES}")
             r, J, _ = found
             own = np.zeros((len(r), shared + count * local))
             own[:, :shared] = J[:, :shared]

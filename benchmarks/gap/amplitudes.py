@@ -16,8 +16,9 @@ class Facts:
     """What the machine does without the effect, over the fit recordings, SI.
 
     command, slew: largest magnitude and rate of change between samples; pressure: (least, median, largest);
-    travel: (least, largest) of the rod [m]; spread: largest less least of the output that a sensor effect sits on.
-    sign: of effects that may go either way. seconds: length of a recording. second: index into pairs of limits.
+    travel: (least, largest) of the rod [m]; rest: the same of where recordings begin; spread: largest less least of the
+    output that a sensor effect sits on. sign: of effects that may go either way. seconds: length of a recording.
+    second: index into pairs of limits.
     """
 
     machine: str
@@ -25,6 +26,7 @@ class Facts:
     slew: float
     pressure: tuple[float, float, float]
     travel: tuple[float, float]
+    rest: tuple[float, float]
     output: str
     spread: float
     sign: float
@@ -102,9 +104,10 @@ def _cavitation(level, f):
 
 
 def _end_stop(level, f):
+    """From the ends of the travel inward, but not past where the machine rests: it would begin pressed into a stop."""
     low, high = f.travel
-    room = 0.35 * (high - low)
-    return {"low": low + level * room, "high": high - level * room, "stiffness": (2e7, 2e7)[f.second]}
+    room = level * 0.35 * (high - low)
+    return {"low": min(low + room, f.rest[0]), "high": max(high - room, f.rest[1]), "stiffness": (2e7, 2e7)[f.second]}
 
 
 def _stiff(softest) -> Options:

@@ -111,13 +111,15 @@ class Meter:
         pressures = np.concatenate([run[n] for run in runs for n in m.outputs if n.startswith("pressure")])
         commands = [run[m.input] for run in runs]
         slew = max(np.max(np.abs(np.diff(u)) / np.diff(r["time"])) for u, r in zip(commands, runs, strict=True))
-        travel = np.concatenate([run[m.position] for run in runs])
+        positions = [run[m.position] for run in runs]
+        travel, first = np.concatenate(positions), [x[0] for x in positions]
         return Facts(
             machine=m.name,
             command=float(max(np.max(np.abs(u)) for u in commands)),
             slew=float(slew),
             pressure=tuple(float(q) for q in np.quantile(pressures, [0, 0.5, 1])),
             travel=(float(travel.min()), float(travel.max())),
+            rest=(float(min(first)), float(max(first))),
             output=output,
             spread=float(max(np.ptp(run[output]) for run in runs)),
             sign=sign,

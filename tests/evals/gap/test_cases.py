@@ -111,6 +111,14 @@ def test_a_limit_moves_in_from_where_it_does_nothing():
     assert strong < weak
 
 
+@pytest.mark.parametrize("machine", ["cehA", "spool_valve"])
+def test_no_machine_begins_pressed_into_its_stop(machine):
+    m = rig.MACHINES[machine]
+    made = make(dataclasses.replace(short(machine, ["end_stop"], 30.0, sensors="all"), excitation="sweep"))
+    first = [rig.record(machine, r[m.input], r.time, effects=list(made.hidden))[m.position][0] for r in made.fit]
+    assert made.hidden[0][1]["low"] <= min(first) and max(first) <= made.hidden[0][1]["high"]
+
+
 def test_what_no_plausible_effect_can_do_is_said():
     with pytest.raises(Unreachable, match="payload_error at its largest plausible size"):
         make(short("spool_valve", ["payload_error"], 30.0, sensors="position"))

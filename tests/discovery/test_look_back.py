@@ -83,6 +83,16 @@ def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):
     assert best.structure.fitted.values["coulomb_friction.force"] == pytest.approx(30.0, rel=0.05)
 
 
+def test_a_lower_fit_that_is_known_stays_where_one_from_the_beginning_rests_higher(rubbing):
+    search, base, _, ranked = rubbing
+    (known,) = search.singles(base, [next(s for s in ranked if s.candidate.id == "coulomb_friction")])
+    fitted = known.structure.fitted
+    lower = search.keep(Structure(known.members, dataclasses.replace(fitted, likelihood=fitted.likelihood - 5)))
+    again = next(t for t in from_the_beginning(search, base) if t.members == known.members)
+    assert again.structure is lower and search.singles(base, [known.screened])[0].structure is lower
+    search.keep(known.structure)
+
+
 def test_an_idle_member_is_dropped_and_the_one_that_works_stays(rubbing):
     search, base, *_ = rubbing
     both = grown(search, base, "null_bias", "coulomb_friction", coulomb_friction=30.0)

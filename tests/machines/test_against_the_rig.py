@@ -70,12 +70,14 @@ def test_what_dry_friction_holds_does_not_move_on_its_oil(machine, site, force, 
 
 
 def test_play_with_the_contact_of_the_rig_is_the_play_of_the_rig():
-    record = rig_record("cehA", duration=10.0, effects={"backlash": {"gap": 5e-4, "stiffness": 3e7, "damping": 5e3}})
+    """The rig's rod is light here: the model's weighs nothing."""
+    play = {"gap": 5e-4, "stiffness": 3e7, "damping": 5e3, "rod_mass": 0.5}
+    record = rig_record("cehA", duration=10.0, effects={"backlash": play})
     (found,) = candidates(MODELS["cehA"](), ["backlash"])
     values = {"gap": 5e-4, "compliance": 1 / 3e7, "relaxation": 5e3 / 3e7}
     loose = MODELS["cehA"]().plus([found.addition]).with_parameters({f"backlash.{k}": v for k, v in values.items()})
     error = relative_error(loose, record)
-    assert max(error.values()) < 3.2e-3 < 0.3 * max(relative_error(MODELS["cehA"](), record).values()), error
+    assert max(error.values()) < 3.5e-3 < 0.3 * max(relative_error(MODELS["cehA"](), record).values()), error
 
 
 @pytest.mark.parametrize("machine", MODELS)

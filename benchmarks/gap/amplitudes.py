@@ -107,7 +107,7 @@ def _end_stop(level, f):
     """From the ends of the travel inward, but not past where the machine rests: it would begin pressed into a stop."""
     low, high = f.travel
     room = level * 0.35 * (high - low)
-    return {"low": min(low + room, f.rest[0]), "high": max(high - room, f.rest[1]), "stiffness": (2e7, 2e7)[f.second]}
+    return {"low": min(low + room, f.rest[0]), "high": max(high - room, f.rest[1]), "stiffness": 2e7}
 
 
 def _stiff(softest) -> Options:

@@ -116,7 +116,7 @@ class RateLimit(Lagged):
     u = Input("signal", "command")
     y = Output("signal", "what follows it")
     limited = State(lambda part: 0.0, "signal", "z", fixed=False)
-    rate = Parameter(1e6, "signal/s", "rate R", bounds=(1e-2, 1e6), nominal=1.0, source="data sheet", free=True)
+    rate = Parameter(1e8, "signal/s", "rate R", bounds=(1e-2, 1e8), nominal=1.0, source="data sheet", free=True)
     resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
 
     sites = stepped(commands)

@@ -48,8 +48,9 @@ def test_a_lag_of_any_length_is_behind_a_ramp_by_itself(lag):
 
 
 @pytest.mark.parametrize("lag", [0.0005, 0.001, 0.003])
-def test_a_lag_down_to_one_step_of_the_model_follows_a_held_command_exponentially(lag):
-    late = add_effect(pass_on(), "actuator_lag", "command", {"time_constant": lag})
+@pytest.mark.parametrize(("effect", "site"), [("actuator_lag", "command"), ("sensor_lag", "reading")])
+def test_a_lag_down_to_one_step_of_the_model_follows_a_held_command_exponentially(effect, site, lag):
+    late = add_effect(pass_on(), effect, site, {"time_constant": lag})
     since = np.maximum(TIME - 0.1, 0)
     np.testing.assert_allclose(run(late, TIME, STEP)[:, 0], 3.0 * (1 - np.exp(-since / lag)), atol=0.02 * 3.0)
 
@@ -76,6 +77,11 @@ def test_a_limited_rate_leaves_what_is_slower_alone():
     np.testing.assert_allclose(passed("rate_limit", "command", TIME, SINE, rate=600.0), SINE, atol=1e-9)
     nearly = passed("rate_limit", "command", TIME, SINE, rate=38.0)
     np.testing.assert_allclose(nearly, SINE, atol=38.0 * 5e-4)  # T_0 late, and half a step of the model
+
+
+def test_a_rate_without_a_limit_leaves_steps_of_a_thousand_nominals_alone():
+    free = add_effect(pass_on(), "rate_limit", "command", {})
+    np.testing.assert_array_equal(run(free, TIME, 1e3 * STEP)[:, 0], 1e3 * STEP)
 
 
 def test_commands_beyond_a_limit_do_no_more_than_the_limit():

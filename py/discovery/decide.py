@@ -24,6 +24,7 @@ BLOCKS = 40  # over all held-out recordings
 SHORTEST = 25  # samples of a block
 BIC_NEEDED = 10.0
 FEWEST_BLOCKS = 4  # that leave more than noise
+FEWEST_TOGETHER = 2  # the same where all is fitted to: one at each end of a stop
 NOISY = 4.0  # sigmas of the mean square of noise: what a block must leave to count
 MOST_SAY = np.log(2)  # of one block: its mean square halved
 LEAST_SPREAD = 0.03  # between blocks
@@ -61,7 +62,13 @@ def compared(better: Refitted, other: Refitted, q: Question) -> Evidence:
     """Evidence for ``better`` over ``other``."""
     return Evidence(
         bic_gain(better, other, q),
-        paired_t(better.residuals_select, other.residuals_select, other.size, q.noise),
+        paired_t(
+            better.residuals_select,
+            other.residuals_select,
+            other.size,
+            q.noise,
+            FEWEST_BLOCKS if q.held_out else FEWEST_TOGETHER,
+        ),
         closed(better, other, q),
     )
 
@@ -125,18 +132,25 @@ def block_errors(residuals: Sequence[np.ndarray], size: np.ndarray) -> np.ndarra
     return np.where(finite, np.log(np.maximum(mean, 1e-300)), DIVERGED)
 
 
-def paired_t(better: Sequence[np.ndarray], other: Sequence[np.ndarray], size: np.ndarray, noise: np.ndarray) -> float:
+def paired_t(
+    better: Sequence[np.ndarray],
+    other: Sequence[np.ndarray],
+    size: np.ndarray,
+    noise: np.ndarray,
+    fewest: int = FEWEST_BLOCKS,
+) -> float:
     """t of the paired differences of log block errors; positive when ``better`` is. nan without held-out recordings.
 
     A block in which both leave but noise says nothing about either, and fifty of them would hide what a few say: where
-    some leave more than noise (ny,), they decide. How much better they are may be ruled by few of them, how often by
-    those that hardly differ: the clearer counts of all as they are and of all with no more say than a halved error.
+    at least the ``fewest`` leave more than noise (ny,), they decide. How much better they are may be ruled by few of
+    them, how often by those that hardly differ: the clearer counts of all as they are and of all with no more say than
+    a halved error.
     """
     if not better:
         return np.nan
     difference = block_errors(other, size) - block_errors(better, size)
     telling = _more_than_noise(better, noise) | _more_than_noise(other, noise)
-    difference = difference[telling] if telling.sum() >= FEWEST_BLOCKS else difference
+    difference = difference[telling] if telling.sum() >= fewest else difference
     return max(_t(difference), _t(np.clip(difference, -MOST_SAY, MOST_SAY)), key=abs)
 
 

@@ -128,6 +128,18 @@ def test_what_a_few_blocks_say_is_not_hidden_by_those_in_which_nothing_is_missin
     assert paired_t([other], [better], size, NOISE) < -3
 
 
+def test_where_all_recordings_are_fitted_to_a_block_at_each_end_of_a_stop_is_enough():
+    """Two blocks of forty: kept out of the fit they are too few to decide, and the 38 others say nothing."""
+    better, other = white(0), white(0)
+    other[[400, 1200]] += 40 * NOISE
+    a, b = structure([better], [better]), structure([other], [other])
+    together = dataclasses.replace(asked(), select=asked().fit)
+    apart = dataclasses.replace(asked(), select=(dataclasses.replace(asked().fit[0], name="other"),))
+    assert together.held_out is False and apart.held_out is True
+    assert compared(a, b, together).paired_t > 3 and compared(b, a, together).paired_t < -3
+    assert compared(a, b, apart).paired_t < 2
+
+
 def test_without_held_out_recordings_there_is_no_t():
     assert np.isnan(paired_t([], [], NOISE, NOISE))
 

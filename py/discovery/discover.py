@@ -21,13 +21,13 @@ from .executor import LOCAL, Starts, executor_for, processors
 from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
-from .refit import Question, Refitted, conclude
+from .refit import Led, Question, Refitted, conclude
 from .resume import recalled
 from .search import Search, Structure
 from .together import explained_together
 
 MOST_EFFECTS = 3
-KEPT = (Refitted,)  # answers that an interrupted search need not find again
+KEPT = (Refitted, Led)  # answers that an interrupted search need not find again
 NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
 
@@ -143,7 +143,7 @@ def _or_refused(found: Refitted | str) -> Refitted:
 def _runner(pool, report, memory, cores: int = 1):
     """``run(function, jobs, stage)``: the answers in order, from memory where they are known.
 
-    Fewer jobs than ``cores`` share them; ``meanwhile`` is gone through while they are at work.
+    The last jobs share the ``cores`` that they would leave idle; ``meanwhile`` is gone through while they are at work.
     """
 
     def run(function, jobs, stage: str, meanwhile: Iterable = ()) -> list:
@@ -155,8 +155,9 @@ def _runner(pool, report, memory, cores: int = 1):
             done += 1
             report(stage, done, len(jobs), getattr(jobs[index], "label", ""))
 
-        threads = max(1, cores // max(len(jobs), 1))
-        ready = [_portable(job, threads) for job in jobs]
+        last = len(jobs) % cores
+        threads = [cores // last if len(jobs) - i <= last else 1 for i in range(len(jobs))]
+        ready = [_portable(*job) for job in zip(jobs, threads, strict=True)]
         kept = None if function is conclude else memory  # a final fit holds functions, and is soon done again
         return list(recalled(kept, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile))
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydrotwin.identification.answer import answer
-from hydrotwin.identification.descent import Task, descend, whole_runs
+from hydrotwin.identification.descent import Task, descend, through_windows, whole_runs
 from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
@@ -36,6 +36,7 @@ ROUNDS = 5
 LONGEST = 30  # iterations in all rounds together: a cost with kinks can take every one of them and gain nothing
 FAR = 2.0  # times the noise: beyond it what may be left weighs a first fit, too
 FEWEST = 3  # iterations of the slowest structures
+LEADING = 2  # lengths of windows that tell which of several starts lead elsewhere
 IMPLICIT = 10  # times an explicit run: an implicit one
 LAST_WORD = 40  # iterations of a fit that is reported
 KNOWN_TO = np.log(2.0)
@@ -78,7 +79,7 @@ class RefitJob:
     starts : parameter values by path, the first for the rest; the best few by cost are followed, equal ones once.
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
-    coarse : lead the start through short windows first.
+    coarse : lead the start through short windows first; ``led``: where the first of them have led it.
     valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods.
     threads : over recordings and windows; the answer does not depend on it.
     """
@@ -95,6 +96,15 @@ class RefitJob:
     label: str = ""
     valley: float | None = None
     threads: int = 1
+    led: Led | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Led:
+    """Where the first windows of a coarse refit ended: scaled parameters q, state trajectories (n, nx) by recording."""
+
+    q: np.ndarray
+    states: tuple[np.ndarray, ...] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,21 +157,25 @@ def refit(job: RefitJob) -> Refitted | str:
         return str(error)
 
 
+def lead(job: RefitJob) -> Led | str:
+    """The first windows of a coarse refit; a sentence when the model diverges there. Pure and picklable."""
+    try:
+        task, lengths = _coarse(job)
+        q, states = through_windows(task, task.free.scaled(task.free.start), lengths[:LEADING], thorough=False)
+        return Led(q, states and tuple(states))
+    except SolveError as error:
+        return str(error)
+
+
 def _refit(job: RefitJob) -> Refitted:
-    q = job.question
-    flat = job.flat
-    free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
-    propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
-    task = Task(
-        flat, free, propagator, q.fit, weights(q.noise), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
-        q.noise, prior=_prior(free, q),
-    )  # fmt: skip
-    iterations = job.iterations
+    q, iterations = job.question, job.iterations
     if job.coarse:
-        task = broadly_weighed(task, np.isfinite(q.noise))
-        lengths = horizons(flat, q.fit, free.vector(free.scaled(free.start)))
-        found = descend(task, free.scaled(free.start), lengths, job.iterations, 1e-3, thorough=False)
+        task, lengths = _coarse(job)
+        led = job.led or Led(task.free.scaled(task.free.start), None)
+        lengths = lengths[LEADING:] if job.led else lengths
+        found = descend(task, led.q, lengths, job.iterations, 1e-3, thorough=False, states=led.states)
     else:
+        task = _weighed(job, q.noise)
         found, iterations = _from_starts(task, job)
     best = _settled(task, q, found, iterations)
     if job.valley:
@@ -170,11 +184,18 @@ def _refit(job: RefitJob) -> Refitted:
     return _answer(q, *best)
 
 
-def _task(job: RefitJob) -> Task:
+def _coarse(job: RefitJob) -> tuple[Task, list[float]]:
+    """The task of a descent through windows, broadly weighed, and how long [s] the windows are."""
+    task = _weighed(job, job.question.noise)
+    lengths = horizons(task.flat, task.recordings, task.free.vector(task.free.scaled(task.free.start)))
+    return broadly_weighed(task, np.isfinite(job.question.noise)), lengths
+
+
+def _weighed(job: RefitJob, size: np.ndarray) -> Task:
+    """The task of a refit from its first start, where a residual (ny,) of ``size`` SI costs as much as noise does."""
     flat, q = job.flat, job.question
     free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
-    size = np.fmax(q.noise if job.size is None else job.size, q.noise)
     return Task(
         flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
         q.noise, prior=_prior(free, q),
@@ -366,7 +387,7 @@ class Concluded:
 def conclude(job: RefitJob) -> Concluded:
     """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part."""
     began, q = time.perf_counter(), job.question
-    task = _task(job)
+    task = _weighed(job, np.fmax(q.noise if job.size is None else job.size, q.noise))
     found = _from_starts(task, job)[0]
     task, found, left, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}

@@ -149,9 +149,9 @@ class Search:
         return self._big
 
     def models_ahead(self) -> Iterator[None]:
-        """Make, one at a time, the models that a screen needs: all candidates in one, then each alone."""
+        """Make, one at a time, the models a screen is sure to need: of all candidates, then of each to be probed."""
         _ = self.big
-        for candidate in self.candidates:
+        for candidate in [c for c in self.candidates if hasattr(c.effect, "probes_for")]:
             yield
             with contextlib.suppress(HydrotwinError):  # told where it is used
                 _ = self.model((candidate,)).flat

@@ -100,16 +100,44 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
 
 
 def descend(
-    task: Task, q: np.ndarray, lengths: Sequence[float], most: int, relative: float = 1e-6, thorough: bool = True
+    task: Task,
+    q: np.ndarray,
+    lengths: Sequence[float],
+    most: int,
+    relative: float = 1e-6,
+    thorough: bool = True,
+    states: Sequence[np.ndarray] | None = None,
 ) -> Minimum:
     """Minimise over windows of growing ``lengths`` [s], then over the whole recordings.
 
-    ``relative``: of the unexplained cost, what a free run need not gain; ``thorough``: doubt slow windows.
+    ``relative``: of the unexplained cost, what a free run need not gain; others as in `through_windows`.
     """
-    states = None
+    q, states = through_windows(task, q, lengths, thorough, states)
+    shooting, z = whole_runs(task)
+    if states is not None and not shooting.start.held:
+        first = np.array([x[0, shooting.start.columns] for x in states]).reshape(z.shape) / shooting.start.nominal
+        z = shooting.clip(np.where(np.isfinite(first), first, z))
+    task.report("free run", 0, np.nan)
+    return minimise(shooting, q, z, most=most, relative=relative, on_step=task.step_report("free run"))
+
+
+def through_windows(
+    task: Task,
+    q: np.ndarray,
+    lengths: Sequence[float],
+    thorough: bool = True,
+    states: Sequence[np.ndarray] | None = None,
+) -> tuple[np.ndarray, Sequence[np.ndarray] | None]:
+    """Minimise over windows of growing ``lengths`` [s]: q and state trajectories (n, nx) per recording.
+
+    ``thorough``: doubt slow windows; ``states``: trajectories where shorter windows have been gone through before.
+    """
     for seconds in lengths:
-        guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), lengths[0])
-        shooting, z = windows(task, q, seconds, guess if states is None else _filled(states, guess))
+        known = states
+        if known is None or not all(np.isfinite(x).all() for x in known):
+            guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), lengths[0])
+            known = guess if known is None else _filled(known, guess)
+        shooting, z = windows(task, q, seconds, known)
         stage = f"windows of {seconds:.3g} s"
         task.report(stage, 0, np.nan)
         try:
@@ -117,12 +145,7 @@ def descend(
         except SolveError:
             break
         q, states = found.q, shooting.trajectories(found.q, found.z)
-    shooting, z = whole_runs(task)
-    if states is not None and not shooting.start.held:
-        first = np.array([x[0, shooting.start.columns] for x in states]).reshape(z.shape) / shooting.start.nominal
-        z = shooting.clip(np.where(np.isfinite(first), first, z))
-    task.report("free run", 0, np.nan)
-    return minimise(shooting, q, z, most=most, relative=relative, on_step=task.step_report("free run"))
+    return q, states
 
 
 def _settled(

@@ -145,11 +145,11 @@ def test_a_job_alone_may_use_all_cores_and_its_answer_is_the_same_to_the_last_bi
     assert key_of(jobs[0]) != key_of(dataclasses.replace(jobs[0], coarse=False))
 
 
-@pytest.mark.parametrize(("count", "threads"), [(1, 4), (2, 2), (3, 1), (9, 1)])
-def test_fewer_jobs_than_cores_share_them(plain, count, threads):
-    jobs = [RefitJob(slide().flat, FREE, plain)] * count
+@pytest.mark.parametrize("threads", [[4], [2, 2], [1, 1, 1], [1, 1, 1, 1, 2, 2], []])
+def test_the_last_jobs_share_the_cores_that_they_would_leave_idle(plain, threads):
+    jobs = [RefitJob(slide().flat, FREE, plain)] * len(threads)
     run = _runner(Inline(), lambda *said: None, None, cores=4)
-    assert run(threads_of, jobs, "refit") == [threads] * count
+    assert run(threads_of, jobs, "refit") == threads
 
 
 def threads_of(job):

@@ -17,7 +17,8 @@ import numpy as np
 
 from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, Refitted, refit
-from hydrotwin.discovery.search import Search, Structure
+from hydrotwin.discovery.search import Search
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import candidates
 from hydrotwin.records import Record

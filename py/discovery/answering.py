@@ -23,7 +23,8 @@ from .recordings import Split
 from .refit import Concluded, Question, RefitJob, conclude, pooled_rmse
 from .regions import regions
 from .screen import Screened
-from .search import Search, Structure, Tried
+from .search import Search
+from .structure import Structure, Tried
 from .unknown import describe_unknown
 from .verdict import (
     CONFIRMED,

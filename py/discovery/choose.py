@@ -9,7 +9,7 @@ import numpy as np
 
 from .decide import CLEARLY, T_NEEDED, TOGETHER, Evidence, compared, has_gap
 from .refit import Question
-from .search import Tried
+from .structure import Tried
 
 TEMPERATURE = 4.0  # by which BIC differences and squares of t are divided, for fits end in neighbouring minima: a guess
 UNLIKELY = 2 * TEMPERATURE * np.log(20)  # BIC behind the best: a twentieth of its probability

@@ -23,7 +23,8 @@ from .progress import reporting
 from .recordings import split
 from .refit import Led, Question, Refitted, conclude
 from .resume import recalled
-from .search import Search, Structure
+from .search import Search
+from .structure import Structure
 from .together import explained_together
 
 MOST_EFFECTS = 3

@@ -16,7 +16,8 @@ from hydrotwin.models.effects import Candidate
 from .probing import ProbeJob, amplitudes, cost_of, probe, seen_by_parts
 from .refit import likelihood, refit
 from .screen import Screen
-from .search import Search, Structure, Tried
+from .search import Search
+from .structure import Structure, Tried
 
 
 def both_ends(search: Search, now: Structure, tried: Sequence[Tried]) -> list[Tried]:

@@ -26,7 +26,8 @@ from .progress import reporting
 from .recordings import split
 from .refit import Question, pooled_rmse
 from .screen import Screen, Screened
-from .search import Search, Structure
+from .search import Search
+from .structure import Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
 
 AMPLITUDES = 5  # of a candidate, over its usual range

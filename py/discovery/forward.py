@@ -19,7 +19,8 @@ from .refinements import more_than_inexact, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
 from .roles import fairly_split
-from .search import CONVINCING, Search, Structure, Tried, label_of
+from .search import CONVINCING, Search
+from .structure import Structure, Tried, label_of
 from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 
 SHARPENED = 3  # times in a row

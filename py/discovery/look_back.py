@@ -14,7 +14,8 @@ from hydrotwin.models.effects import Candidate
 from .choose import Choice, choose
 from .decide import INEXACT, WORTH, bic_gain, compared, share_closed
 from .refit import RefitJob, refit
-from .search import LEAST_EVIDENCE, PER_EFFECT, Search, Structure, Tried
+from .search import LEAST_EVIDENCE, PER_EFFECT, Search
+from .structure import Structure, Tried
 
 FROM_BEGINNING = 10  # candidates
 CONTENDERS = 12  # fitted again beside the best: nine effects on one pressure can be alike

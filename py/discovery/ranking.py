@@ -11,7 +11,7 @@ from hydrotwin.models.language.flat import ParameterValue
 from .choose import Choice, label
 from .discovery import EffectParameter, Ranked
 from .screen import TESTABLE, Screened
-from .search import Tried
+from .structure import Tried
 
 SHOWN = 12  # candidates of a step in the answer that were not refitted
 

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from .answering import Found, Step
 from .choose import worth_refining
 from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, share_closed
-from .search import Search, Structure, Tried
+from .search import Search
+from .structure import Structure, Tried
 
 MATERIAL = 0.1  # of a parameter that both have: what the refinement's own part takes over when it is more than a trifle
 

@@ -18,7 +18,8 @@ from .choose import Choice, choose, label
 from .look_back import settled
 from .refit import refit
 from .screen import Screened
-from .search import Search, Structure, Tried
+from .search import Search
+from .structure import Structure, Tried
 
 ROUNDS = 2
 HARDLY = 0.5  # of the probability of the best: what the present effect must have to stay

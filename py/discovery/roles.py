@@ -12,7 +12,8 @@ import numpy as np
 
 from .decide import LARGE, SHOWN, beyond_noise
 from .refit import Question, Refitted, refit
-from .search import Search, Structure
+from .search import Search
+from .structure import Structure
 
 
 def fairly_split(search: Search, base: Structure) -> Structure:

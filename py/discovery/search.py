@@ -15,10 +15,11 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 
-from .decide import CLEARLY, MEASURABLE, Evidence, bic_needed, compared, has_gap
+from .decide import CLEARLY, MEASURABLE, bic_needed, compared, has_gap
 from .probing import ProbeJob, amplitudes, best_amplitude, probe, seen_by_parts
-from .refit import Question, RefitJob, Refitted, refit
+from .refit import Question, RefitJob, refit
 from .screen import Screen, Screened
+from .structure import Structure, Tried, label_of
 
 SHORTLIST = 14
 PER_EFFECT = 2  # sites of one effect in a shortlist
@@ -33,46 +34,6 @@ REFINED = 0.1  # of the simple effect's evidence: what a refinement must promise
 HEAVY = 5.0  # times the operations of the base
 SEVERAL = 3  # starts followed for limits, thresholds and refinements, whose first cost says little
 NEAR = 2.0  # times the noise: where the hollows of a cost are as deep as what is to be told apart
-IMPLAUSIBLE = 10.0  # times the largest usual value, or of a limit that part of the smallest
-
-
-@dataclass(frozen=True, eq=False)
-class Structure:
-    """The base with some candidates added, fitted."""
-
-    members: tuple[Candidate, ...]
-    fitted: Refitted
-
-    @property
-    def key(self) -> tuple[str, ...]:
-        return tuple(c.label for c in self.members)
-
-
-@dataclass(frozen=True, eq=False)
-class Tried:
-    """One candidate (or pair) in one step: screen, refit and evidence against the structure before."""
-
-    members: tuple[Candidate, ...]
-    screened: Screened | None
-    structure: Structure | None = None
-    evidence: Evidence | None = None
-    reason: str = ""
-
-    @property
-    def implausible(self) -> str:
-        """A sentence when a value lies far outside what is usual, on the side where the effect is larger."""
-        if self.structure is None:
-            return ""
-        known = self.structure.fitted.values
-        for c in (c for c in self.members if c.site.frees is None):
-            for name, (low, high) in c.typical.items():
-                size, absent = abs(known.get(name, 0.0)), c.neutral.get(name, 0.0)
-                limits = abs(absent) > high and known.get(name, 0.0) * absent > 0  # the lower, the more it does
-                if high > 0 and size > IMPLAUSIBLE * high and not limits:
-                    return f"{name} = {size:.3g} is more than {IMPLAUSIBLE:g} times the usual {high:.3g}"
-                if limits and size < low / IMPLAUSIBLE:
-                    return f"{name} = {size:.3g} is less than 1/{IMPLAUSIBLE:g} of the usual {low:.3g}"
-        return ""
 
 
 @dataclass(eq=False)
@@ -398,11 +359,6 @@ class Search:
     def needed(self) -> float:
         """BIC that a name must gain."""
         return bic_needed(len(self.candidates))
-
-
-def label_of(members: Sequence[Candidate]) -> str:
-    """``id at site`` of every member, joined."""
-    return " + ".join(c.label for c in members)
 
 
 def _known(values: Mapping[str, float], names: Collection[str]) -> dict[str, float]:

@@ -16,7 +16,8 @@ from .ends import both_ends
 from .forward import begun, searched
 from .recordings import Split
 from .refit import Question, RefitJob, Refitted, refit
-from .search import Search, Structure
+from .search import Search
+from .structure import Structure
 from .verdict import likeliest, unconfirmed, verdict_of
 
 

@@ -11,7 +11,8 @@ from .choose import label
 from .decide import CLEARLY, LARGE, SHOWN, beyond_noise, closed, gap_closed, has_gap
 from .recordings import Split
 from .refit import Concluded, Refitted, pooled_rmse
-from .search import Search, Structure
+from .search import Search
+from .structure import Structure
 
 if TYPE_CHECKING:
     from .answering import Found

@@ -2,7 +2,7 @@
 
 import pytest
 
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from tests.discovery.slides import question, records, searching
 
 

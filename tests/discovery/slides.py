@@ -11,7 +11,8 @@ from hydrotwin.discovery.decide import Evidence
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, refit
-from hydrotwin.discovery.search import Search, Structure
+from hydrotwin.discovery.search import Search
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Component, Flange, Input, Model, Output, Parameter, State, connect, der

@@ -19,7 +19,7 @@ from hydrotwin.discovery.choose import (
 )
 from hydrotwin.discovery.decide import TOGETHER, Evidence, compared
 from hydrotwin.discovery.refit import Question, Refitted, likelihood
-from hydrotwin.discovery.search import IMPLAUSIBLE, Structure, Tried
+from hydrotwin.discovery.structure import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.effects import candidates
 from tests.discovery.slides import better, slide

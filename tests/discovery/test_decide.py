@@ -27,7 +27,7 @@ from hydrotwin.discovery.decide import (
     share_closed,
 )
 from hydrotwin.discovery.refit import Question, Refitted
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.verdict import CONFIRMED, closed_where_it_counts, verdict_of
 from hydrotwin.identification.problem import Recording
 

@@ -11,7 +11,7 @@ from hydrotwin.discovery import look_back
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.look_back import _contenders, _from_first, from_the_beginning, pruned, settled
 from hydrotwin.discovery.refit import RefitJob, refit
-from hydrotwin.discovery.search import Structure, Tried
+from hydrotwin.discovery.structure import Structure, Tried
 from hydrotwin.models.language import Model
 from tests.discovery.slides import (
     RATE_NOISE,

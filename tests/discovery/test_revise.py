@@ -8,7 +8,7 @@ from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
 from hydrotwin.discovery.forward import _pruned, _without
 from hydrotwin.discovery.revise import _keeping, revised
-from hydrotwin.discovery.search import Structure, Tried
+from hydrotwin.discovery.structure import Structure, Tried
 from tests.discovery.slides import question, records, searching
 
 EFFECTS = ("coulomb_friction", "dead_time", "actuator_lag", "null_bias")

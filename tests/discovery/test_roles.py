@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.discovery import answering
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.roles import exchanged, fairly_split
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.verdict import unconfirmed
 from hydrotwin.models.effects.mechanism import FAR, EndStop
 from tests.discovery.slides import NOISE, found, question, record, records, searching

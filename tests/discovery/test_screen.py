@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.screen import TESTABLE, Screen
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.models.language import Model
 from tests.discovery.slides import NOISE, Drive, drive_records, question, records, searching
 

@@ -14,7 +14,8 @@ from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, choose, label
 from hydrotwin.discovery.decide import Evidence, bic_needed
 from hydrotwin.discovery.refinements import _beside, leans, may_be, more_than_inexact, own_part
-from hydrotwin.discovery.search import IMPLAUSIBLE, Search, Structure, Tried
+from hydrotwin.discovery.search import Search
+from hydrotwin.discovery.structure import IMPLAUSIBLE, Structure, Tried
 from hydrotwin.models.effects import candidates
 from tests.discovery.slides import Inline, better, found, grown, one, question, record, records, searching, slide
 

@@ -12,7 +12,7 @@ from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.ends import both_ends, without_idle_ends
 from hydrotwin.discovery.forward import _pruned
 from hydrotwin.discovery.recordings import split
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.together import _remembered, explained_together
 from hydrotwin.models.effects.mechanism import FAR
 from hydrotwin.models.language import Model, Output

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.forward import reconsidered
-from hydrotwin.discovery.search import Structure
+from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.twin import TwinJob, floor_of, smoothed_signs, with_floor
 
 from .slides import NOISE, question, records, searching

@@ -29,6 +29,7 @@ from .screen import Screen, Screened
 from .search import Search
 from .structure import Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
+from .together import explained_together
 
 AMPLITUDES = 5  # of a candidate, over its usual range
 USUAL_PERIOD, MUCH_SLOWER = 0.01, 5.0  # s, times it
@@ -81,6 +82,7 @@ def discover_around(
         search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
         base = _or_refused(identified(search))
         found = searched(search, begun(search, Structure((), base)), max_effects)
+        search, found = explained_together(search, data, found, max_effects)
         return answer(search, data, found, model, began)
 
 

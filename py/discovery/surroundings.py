@@ -86,7 +86,8 @@ class SurroundedFmu(Model):
         raw = [names.index(f"inside.{RAW}{name}") for name in type(self.root).names_inside["outputs"]]
 
         def observed(t, x, u, p):
-            time, states, inputs = np.ravel(t), np.reshape(x, (len(flat.states), -1)), np.reshape(u, (-1, np.size(t)))
+            time = np.ravel(t)
+            states, inputs = np.reshape(x, (len(flat.states), len(time))), np.reshape(u, (-1, len(time)))
             chain = flat.prepared((), (), flat.step, "auto")
             whole = np.zeros((len(names), len(time)))
             whole[kept] = np.ravel(p)[:, None]

@@ -57,7 +57,9 @@ def along_the_valleys(
 
 
 def longest_axis(found: Minimum) -> float:
-    """Longest half-axis of the confidence ellipsoid in q."""
+    """Longest half-axis of the confidence ellipsoid in q, 0 where nothing is free."""
+    if not len(found.q):
+        return 0.0
     return float(1 / np.sqrt(np.maximum(np.linalg.eigvalsh(found.information())[0], np.finfo(float).tiny)))
 
 

@@ -130,11 +130,16 @@ def records(count: int = 3, first: int = 0, **more) -> list[Record]:
     return [record(first + k, **more) for k in range(count)]
 
 
-def drive_records(count: int = 3, first: int = 0, seconds: float = 12.0, command=None, other=None) -> list[Record]:
-    """Recordings of a drive with k = 10 rad/(s.V), T = 0.3 s; ``command`` maps the wanted to the acting voltage."""
+def drive_records(
+    count: int = 3, first: int = 0, seconds: float = 12.0, command=None, other=None, highest: float = 5.0
+) -> list[Record]:
+    """Recordings of a drive with k = 10 rad/(s.V), T = 0.3 s; ``command`` maps the wanted to the acting voltage.
+
+    highest : of the commands, V.
+    """
     runs = []
     for seed in range(first, first + count):
-        time, u = pushes(seed, seconds, 5.0)
+        time, u = pushes(seed, seconds, highest)
         acting, w, decay = (command(u) if command else u), np.zeros(len(u)), np.exp(-PERIOD / 0.3)
         for k in range(len(u) - 1):
             w[k + 1] = decay * w[k] + (1 - decay) * 10.0 * acting[k]

@@ -83,6 +83,17 @@ def test_a_wrong_scale_of_one_sensor_behind_an_fmu_is_named_at_that_sensor(two_s
     assert answer.steps[0].parameters[0].value == pytest.approx(0.04, rel=0.05)
 
 
+@pytest.mark.parametrize("shows", [0, 1, 2])
+def test_a_limit_before_an_fmu_that_one_recording_alone_reaches_is_named(two_sensors, shows):
+    def limited(u):
+        return np.clip(u, -3.5, 3.5)
+
+    runs = [drive_records(1, k, other=same, command=limited, highest=5.0 if k == shows else 3.0)[0] for k in range(3)]
+    answer = found(two_sensors, runs, effects=["command_saturation", "null_bias"])
+    assert [(s.effect, s.site) for s in answer.steps] == [("command_saturation", "command")]
+    assert answer.steps[0].parameters[0].value == pytest.approx(3.5, rel=0.02)
+
+
 def test_nothing_is_missing_around_an_fmu_that_is_the_machine(two_sensors):
     assert found(two_sensors, drive_records(2, other=same), effects=SOME).verdict == "none"
 

@@ -142,13 +142,18 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
     recorded = [n for n in wanted if any(n in r.signals and np.isfinite(r[n]).any() for r in records)]
     if not recorded:
         return wanted, []  # `recordings` says what is missing
-    still = [n for n in recorded if all(n not in r.signals or np.nanstd(r[n]) == 0 for r in records)]
+    still = [n for n in recorded if not any(n in r.signals and _moves(r[n]) for r in records)]
     if len(still) == len(recorded):
         raise DataError(
             f"gap: every recorded output of {flat.name} is constant ({', '.join(still)}). Nothing moves. "
             "Record motion in both directions, at several speeds."
         )
     return [n for n in recorded if n not in still], still
+
+
+def _moves(values: np.ndarray) -> bool:
+    known = values[np.isfinite(values)]
+    return bool(len(known) and np.ptp(known) > 0)
 
 
 def _require_motion(flat: FlatModel, train: Sequence[Recording]) -> None:

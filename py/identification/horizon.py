@@ -22,6 +22,7 @@ from .shooting import Segment, StartStates
 PERIODS = 3.0  # of the fastest lightly damped mode in the shortest window: 15 % frequency error is then half a turn
 LIGHTLY_DAMPED = 0.3
 GROWTH = 4
+SOON = 10  # samples within which a sensor must have begun for a start to be measured
 
 
 def first_guess(flat: FlatModel, recordings: Sequence[Recording], propagator, p: np.ndarray, seconds: float):
@@ -37,12 +38,15 @@ def measured_states(flat: FlatModel) -> dict[int, int]:
 
 
 def measured_start(flat: FlatModel, recording: Recording, at: int = 0) -> dict[str, float]:
-    """Values of the states that an output of this recording measures, at or soon after sample ``at``."""
+    """Values at sample ``at``, or the nearest that is known, of the states that are measured as the recording starts.
+
+    The states are the same all along: a sensor may miss any sample, or be read at every twentieth.
+    """
     found = {}
     for i, j in measured_states(flat).items():
-        values = recording.y[at : at + 10, j]
-        if np.isfinite(values).any():
-            found[flat.states[i].name] = float(values[np.isfinite(values)][0])
+        known = np.flatnonzero(np.isfinite(recording.y[:, j]))
+        if len(known) and known[0] < SOON:
+            found[flat.states[i].name] = float(recording.y[known[np.argmin(np.abs(known - at))], j])
     return found
 
 

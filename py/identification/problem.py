@@ -150,6 +150,11 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
     for j, signal in enumerate(flat.outputs):
         if signal.name in wanted and signal.name in record.signals:
             y[:, j] = record[signal.name]
+            if np.isinf(y[:, j]).any():
+                raise DataError(
+                    f"{name}: output '{signal.name}' is infinite in {np.isinf(y[:, j]).sum()} samples, the first at "
+                    f"{time[np.isinf(y[:, j])][0]:.6g} s. Put nan where nothing was measured."
+                )
     if not np.isfinite(y).any():
         raise DataError(
             f"{name}: none of the outputs of {flat.name} is recorded (got {', '.join(record.signals) or 'nothing'}). "

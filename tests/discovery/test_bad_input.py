@@ -55,6 +55,11 @@ def frozen(run: Record) -> Record:
     return Record(run.time, {**run.signals, "speed": np.full(len(run.time), 0.25)}, run.units, run.name)
 
 
+def only(kept: np.ndarray, run: Record, sensor: str, otherwise: float = np.nan) -> Record:
+    """The same with a sensor that was read at the samples that are ``kept``."""
+    return Record(run.time, {**run.signals, sensor: np.where(kept, run[sensor], otherwise)}, run.units, run.name)
+
+
 TOO_SHORT = ("run_0 has 50 samples", "Record tens of seconds of motion in both directions")
 MOTIONLESS = ("no input of slide ever moves (force)", "Record commands in both directions, slow and fast, with pauses")
 CONSTANT = ("every recorded output of slide is constant (speed)", "Record motion in both directions, at several speeds")
@@ -166,6 +171,27 @@ def test_a_sensor_that_fails_for_three_seconds_does_not_hide_the_effect():
         warnings.simplefilter("ignore")
         d = found(runs, ["coulomb_friction", "null_bias"])
     assert d.verdict == "named"
+
+
+def test_a_sensor_that_misses_every_third_sample_and_the_last_one_does_not_hide_the_effect():
+    kept = np.random.default_rng(0).random(600) > 0.3
+    kept[-20:] = False
+    answer = found([only(kept, run, "speed") for run in records(3, dry=60.0)], ["coulomb_friction", "dead_time"])
+    assert [s.effect for s in answer.steps] == ["coulomb_friction"]
+    assert answer.steps[0].parameters[0].value == pytest.approx(60.0, rel=0.02)
+
+
+def test_a_sensor_that_was_absent_in_one_recording_is_judged_by_the_others():
+    first, *others = drive_records(3, other=lambda w, time: w + 0.8)
+    runs = [only(np.zeros(600, dtype=bool), first, "other"), *others]
+    answer = discover(Model(TwoSensors()), runs, effects=["sensor_bias", "null_bias"], executor=Inline())
+    assert [(s.effect, s.site) for s in answer.steps] == [("sensor_bias", "other")]
+
+
+def test_an_infinite_reading_is_refused_and_says_when():
+    run = only(np.arange(600) != 300, record(0), "speed", otherwise=np.inf)
+    with pytest.raises(DataError, match="'speed' is infinite in 1 samples, the first at 6 s"):
+        found([run], ["coulomb_friction"])
 
 
 def test_a_recording_with_a_hole_in_its_command_says_where_to_cut():

@@ -17,7 +17,7 @@ from hydrotwin.models.language.units import compatible
 from .answering import answer
 from .base import identified
 from .discovery import Discovery
-from .executor import LOCAL, Starts, executor_for, processors
+from .executor import Starts, cores_of, executor_for
 from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
@@ -97,7 +97,7 @@ def discover(
     bounded = _bounded(model, names)
     flat = bounded.flat
     with reporting(progress, flat.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory, 1 if executor not in LOCAL else processors())
+        run = _runner(pool, report, memory, cores_of(pool))
         report("identify the base", 0, 1, "")
         told = tuple(n.name in (noise or {}) for n in flat.outputs)
         search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)

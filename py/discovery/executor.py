@@ -27,7 +27,6 @@ import casadi as ca
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
-LOCAL = (None, "processes", "threads")  # on this machine
 KINDS = ("processes", "threads", "dask://host:port")
 BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 MANY_MEASURED = 6  # up to so many measured states every subset of them may be given
@@ -66,6 +65,11 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
             yield pool
     else:
         raise DeclarationError(f"executor: no '{spec}'. {nearest(str(spec), KINDS)}")
+
+
+def cores_of(executor: Executor) -> int:
+    """Cores of this machine that its jobs may share among them: 1 where they run elsewhere, or nobody knows where."""
+    return processors() if isinstance(executor, ProcessPoolExecutor | ThreadPoolExecutor) else 1
 
 
 def processors() -> int:

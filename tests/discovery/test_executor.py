@@ -13,13 +13,14 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.executor import executor_for, mapped, portable
+from hydrotwin.discovery.executor import cores_of, executor_for, mapped, portable
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 from tests.discovery.jobs import Fitting, died, fitted, one_thread, refused, slept
+from tests.discovery.slides import Inline
 from tests.language.parts import Oscillator
 
 
@@ -81,6 +82,14 @@ def test_an_executor_of_ones_own_is_used_and_left_open(jobs, here):
             assert executor is own
             assert same(list(mapped(executor, fitted, jobs)), here)
         assert own.submit(abs, -1).result() == 1
+
+
+def test_the_command_line_which_opens_the_executor_itself_shares_cores_as_well(monkeypatch):
+    monkeypatch.setattr("hydrotwin.discovery.executor.processors", lambda: 5)
+    for spec in ("threads", "processes", None):
+        with executor_for(spec, workers=1) as executor:
+            assert cores_of(executor) == 5
+    assert cores_of(Inline()) == 1, "nobody knows where it runs"
 
 
 def test_results_come_in_the_order_of_the_jobs_whichever_ends_first():

@@ -52,10 +52,12 @@ def split(
 
     Raises
     ------
-    DataError : nothing to fit to, too few samples, an input that never moves, outputs that never move.
+    DataError : nothing to fit to, one that judges what it taught, too few samples, an input that never moves, outputs
+    that never move.
     """
     if not len(records):
         raise DataError(f"gap: no recording of {flat.name}. Give at least one, better three, and one to validate.")
+    require_unseen(records, validate)
     findings = []
     wanted, constant = _moving(flat, records, outputs)
     findings += [
@@ -149,6 +151,17 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
             "Record motion in both directions, at several speeds."
         )
     return [n for n in recorded if n not in still], still
+
+
+def require_unseen(records: Sequence, validate: Sequence) -> None:
+    """DataError when one of ``validate`` is one of ``records``, as it stands or as the same file."""
+    for record in validate:
+        same = next((r for r in records if r is record or (r.digest and r.digest == record.digest)), None)
+        if same is not None:
+            raise DataError(
+                f"{record.source or record.name}: the same recording as {same.source or same.name}, which is learned "
+                "from. Only an unseen recording can judge. Name another one to validate."
+            )
 
 
 def _moves(values: np.ndarray) -> bool:

@@ -188,6 +188,12 @@ def test_a_sensor_that_was_absent_in_one_recording_is_judged_by_the_others():
     assert [(s.effect, s.site) for s in answer.steps] == [("sensor_bias", "other")]
 
 
+def test_a_recording_cannot_judge_what_it_taught():
+    runs = records(2, dry=60.0)
+    with pytest.raises(DataError, match="run_1: the same recording as run_1, which is learned from"):
+        found(runs, ["coulomb_friction"], validate=[record(5), runs[1]])
+
+
 def test_an_infinite_reading_is_refused_and_says_when():
     run = only(np.arange(600) != 300, record(0), "speed", otherwise=np.inf)
     with pytest.raises(DataError, match="'speed' is infinite in 1 samples, the first at 6 s"):

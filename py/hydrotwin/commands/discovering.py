@@ -13,7 +13,7 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
-from hydrotwin.models.language.errors import DataError, HydrotwinError
+from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.models.language.writing import json_values, write_whole
 from hydrotwin.records import Record, require
@@ -175,16 +175,12 @@ def telling(name: str, silent: bool):
 
 def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
     """Every recording has the inputs of the model, and none judges what it taught; unknown columns are told."""
+    from hydrotwin.discovery.recordings import require_unseen
+
     flat = thing.flat
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
-    taught = {r.digest: r for r in train if r.digest}
-    for record in judged:
-        if record.digest in taught:
-            raise DataError(
-                f"{record.source}: the same recording as {taught[record.digest].source}, which is learned from. "
-                "Only an unseen recording can judge. Name another one after --validate."
-            )
+    require_unseen(train, judged)
     tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
 
 

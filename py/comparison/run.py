@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import NoiseFloor, Record, noise_floor, require
+from hydrotwin.records import NoiseFloor, Record, distinct, noise_floor, require
 
 from .comparison import (
     FREE_RUN,
@@ -59,7 +59,7 @@ def compare(
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known, DataError when there is nothing to compare.
     """
-    contenders, records = list(contenders), _distinct(records)
+    contenders, records = list(contenders), distinct(records)[0]
     _check(contenders, records, modes)
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
@@ -210,17 +210,6 @@ def _entrant(contender) -> Entrant:
         tuple(getattr(contender, "parameters", None) or ()),
         dict(getattr(contender, "provenance", None) or {}),
     )
-
-
-def _distinct(records: Sequence[Record]) -> list[Record]:
-    """The recordings with distinct names: the second 'run' becomes 'run (2)'."""
-    seen: dict[str, int] = {}
-    answer = []
-    for record in records:
-        seen[record.name] = seen.get(record.name, 0) + 1
-        count = seen[record.name]
-        answer.append(dataclasses.replace(record, name=f"{record.name} ({count})") if count > 1 else record)
-    return answer
 
 
 def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:

@@ -83,7 +83,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         verdict, kept, after = "unknown", found.base, before
     steps = found.steps if kept is found.last else ()
     flat = search.base.flat
-    judging = data.report or data.select
+    judging = data.report or tuple(r for r in data.train if r in data.select)
     view = View(flat, data, before, after, judging)
     share = max(min(closed(found.last.fitted, found.base.fitted, search.question), shown), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
@@ -166,7 +166,9 @@ def _with_fit(model: Model, concluded: Concluded) -> Model:
 
 
 def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
-    return after.residuals_report if data.report else after.refitted.residuals_fit[: len(data.select)]
+    """What is left on the recordings that judge; where none does, on those that selected."""
+    left = zip(data.train, after.refitted.residuals_fit, strict=True)
+    return after.residuals_report or tuple(residual for recording, residual in left if recording in data.select)
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from hydrotwin.identification.noise import output_noise
 from hydrotwin.identification.problem import Recording, recordings
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records import distinct
 from hydrotwin.records.noise import quantisation_step
 
 SHORTEST = 200  # samples of a recording that can tell effects apart
@@ -58,6 +59,7 @@ def split(
     if not len(records):
         raise DataError(f"gap: no recording of {flat.name}. Give at least one, better three, and one to validate.")
     require_unseen(records, validate)
+    records, validate = distinct(records, validate)
     findings = []
     wanted, constant = _moving(flat, records, outputs)
     findings += [

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.records import distinct
 from hydrotwin.simulation import prepare
 
 from .answer import answer
@@ -82,6 +83,7 @@ def identify(
     if weights not in WEIGHTS:
         raise DeclarationError(f"identify: no weights '{weights}'. {nearest(weights, WEIGHTS)}")
     parameters = free_parameters(flat, free, start, bounds)
+    records, validate = distinct(records, validate)
     train = recordings(flat, records, outputs, "record")
     judged = recordings(flat, validate, outputs, "validation record")
     sigma = output_noise(flat, train, noise)

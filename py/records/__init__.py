@@ -3,7 +3,7 @@
 from .files import read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
-from .record import Gap, Record
+from .record import Gap, Record, distinct
 from .require import require
 from .scale import Scale, parse_scale
 
@@ -12,6 +12,7 @@ __all__ = [
     "NoiseFloor",
     "Record",
     "Scale",
+    "distinct",
     "noise_floor",
     "one_euro",
     "parse_scale",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -202,3 +203,19 @@ def _frozen_array(values, where: str) -> np.ndarray:
         raise DataError(f"{where}: one value per sample is needed (got shape {array.shape}). Give a 1-D array.")
     array.setflags(write=False)
     return array
+
+
+def distinct(*groups: Sequence[Record]) -> list[list[Record]]:
+    """The recordings of all groups with distinct names: the second ``run`` becomes ``run (2)``.
+
+    Files of one name in several folders are different recordings.
+    """
+    seen: set[str] = set()
+
+    def apart(record: Record) -> Record:
+        names = (f"{record.name} ({k})" if k > 1 else record.name for k in itertools.count(1))
+        name = next(name for name in names if name not in seen)
+        seen.add(name)
+        return record if name == record.name else dataclasses.replace(record, name=name)
+
+    return [[apart(record) for record in group] for group in groups]

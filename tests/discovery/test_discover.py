@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 
 import numpy as np
 import pytest
@@ -134,6 +135,24 @@ def test_a_pulse_at_seven_seconds_is_unknown_and_described_in_time():
     over = [r for r in d.regions if r.over == "time"]
     edges = [(r.edges[:-1][r.significant_before], r.edges[1:][r.significant_before]) for r in over]
     assert any(((low <= 8.0) & (high >= 7.0)).any() for low, high in edges)
+
+
+def test_what_is_unknown_is_described_without_a_validation_recording_whatever_their_lengths():
+    """The second of three chooses; what it left is judged beside what it measured, not beside the first's."""
+    runs = [record(k, pulse=150.0, seconds=s) for k, s in enumerate((15.0, 12.0, 13.0))]
+    d = found(runs, LIBRARY)
+    assert d.verdict == "unknown"
+    assert any("time" in row.inputs and row.explained > 0.5 for row in d.unknown)
+
+
+def test_files_of_one_name_in_several_folders_are_different_recordings():
+    runs = [dataclasses.replace(r, name="run") for r in records(3, dry=60.0)]
+    d = found(runs, LIBRARY, validate=[dataclasses.replace(record(5, dry=60.0), name="run")])
+    assert [(r.record, r.role) for r in d.recordings] == [
+        ("run", "fit"), ("run (2)", "select"), ("run (3)", "fit"), ("run (4)", "report"),
+    ]  # fmt: skip
+    assert [s.effect for s in d.steps] == ["coulomb_friction"]
+    assert not any("none was kept to choose by" in f for f in d.findings)
 
 
 @pytest.mark.proof

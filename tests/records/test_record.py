@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError, UnitError
-from hydrotwin.records import Record, read_record
+from hydrotwin.records import Record, distinct, read_record
 
 
 @pytest.fixture
@@ -164,3 +164,10 @@ def test_signals_can_be_added_and_replaced(record):
     assert more.units["q"] == "m3/s"
     with pytest.raises(UnitError, match="'q' has no unit"):
         record.with_signals({"q": record["p"]})
+
+
+def test_recordings_of_one_name_are_told_apart_over_all_groups():
+    time = np.arange(3.0)
+    first, second, third, other = (Record(time, {}, {}, name) for name in ("run", "run (2)", "run", "walk"))
+    (one, two), (three, four) = distinct([first, second], [third, other])
+    assert [one, two, four] == [first, second, other] and three.name == "run (3)"

@@ -234,7 +234,8 @@ class Search:
         neutral = {n: v for c in members for n, v in c.neutral.items() if n not in base}
         points = tuple({**neutral, **base, **_known(start, known)} for start in starts) or ({**neutral, **base},)
         label = " + ".join(c.label for c in members)
-        several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in members) and not self._heavy(flat)
+        added = [c for c in members if c not in now.members]
+        several = any(hasattr(c.effect, "probes_for") or c.effect.refines for c in added) and not self._heavy(flat)
         return RefitJob(
             flat, free, self.question, points, now.fitted.states, now.fitted.size,
             follow=SEVERAL if several else 1, label=label,

@@ -197,6 +197,17 @@ def test_what_led_nowhere_stays_in_the_class_when_it_does_as_well_beside_what_wa
     assert found.steps[0].choice.members == (best,), "it was named beside the best, and stands for nothing in its place"
 
 
+def test_several_starts_are_followed_for_a_limit_that_is_added_not_for_what_comes_beside_one():
+    search, fitted = searching(question(records(3, limit=280.0)), ("command_saturation", "null_bias"))
+    cut, bias = ((c,) for c in sorted(search.candidates, key=lambda c: c.id))
+    followed, run = [], search.run
+    search.run = lambda f, jobs, stage: followed.extend(job.follow for job in jobs) or run(f, jobs, stage)
+    (limited,) = search.refitted(Structure((), fitted), [(cut, [{cut[0].free[0]: 250.0}])])
+    search.refitted(limited.structure, [(bias, [{}])])
+    search.refitted(Structure((), fitted), [(bias, [{}])])
+    assert followed == [3, 1, 1]
+
+
 @pytest.mark.parametrize("machine", ["cehA", "spool_valve"])
 def test_seals_that_oil_presses_on_refine_the_dry_friction_of_the_same_rod(machine):
     known = {c.label: c for c in candidates(hydrotwin.load(machine))}

@@ -97,7 +97,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         unknown = describe_unknown(flat, data.train, residual, judging, _seen(after, data), data.noise)
     last = found.screens[-1] if found.screens else (None, (), ())
     named = any(c in kept.members for t in last[2] for c in t.members)  # what was looked at last was not in vain
-    final = model.plus(search.model(kept.members).additions) if kept.members else model
+    added = search.model(kept.members).additions[len(model.additions) :]  # an answer may be asked what it lacks
+    final = model.plus(added) if added else model
     return Discovery(
         name=search.base.name,
         verdict=verdict,

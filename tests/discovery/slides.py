@@ -188,9 +188,9 @@ def grown(search, now: Structure, *names: str, **values: float) -> Structure:
 
 
 # -- the simple before the refined -----------------------------------------------------------------------------------
-def found(runs, effects, executor=None, **more):
+def found(runs, effects, executor=None, model=None, **more):
     """What is missing in the slide, looked for in this thread unless told otherwise."""
-    return discover(slide(), runs, effects=effects, executor=executor or Inline(), step=5e-3, **more)
+    return discover(model or slide(), runs, effects=effects, executor=executor or Inline(), step=5e-3, **more)
 
 
 class Inline:

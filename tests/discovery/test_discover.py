@@ -161,6 +161,18 @@ def test_friction_is_not_named_in_place_of_a_pulse_it_cannot_explain():
     assert d.verdict == "unknown" and d.steps == ()
 
 
+# -- again -------------------------------------------------------------------------------------------------------------
+def test_an_answer_is_asked_what_it_lacks(rubbing):
+    """The model with its friction goes on to other recordings, which show a dead time besides."""
+    later = found(records(3, 20, dry=30.0, late=3), ("dead_time", "null_bias", "coulomb_friction"), model=rubbing.model)
+    assert [(s.effect, s.site) for s in later.steps] == [("dead_time", "force")]
+    assert [a.effect for a in later.model.additions] == ["coulomb_friction", "dead_time"]
+    assert [a.effect for a in later.base.additions] == ["coulomb_friction"]
+    values = {p.name: p.value for p in later.model.flat.parameters}
+    assert values["coulomb_friction.force"] == pytest.approx(30.0, rel=0.02)
+    assert later.steps[0].parameters[0].value == pytest.approx(3 * 0.02, rel=0.02)
+
+
 # -- anywhere, and interrupted -----------------------------------------------------------------------------------------
 def figures(d):
     """What must not depend on where or when it was computed."""

@@ -94,6 +94,17 @@ def test_a_limit_before_an_fmu_that_one_recording_alone_reaches_is_named(two_sen
     assert answer.steps[0].parameters[0].value == pytest.approx(3.5, rel=0.02)
 
 
+def test_an_answer_around_an_fmu_is_asked_what_it_lacks(two_sensors):
+    def biased(w, time):
+        return w + 0.8
+
+    first = found(two_sensors, drive_records(2, other=biased), effects=["sensor_bias", "null_bias"])
+    later = found(first.model, drive_records(2, 20, other=biased, command=lambda u: u + 0.3), effects=["null_bias"])
+    assert [(s.effect, s.site) for s in later.steps] == [("null_bias", "command")]
+    assert [a.effect for a in later.model.additions] == ["sensor_bias", "null_bias"]
+    assert later.steps[0].parameters[0].value == pytest.approx(0.3, rel=0.03)
+
+
 def test_nothing_is_missing_around_an_fmu_that_is_the_machine(two_sensors):
     assert found(two_sensors, drive_records(2, other=same), effects=SOME).verdict == "none"
 

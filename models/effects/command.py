@@ -281,7 +281,10 @@ class NullBias(Effect):
 
 
 class Drift(Effect):
-    """The drive grows weaker or stronger while it runs: ``y = u (1 + r t)``; t counts from the recording's start."""
+    """The drive grows weaker or stronger while it runs: ``y = u (1 + r t)``; t counts from the recording's start.
+
+    At a valve: more flows while the oil warms, and the spool stands where it stood.
+    """
 
     id, title = "drift", "drift of the drive"
     equation = "y = u (1 + r t)"
@@ -298,7 +301,10 @@ class Drift(Effect):
         0.0, "1/s", "change r of the gain per second", bounds=(-0.05, 0.05), nominal=1e-3, source="typical", free=True
     )
 
-    sites = staticmethod(model_inputs)
+    @classmethod
+    def sites(cls, places):
+        yield from model_inputs(places)
+        yield from valve_spools(places)
 
     def equations(self):
         yield self.y == self.u * (1 + self.rate * time())

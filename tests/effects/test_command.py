@@ -133,6 +133,29 @@ def test_a_drift_grows_with_time():
     np.testing.assert_allclose(passed("drift", "command", TIME, SINE, rate=0.01), SINE * (1 + 0.01 * TIME), atol=1e-12)
 
 
+def test_more_flows_through_a_valve_while_its_oil_warms_and_the_spool_stands_where_it_stood():
+    known = {c.site.name: c for c in candidates(spool_valve.model(), ["drift"])}
+    assert list(known) == ["current", "valve.spool"]
+    assert [c.site.name for c in candidates(cehA.model(), ["drift"])] == ["command"]
+    time = np.arange(0.0, 2.0, 0.01)
+    record = Record(time, {"current": np.full(len(time), 0.1)}, {"current": "1"}, "held")
+    steady, warm, driven = (
+        simulate(model, record)
+        for model in (spool_valve.model(), *(added(site, rate=0.05) for site in ("valve.spool", "current")))
+    )
+    np.testing.assert_allclose(warm["spool"], steady["spool"], rtol=1e-9, atol=1e-12)
+    assert driven["spool"][-1] == pytest.approx(1.1 * steady["spool"][-1], rel=5e-3)
+    faster = [r["velocity"][-1] / steady["velocity"][-1] for r in (warm, driven)]
+    assert faster == pytest.approx([1.1, 1.1], rel=5e-3)
+
+
+def added(site: str, **values: float):
+    """The valve with a drift somewhere."""
+    (drift,) = (c for c in candidates(spool_valve.model(), ["drift"]) if c.site.name == site)
+    model = spool_valve.model().plus([drift.addition])
+    return model.with_parameters({f"{drift.name}.{name}": value for name, value in values.items()})
+
+
 def test_a_null_offset_sits_where_the_command_enters_and_nowhere_else_on_the_way_to_the_valve():
     assert [c.site.name for c in candidates(spool_valve.model(), ["null_bias"])] == ["current"]
 

@@ -37,7 +37,8 @@ def read_record(
 
     scale : what one unit of a column stands for, ``"command=0.05 V/%"``.
     units : units of the columns for which the file names none.
-    missing : "error" refuses NaN and empty cells, "drop rows" leaves rows with one out.
+    missing : "error" refuses NaN and empty cells, "drop rows" leaves rows with one out, "keep" keeps them as NaN: what
+        a slower sensor lacks is no reason to lose what the others measured.
 
     Non-uniform time is normal; holes in it are listed in ``Record.gaps``. Raises `DataError` or `UnitError` naming the
     file, the row (as an editor counts it; binary files count samples from 1) and the column.

@@ -14,7 +14,7 @@ from hydrotwin.models.language.units import compatible, parse_unit, to_si
 from .record import Record
 from .scale import Scale
 
-MISSING = ("error", "drop rows")
+MISSING = ("error", "drop rows", "keep")
 
 
 @dataclass(frozen=True)
@@ -134,14 +134,15 @@ def _check_length(table: Table) -> None:
 def _without_missing(table: Table, missing: str) -> Table:
     absent = np.array([np.isnan(c.values) for c in table.columns])
     rows = absent.any(axis=0)
-    if not rows.any():
+    if not rows.any() or (missing == "keep" and not absent[0].any()):  # the first is time
         return table
-    if missing == "error":
-        k = int(np.argmax(rows))
+    if missing != "drop rows":
+        k = int(np.argmax(rows if missing == "error" else absent[0]))
         column = table.columns[int(np.argmax(absent[:, k]))].name
         raise DataError(
             f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} "
-            'rows have one). Repair the file, or leave these rows out: missing="drop rows".'
+            'rows have one). Repair the file, or leave these rows out: missing="drop rows"; what a sensor lacks may '
+            'stay unknown: missing="keep".'
         )
     kept = np.flatnonzero(~rows)
     if len(kept) < 2:

@@ -103,6 +103,23 @@ def test_gap_hands_on_what_was_asked_for(here, discover):
     assert isinstance(asked["executor"], ThreadPoolExecutor)
 
 
+@pytest.mark.parametrize("command", ["gap", "identify"])
+def test_what_a_slower_sensor_lacks_is_told_and_may_stay_unknown(here, discover, command):
+    head, *rows = (here / "train_1.csv").read_text().splitlines()
+    k = [name.split(" ")[0] for name in head.split(",")].index("pressure_cap")
+    cells = [row.split(",") for row in rows]
+    slow = [",".join("" if j == k and i % 10 else cell for j, cell in enumerate(row)) for i, row in enumerate(cells)]
+    (here / "slow.csv").write_text("\n".join([head, *slow]) + "\n")
+    words = [command, "cehA", "slow.csv", "--out", "gap" if command == "gap" else "fitted.toml"]
+    refused = hydrotwin(*words)
+    assert refused.code == 2 and 'missing="keep"' in refused.said
+    answer = hydrotwin(*words, "--missing", "keep")
+    assert answer.code == 0, answer.err
+    assert f"pressure_cap has no value in {len(rows) - len(rows[::10])} of {len(rows)} samples" in answer.said
+    if command == "gap":
+        assert np.isnan(discover.call_args[0][1][0]["pressure_cap"]).sum() == len(rows) - len(rows[::10])
+
+
 @pytest.mark.parametrize("quiet", [True, False])
 def test_progress_is_told_unless_json_is_wanted(here, discover, quiet):
     def telling(*_, progress, **__):

@@ -128,6 +128,17 @@ def test_dropping_rows_is_an_explicit_choice_and_keeps_true_row_numbers(tmp_path
         read_record(path, missing="drop rows")
 
 
+def test_what_a_slower_sensor_lacks_may_stay_unknown_but_time_may_not(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time [s],fast [1],slow [mm]\n0,1,7\n0.01,2,\n0.02,3,nan\n0.03,4,9\n")
+    record = read_record(path, missing="keep")
+    np.testing.assert_array_equal(record["fast"], [1, 2, 3, 4])
+    np.testing.assert_allclose(record["slow"], [7e-3, np.nan, np.nan, 9e-3])
+    path.write_text("time [s],fast [1]\n0,1\n,2\n0.02,3\n")
+    with pytest.raises(DataError, match="row 3, column 'time': no value"):
+        read_record(path, missing="keep")
+
+
 def test_infinity_is_refused_even_when_rows_may_be_dropped(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(changed("10.5", "inf"))

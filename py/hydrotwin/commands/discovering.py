@@ -22,6 +22,7 @@ from ..loading import origin, sha256_of, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
     JsonOption,
+    MissingOption,
     ModelArgument,
     RecordsArgument,
     ScaleOption,
@@ -92,6 +93,7 @@ def gap(
     resume: Annotated[
         bool, typer.Option("--resume/--fresh", help="go on where an interrupted run stopped, or begin anew")
     ] = True,
+    missing: MissingOption = "error",
     scale: ScaleOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -108,7 +110,7 @@ def gap(
     check_folder(output)
     thing = surroundable(model) if model.endswith(".fmu") else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
-    train, judged = read_all(records, scale), read_all(validate, scale)
+    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
     check_recordings(thing, train, judged)
     memory = finished_fits(output / KEPT)
     if not resume:

@@ -16,6 +16,7 @@ from hydrotwin.records import Record, require
 from ..loading import origin
 from .shared import (
     JsonOption,
+    MissingOption,
     ModelArgument,
     RecordsArgument,
     ScaleOption,
@@ -62,6 +63,7 @@ def identify(
     initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
     starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
+    missing: MissingOption = "error",
     scale: ScaleOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -72,7 +74,7 @@ def identify(
     if report:
         check_folder(report)
     thing = physical(model, "identify")
-    train, judged = read_all(records, scale), read_all(validate, scale)
+    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
     flat = thing.flat
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):

@@ -29,6 +29,10 @@ ValidateOption = Annotated[
 ScaleOption = Annotated[
     list[str] | None, typer.Option("--scale", metavar="COLUMN='V U/W'", help="scale a column: command='0.05 V/%'")
 ]
+MissingOption = Annotated[
+    str,
+    typer.Option(metavar="HOW", help="empty cells: error, 'drop rows', or keep (a sensor's samples may be unknown)"),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 
 WIDE = 160  # columns of a table that goes into a file or a pipe
@@ -47,13 +51,16 @@ def mark(console: Console, word: str, text: str, style: str = "yellow") -> None:
     console.print(Text.assemble((word, style), f" {text}"))
 
 
-def read_all(paths: list[Path] | None, scale: list[str] | None = None) -> list[Record]:
-    """Read recordings; gaps in time are told, not filled."""
+def read_all(paths: list[Path] | None, scale: list[str] | None = None, missing: str = "error") -> list[Record]:
+    """Read recordings; gaps in time and samples that a sensor lacks are told, not filled."""
     records = []
     for path in paths or []:
-        record = read_record(path, scale=scale)
+        record = read_record(path, scale=scale, missing=missing)
         for gap in record.gaps:
             mark(err, "note", f"{path}: {gap}")
+        for name, values in record.signals.items():
+            if lacks := int(np.isnan(values).sum()):
+                mark(err, "note", f"{path}: {name} has no value in {lacks} of {len(values)} samples")
         records.append(record)
     return records
 

@@ -105,6 +105,20 @@ def test_decimation_leaves_short_signals_and_survives_gaps():
     assert np.isfinite(v[t < 0.39]).all()
 
 
+@pytest.mark.parametrize("points", [2000, 100])
+def test_a_slow_sensor_among_fast_ones_is_a_line_and_one_that_failed_for_a_while_is_two(points):
+    time = np.linspace(0.0, 1.0, 1001)
+    slow = np.where(np.arange(1001) % 10 == 0, time, np.nan)
+    trace = line(time, slow, "slow", "#0072B2", points=points)
+    assert np.isfinite(unpacked(trace["y"])).all() and len(unpacked(trace["y"])) >= 40
+    failed = np.where((time > 0.4) & (time < 0.6), np.nan, slow)
+    t, v = (unpacked(line(time, failed, "failed", "#0072B2", points=points)[k]) for k in "xy")
+    assert np.isnan(v).sum() == 1 and 0.4 < t[np.isnan(v)][0] < 0.6
+    assert np.isfinite(v[t < 0.39]).all() and np.isfinite(v[t > 0.61]).all()
+    never = line(time, np.full(1001, np.nan), "never", "#0072B2", points=points)
+    assert np.isnan(unpacked(never["y"])).all()
+
+
 def test_a_line_carries_its_numbers_as_32_bit_floats():
     trace = line(np.array([0.0, 1.0]), np.array([2.0, 3.5]), "a<b>", "#0072B2")
     assert unpacked(trace["y"]).tolist() == [2.0, 3.5]

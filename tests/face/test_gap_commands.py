@@ -212,7 +212,8 @@ def test_what_was_finished_before_ctrl_c_is_kept_and_then_forgotten(here, discov
         raise KeyboardInterrupt
 
     discover.side_effect = interrupted
-    assert hydrotwin(*GAP).code == 130
+    stopped = hydrotwin(*GAP)
+    assert stopped.code == 130 and "1 finished fits are kept, the same command goes on" in stopped.err
     assert not (here / "gap/gap.json").exists()
 
     def going_on(*_, memory, **__):

@@ -6,7 +6,9 @@ A job is a top-level function of this package with plain data, so that every exe
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import (
@@ -100,8 +102,6 @@ def _processes(workers: int) -> Iterator[Executor]:
 def _begin_work() -> None:
     """In a worker: Ctrl-C is the parent's to handle, and a worker does not outlive its parent."""
     import multiprocessing
-    import signal
-    import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -115,16 +115,23 @@ def _begin_work() -> None:
 
 
 class _WithoutMain(context.SpawnProcess):
-    """A spawned process that does not import the caller's script: jobs need nothing of it."""
+    """A spawned process that does not import the caller's script: jobs need nothing of it.
+
+    Ctrl-C is the parent's from its first moment on: a signal that is ignored stays so in what is started.
+    """
 
     @staticmethod
     def _Popen(process):
         main = sys.modules["__main__"]
         sys.modules["__main__"] = types.ModuleType("__main__")
+        first = threading.current_thread() is threading.main_thread()  # no other may change what a signal does
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN) if first else None
         try:
             return context.SpawnProcess._Popen(process)
         finally:
             sys.modules["__main__"] = main
+            if first:
+                signal.signal(signal.SIGINT, before)
 
 
 class _Spawned(context.SpawnContext):

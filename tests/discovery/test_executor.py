@@ -163,16 +163,19 @@ from hydrotwin.discovery.executor import executor_for, mapped
 jobs = [60.0] * 4
 try:
     with executor_for("processes", workers=2) as executor:
-        threading.Timer(3.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+        threading.Timer(float(sys.argv[1]), lambda: os.killpg(os.getpgrp(), signal.SIGINT)).start()
         list(mapped(executor, time.sleep, jobs))
 except KeyboardInterrupt:
     print("stopped", flush=True)
 """
 
 
-def test_ctrl_c_stops_running_jobs_at_once_and_leaves_no_process():
+@pytest.mark.parametrize("seconds", ["0.2", "3.0"])
+def test_ctrl_c_stops_running_jobs_at_once_and_leaves_no_process_and_no_word_of_one(seconds):
+    """As a terminal sends it: to all processes at once, to those that are only beginning, too."""
     began = time.perf_counter()
-    answer = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, timeout=50)
+    command = [sys.executable, "-c", INTERRUPTED, seconds]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=50, start_new_session=True)
     assert answer.stdout.strip() == "stopped", answer.stderr
     assert "Traceback" not in answer.stderr, answer.stderr
     assert time.perf_counter() - began < 40  # output pipes close when the last worker is gone

@@ -127,7 +127,8 @@ def gap(
             write_failure(thing.name, str(error), output, time.perf_counter() - began)
             raise
         except KeyboardInterrupt:
-            err.print(f"stopped: {len(memory)} finished fits are kept, the same command goes on from there", style="dim")
+            kept = f"{len(memory)} finished fits are kept"
+            err.print(f"stopped: {kept}, the same command goes on from there", style="dim")
             raise
     write_discovery(found, origin_from(thing, model, output), output, gap_provenance(found, train, judged))
     memory.remove()

@@ -213,7 +213,7 @@ def test_what_was_finished_before_ctrl_c_is_kept_and_then_forgotten(here, discov
 
     discover.side_effect = interrupted
     stopped = hydrotwin(*GAP)
-    assert stopped.code == 130 and "1 finished fits are kept, the same command goes on" in stopped.err
+    assert stopped.code == 130 and "finished fits kept: 1. The same command goes on" in stopped.err
     assert not (here / "gap/gap.json").exists()
 
     def going_on(*_, memory, **__):

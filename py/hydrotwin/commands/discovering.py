@@ -127,8 +127,7 @@ def gap(
             write_failure(thing.name, str(error), output, time.perf_counter() - began)
             raise
         except KeyboardInterrupt:
-            kept = f"{len(memory)} finished fits are kept"
-            err.print(f"stopped: {kept}, the same command goes on from there", style="dim")
+            err.print(f"stopped; finished fits kept: {len(memory)}. The same command goes on from there.", style="dim")
             raise
     write_discovery(found, origin_from(thing, model, output), output, gap_provenance(found, train, judged))
     memory.remove()

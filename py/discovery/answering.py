@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
@@ -84,7 +83,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     steps = found.steps if kept is found.last else ()
     flat = search.base.flat
     judging = data.report or tuple(r for r in data.train if r in data.select)
-    view = View(flat, data, before, after, judging)
+    view = View(flat, data, before, after)
     share = max(min(closed(found.last.fitted, found.base.fitted, search.question), shown), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
     members = [
@@ -258,7 +257,6 @@ class View:
     data: Split
     before: Concluded
     after: Concluded
-    shown: tuple[Recording, ...]
 
     def _pairs(self, role: str):
         d = self.data

@@ -162,7 +162,8 @@ def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bo
 
 def _from_first(search: Search, structure: Structure, effect: Mapping[str, float] = MappingProxyType({})) -> RefitJob:
     """A structure's fit again, its base parameters from where the identification began, an effect's from others."""
-    return search.refit_of(structure, {**search.first, **effect}, states=(), size=None, coarse=True, iterations=40)
+    again = {"states": (), "size": search.first_size, "coarse": True, "iterations": 40}
+    return search.refit_of(structure, {**search.first, **effect}, **again)
 
 
 def along_valleys(search: Search, structure: Structure) -> list[RefitJob]:
@@ -190,7 +191,8 @@ def from_the_beginning(search: Search, base: Structure) -> list[Tried]:
             start = {**first, **dict(s.candidate.probes[-1])}
             flat, names = search.model((s.candidate,)).flat, search.names((s.candidate,))
             label = s.candidate.label
-            jobs.append(RefitJob(flat, names, search.question, (start,), coarse=True, iterations=40, label=label))
+            again = {"size": search.first_size, "coarse": True, "iterations": 40, "label": label}
+            jobs.append(RefitJob(flat, names, search.question, (start,), **again))
     tried = []
     for s, fitted in zip(chosen, search.run(refit, jobs, "look back"), strict=True):
         if not isinstance(fitted, str):

@@ -79,7 +79,7 @@ class RefitJob:
     starts : parameter values by path, the first for the rest; the best few by cost are followed, equal ones once.
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
-    coarse : lead the start through short windows first; ``led``: where the first of them have led it.
+    coarse : lead the first start through short windows first; ``led``: where the first of them have led it.
     valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods.
     threads : over recordings and windows; the answer does not depend on it.
     """
@@ -185,10 +185,11 @@ def _refit(job: RefitJob) -> Refitted:
 
 
 def _coarse(job: RefitJob) -> tuple[Task, list[float]]:
-    """The task of a descent through windows, broadly weighed, and how long [s] the windows are."""
-    task = _weighed(job, job.question.noise)
+    """The task of a descent through windows and how long [s] they are."""
+    noise = job.question.noise
+    task = _weighed(job, noise if job.size is None else np.fmax(job.size, noise))
     lengths = horizons(task.flat, task.recordings, task.free.vector(task.free.scaled(task.free.start)))
-    return broadly_weighed(task, np.isfinite(job.question.noise)), lengths
+    return broadly_weighed(task, np.isfinite(noise)) if job.size is None else task, lengths
 
 
 def _weighed(job: RefitJob, size: np.ndarray) -> Task:

@@ -48,6 +48,7 @@ class Search:
     report: Callable[[str, int, int, str], None]
     told: tuple[bool, ...] = ()  # outputs whose noise the user gave
     first: Mapping[str, float] = field(default_factory=dict)  # base parameters where the identification began
+    first_size: np.ndarray | None = None  # (ny,) what a residual cost there
     sensors: np.ndarray = None  # noise (ny,) of the sensors, SI; the question's may hold more
     unusable: dict[str, str] = field(default_factory=dict)  # label -> why it cannot be added
     not_testable: dict[str, Screened] = field(default_factory=dict)

@@ -32,7 +32,8 @@ def explained_together(search: Search, data: Split, found: Found, most: int) -> 
     )
     again = search.asking(question)
     flat = again.base.flat
-    begun_anew = RefitJob(flat, again.free, question, (again.first,), coarse=True, label=flat.name)
+    size = again.first_size
+    begun_anew = RefitJob(flat, again.free, question, (again.first,), size=size, coarse=True, label=flat.name)
     going_on = RefitJob(flat, again.free, question, (found.base.fitted.values,), label=flat.name)
     bases = [b for b in again.run(refit, [begun_anew, going_on], "identify the base") if not isinstance(b, str)]
     if not bases:

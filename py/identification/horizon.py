@@ -130,24 +130,25 @@ def horizons(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) ->
 
 def fastest_oscillation(flat: FlatModel, recordings: Sequence[Recording], p: np.ndarray) -> float | None:
     """Frequency [Hz] of the fastest lightly damped mode at the starts of the recordings; None when all are damped."""
-    return oscillation(flat, recordings)(p)
+    mode = lightly_damped(flat, recordings)(p)
+    return abs(mode) / (2 * np.pi) if mode else None
 
 
-def oscillation(flat: FlatModel, recordings: Sequence[Recording]) -> Callable[[np.ndarray], float | None]:
-    """`fastest_oscillation` as a function of the parameters."""
+def lightly_damped(flat: FlatModel, recordings: Sequence[Recording]) -> Callable[[np.ndarray], complex | None]:
+    """The eigenvalue [1/s] of the fastest lightly damped mode as a function of the parameters."""
     t, x, u, q = (ca.SX.sym(n, flat.ode.size1_in(i)) for i, n in enumerate("txup"))
     jacobian = ca.Function("modes", [t, x, u, q], [ca.densify(ca.jacobian(flat.ode(t, x, u, q)[0], x))])
     points = [(r, int(k)) for r in recordings for k in np.linspace(0, len(r.time) - 1, 4)]
 
-    def fastest(p: np.ndarray) -> float | None:
-        found = 0.0
+    def fastest(p: np.ndarray) -> complex | None:
+        found = 0j
         for r, k in points:
             A = np.array(jacobian(r.time[k], start_from_measured(flat, r, p, k), r.u[k], p))
             if not np.isfinite(A).all():
                 continue
             modes = np.linalg.eigvals(A)
             light = np.abs(modes.imag) > np.abs(modes) * np.sqrt(1 - LIGHTLY_DAMPED**2)
-            found = max(found, float(np.abs(modes[light]).max(initial=0.0)) / (2 * np.pi))
+            found = max([found, *modes[light].tolist()], key=abs)
         return found or None
 
     return fastest

@@ -13,15 +13,20 @@ from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, lead, refit
 from hydrotwin.discovery.resume import packed, unpacked
 from hydrotwin.discovery.search import Search
+from tests.identification import pulled
 from tests.identification.hanging import FREE, MASS, NOISE, hanging, swinging
 
 
 def begun(stiffness: float, true: float) -> Search:
     """A search of the mass on a spring, without candidates."""
-    model = hanging(stiffness)
-    data = split(model.flat, [swinging(k, true) for k in range(3)], [], noise={"position": NOISE})
+    return asked(hanging(stiffness), FREE, [swinging(k, true) for k in range(3)], NOISE)
+
+
+def asked(model, free, records, noise) -> Search:
+    """A search without candidates."""
+    data = split(model.flat, records, [], noise={"position": noise})
     run = lambda function, jobs, stage, meanwhile=(): [function(job) for job in jobs]  # noqa: E731
-    return Search(model, FREE, (), Question(data.fit, data.select, data.noise), run, lambda *said: None)
+    return Search(model, free, (), Question(data.fit, data.select, data.noise), run, lambda *said: None)
 
 
 @pytest.mark.parametrize(("stiffness", "true"), [(4.2e6, 8e6), (3e6, 6e6), (6e6, 4e6)])
@@ -37,11 +42,26 @@ def test_a_base_whose_oscillation_is_far_off_is_found_where_one_descent_ends_els
     assert search.first["body.mass"] != pytest.approx(MASS)  # it began elsewhere, and whoever begins again does so too
 
 
+@pytest.mark.parametrize("stiffness", [2.5e6, 6.6e6, 8e6])
+def test_an_oscillation_small_beside_the_motion_is_found_although_the_gain_is_off(stiffness):
+    """45 Hz for 36, 58 and 64, a gain of 0.10 for 0.12 m/s, a lag of 30 for 20 ms.
+
+    Where a few percent of the motion are allowed, the last ended at 59 Hz and 73 times the damping; weighed by the
+    noise, a wrong gain is all that is seen.
+    """
+    true = {**pulled.TRUE, "stiffness": stiffness}
+    search = asked(pulled.pulled(), pulled.FREE, [pulled.pulling(k, true) for k in range(3)], pulled.NOISE)
+    found = identified(search)
+    assert found.rmse == pytest.approx([pulled.NOISE], rel=0.05)
+    for name, off in {"gain": 1e-4, "lag": 0.01, "stiffness": 0.01, "damping": 0.15}.items():
+        assert found.values[name] == pytest.approx(true[name], rel=off)
+
+
 def test_a_base_that_diverges_from_one_start_is_found_from_another_and_from_none_is_said():
     search = begun(3e6, 3e6)
     run = search.run
 
-    def first_diverges(function, jobs, stage, meanwhile=()):
+    def first_diverges(function, jobs, stage, meanwhile=()):  # and in the first windows, too
         return ["diverges", *run(function, jobs[1:], stage)]
 
     search.run = first_diverges
@@ -55,13 +75,13 @@ def test_starts_that_the_first_windows_lead_to_one_place_are_followed_once():
     run, asked = search.run, {}
 
     def counting(function, jobs, stage, meanwhile=()):
-        asked[function.__name__] = [job.starts[0] for job in jobs]
+        asked.setdefault(function.__name__, []).extend(job.starts[0] for job in jobs)
         return run(function, jobs, stage)
 
     search.run = counting
     found = identified(search)
     assert found.values["body.stiffness"] == pytest.approx(1.1e6, rel=0.01)
-    assert len(asked["lead"]) == 5 and len(asked["refit"]) <= 3
+    assert len(asked["lead"]) == 6 and len(asked["refit"]) <= 4
     assert asked["refit"][0] == asked["lead"][0], "the first of them"
 
 

@@ -12,6 +12,8 @@ from hydrotwin.identification.tuned import CLOSE, EACH_WAY, SPACING, tuned_start
 from hydrotwin.models.language.errors import SolveError
 from tests.identification.drive import drive, recorded
 from tests.identification.hanging import FREE, hanging, swinging
+from tests.identification.pulled import FREE as PULLED
+from tests.identification.pulled import pulled, pulling
 
 WAYS = [k for k in range(-EACH_WAY, EACH_WAY + 1) if k]
 
@@ -23,8 +25,9 @@ def asked(model, bounds=None):
 
 def test_tuned_starts_have_the_frequencies_of_a_mass_on_a_spring():
     flat, measured, free = asked(hanging())
-    starts = tuned_starts(flat, measured, free)
+    present, *starts = tuned_starts(flat, measured, free)
     first = dict(zip(free.names, free.start, strict=True))
+    assert present == pytest.approx(first)
     hertz = [np.sqrt(s["body.stiffness"] / s["body.mass"]) / (2 * np.pi) for s in (first, *starts)]
     assert fastest_oscillation(flat, measured, flat.parameter_vector()) == pytest.approx(hertz[0], rel=1e-6)
     off = np.log(np.array(hertz[1:]) / hertz[0]) / np.log(SPACING) - WAYS
@@ -37,7 +40,7 @@ def test_tuned_starts_have_the_frequencies_of_a_mass_on_a_spring():
 
 def test_a_bound_gives_way_to_another_parameter_or_to_no_start():
     flat, measured, free = asked(hanging(), {"body.mass": (49.0, 51.0)})
-    starts = tuned_starts(flat, measured, free)
+    _, *starts = tuned_starts(flat, measured, free)
     assert len(starts) == len(WAYS) and all(49.0 <= s["body.mass"] <= 51.0 for s in starts)
     off = [np.log(s["body.stiffness"] / s["body.mass"] / (hanging().flat.parameter_vector()[1] / 50.0)) for s in starts]
     assert np.abs(0.5 * np.array(off) / np.log(SPACING) - WAYS).max() < CLOSE
@@ -59,12 +62,21 @@ def test_nothing_that_is_free_moves_the_mode():
 
 def test_a_frequency_at_which_the_machine_finds_no_rest_is_no_start(monkeypatch):
     flat, measured, free = asked(hanging())
-    known = tuned.oscillation(flat, measured)
+    known = tuned.lightly_damped(flat, measured)
 
     def restless_above(p):
-        if (hertz := known(p)) > 35.0:
+        if abs(mode := known(p)) > 2 * np.pi * 35.0:
             raise SolveError("hanging: no static equilibrium found.")
-        return hertz
+        return mode
 
-    monkeypatch.setattr(tuned, "oscillation", lambda *_: restless_above)
-    assert len(tuned_starts(flat, measured, free)) == EACH_WAY  # 22 and 27 Hz of 32, not 38 and 46
+    monkeypatch.setattr(tuned, "lightly_damped", lambda *_: restless_above)
+    assert len(tuned_starts(flat, measured, free)) == 1 + EACH_WAY  # 22 and 27 Hz of 32, not 38 and 46
+
+
+def test_tuned_starts_say_nothing_of_what_the_mode_does_not_depend_on():
+    """A command's gain and lag before the spring; damping moves the mode's decay alone, not its frequency."""
+    flat = pulled().flat
+    measured = recordings(flat, [pulling(0)], None, "record")
+    starts = tuned_starts(flat, measured, free_parameters(flat, PULLED))
+    assert len(starts) == 1 + len(WAYS)
+    assert all(set(s) == {"stiffness", "damping"} for s in starts)

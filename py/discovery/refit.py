@@ -32,6 +32,8 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
+from .starts import by_cost, given, inside, undecided
+
 ROUNDS = 5
 LONGEST = 30  # iterations in all rounds together: a cost with kinks can take every one of them and gain nothing
 FAR = 2.0  # times the noise: beyond it what may be left weighs a first fit, too
@@ -195,7 +197,7 @@ def _coarse(job: RefitJob) -> tuple[Task, list[float]]:
 def _weighed(job: RefitJob, size: np.ndarray) -> Task:
     """The task of a refit from its first start, where a residual (ny,) of ``size`` SI costs as much as noise does."""
     flat, q = job.flat, job.question
-    free = free_parameters(flat, job.free, _inside(flat, job.starts[0]))
+    free = free_parameters(flat, job.free, inside(flat, job.starts[0]))
     propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
     return Task(
         flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
@@ -218,32 +220,18 @@ def _silent(stage: str, number: int, cost: float) -> None:
     """A refit reports when it is done."""
 
 
-def _inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
-    """Values clipped to the parameters' bounds."""
-    known = {p.name: p.bounds for p in flat.parameters}
-    return {name: float(np.clip(v, *known[name])) for name, v in values.items()}
-
-
 def _from_starts(task: Task, job: RefitJob) -> tuple[Minimum, int]:
     """The likeliest of the minima from the most promising starts, and how many iterations each turn may take.
 
     A structure that makes the equations stiff costs ten or a hundred times the base; it gets fewer of them.
     """
-    shooting, z = whole_runs(task)
-    z = _given(shooting, z, job.states)
-    base = dict(_inside(task.flat, job.starts[0]))
-    points = []
-    for start in job.starts:
-        values = {**base, **_inside(task.flat, start)}
-        q = task.free.scaled(
-            np.array([values.get(n, v) for n, v in zip(task.free.names, task.free.start, strict=True)])
-        )
-        points.append((shooting.cost(q, z), q))
-    points = _different(points)
+    task, points = by_cost(task, job.starts, job.states, job.question.usual)
     slower = task.flat.step / task.propagator.step * (IMPLICIT if task.propagator.method == "rosenbrock" else 1)
     most = max(FEWEST, min(job.iterations, int(2 * job.iterations / max(slower, 1.0))))
+    shooting, z = whole_runs(task)
+    z = given(shooting, z, job.states)
     found, stopped = [], None
-    for _, q in points[: job.follow]:
+    for q in points[: job.follow]:
         try:
             found.append(_first(task, job, q, z, most))
         except SolveError as error:
@@ -251,19 +239,6 @@ def _from_starts(task: Task, job: RefitJob) -> tuple[Minimum, int]:
     if not found:
         raise stopped
     return min(found, key=lambda f: _likelihood(task, job.question, f)), most
-
-
-def _different(points: Sequence[tuple[float, np.ndarray]]) -> list[tuple[float, np.ndarray]]:
-    """(cost, point) in order of cost, each cost once.
-
-    Stops and opening pressures that nothing reaches all cost what the base does, often less than a start that does
-    something: all of them together are one start, or none of the others would be followed.
-    """
-    kept: list[tuple[float, np.ndarray]] = []
-    for cost, q in sorted(points, key=lambda pair: pair[0]):
-        if not kept or not np.isclose(cost, kept[-1][0], rtol=1e-9, atol=0.0):
-            kept.append((cost, q))
-    return kept
 
 
 def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -> Minimum:
@@ -279,23 +254,9 @@ def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -
     return min(found, key=lambda f: _likelihood(task, job.question, f)) if len(found) > 1 else found[0]
 
 
-def _given(shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np.ndarray:
-    """Scaled start states with the known ones put in."""
-    z = z.copy()
-    for i, known in enumerate(states):
-        for j, (name, nominal) in enumerate(zip(shooting.start.names, shooting.start.nominal, strict=True)):
-            if name in known:
-                z[i, j] = known[name] / nominal
-    return z
-
-
 def _settled(task: Task, q: Question, found: Minimum, most: int):
-    """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``.
-
-    What was integrated with ease at the start may be stiff at the minimum: how is decided again.
-    """
-    if not task.flat.black_box:
-        task = dataclasses.replace(task, propagator=task.propagator.undecided())
+    """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``."""
+    task = undecided(task)
     size, further = _sizes(residuals_of(task, found), q), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))

@@ -29,13 +29,13 @@ def identified(search: Search, meanwhile: Iterable = ()) -> Refitted | str:
     """
     flat, question = search.base.flat, search.question
     own = RefitJob(flat, search.free, question, (search.first,), coarse=True, label=flat.name)
+    meanwhile = iter(meanwhile)  # what one run of jobs leaves of it is for the next
     jobs, tuned = [own], tuned_starts(flat, question.fit, free_parameters(flat, search.free, search.first))
     if tuned:
         own = _going_on(own, *search.run(lead, [own], STAGE, meanwhile))
         known = {**search.first, **_values(own)}
         jobs = [dataclasses.replace(own, starts=({**known, **t},), size=question.noise, led=None) for t in tuned]
-        jobs = _apart([own, *map(_going_on, jobs, search.run(lead, jobs, STAGE))])
-        meanwhile = ()
+        jobs = _apart([own, *map(_going_on, jobs, search.run(lead, jobs, STAGE, meanwhile))])
     answers = search.run(refit, jobs, STAGE, meanwhile)
     found = [(fitted, job) for fitted, job in zip(answers, jobs, strict=True) if not isinstance(fitted, str)]
     if not found:

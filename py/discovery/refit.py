@@ -20,7 +20,7 @@ import numpy as np
 
 from hydrotwin.identification.answer import answer
 from hydrotwin.identification.descent import Task, descend, through_windows, whole_runs
-from hydrotwin.identification.horizon import horizons
+from hydrotwin.identification.horizon import horizons, measured_start
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
@@ -198,11 +198,19 @@ def _weighed(job: RefitJob, size: np.ndarray) -> Task:
     """The task of a refit from its first start, where a residual (ny,) of ``size`` SI costs as much as noise does."""
     flat, q = job.flat, job.question
     free = free_parameters(flat, job.free, inside(flat, job.starts[0]))
-    propagator = prepare(flat, free_parameters=free.names, free_states=[s.name for s in flat.states], step=q.step)
+    propagator = prepare(flat, free_parameters=free.names, free_states=_starting(job), step=q.step)
     return Task(
         flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads, _silent,
         q.noise, prior=_prior(free, q),
     )  # fmt: skip
+
+
+def _starting(job: RefitJob) -> list[str]:
+    """States whose starts a fit may move: in windows all, in whole runs those that are measured unless told."""
+    states, q = job.flat.states, job.question
+    if job.coarse or q.initial_states == "free" or job.flat.black_box:
+        return [s.name for s in states]
+    return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
 
 
 def _prior(free: FreeParameters, q: Question) -> Prior:

@@ -16,6 +16,7 @@ from .loop import Loop, in_loop, read_loop
 from .run import compare
 
 HOLD_LAST = "hold_last"
+KEYS = ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale", "missing", "loop")
 _FILES = (".toml", ".fmu", ".npz")
 
 
@@ -31,9 +32,9 @@ class ModelEntry:
 class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
-    ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading (see
-    `read_record`), ``base`` the folder that relative paths start from. With ``loop`` every model runs under the same
-    controller and follows the recorded reference.
+    ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading and ``missing`` what
+    empty cells mean (see `read_record`), ``base`` the folder that relative paths start from. With ``loop`` every model
+    runs under the same controller and follows the recorded reference.
     """
 
     title: str
@@ -44,6 +45,7 @@ class Scenario:
     outputs: tuple[str, ...] | None = None
     rates: tuple[str, ...] = ()
     scale: Mapping[str, str] = field(default_factory=dict)
+    missing: str = "error"
     base: Path = Path(".")
     loop: Loop | None = None
 
@@ -61,6 +63,7 @@ def read_scenario(path: str | Path) -> Scenario:
         outputs = ["arm_angle"]
         rates = ["arm_angle"]                     # score its slope as well
         scale = {command = "0.05 V/%"}
+        missing = "keep"                          # empty cells: error, drop rows or keep
 
         [loop]                                    # closed loop: see `Loop`
         reference = "reference"
@@ -78,7 +81,7 @@ def read_scenario(path: str | Path) -> Scenario:
     path = Path(path)
     table = _read_toml(path)
     where = path.name
-    _only(table, ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale", "loop"), where)
+    _only(table, KEYS, where)
     for key in ("models", "validate"):
         if not table.get(key):
             raise DeclarationError(f"{where}: no '{key}'. A scenario lists at least one. Add {key} = [...].")
@@ -95,6 +98,7 @@ def read_scenario(path: str | Path) -> Scenario:
         outputs=_strings(table, "outputs", where) or None,
         rates=_strings(table, "rates", where),
         scale=_scale(table, where),
+        missing=str(table.get("missing", "error")),
         base=path.parent,
         loop=read_loop(table["loop"], where) if "loop" in table else None,
     )
@@ -141,7 +145,7 @@ def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> lis
 
 
 def _read(paths: Sequence[Path], scenario: Scenario) -> list[Record]:
-    return [read_record(p, scale=dict(scenario.scale) or None) for p in paths]
+    return [read_record(p, scale=dict(scenario.scale) or None, missing=scenario.missing) for p in paths]
 
 
 def _read_toml(path: Path) -> dict:

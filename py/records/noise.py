@@ -34,7 +34,7 @@ def noise_floor(record: Record) -> dict[str, NoiseFloor]:
 
 
 def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
-    """Noise floor of one channel, (n,) on ``time`` (n,) s, uniform or not.
+    """Noise floor of one channel, (n,) on ``time`` (n,) s, uniform or not; samples that are nan are left out.
 
     A 4th divided difference over five neighbours, scaled to unit weights, removes any local cubic and leaves white
     noise with its own variance, so the mean of its square in a block of a quiet stretch is the noise variance. The
@@ -47,10 +47,12 @@ def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
     Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625-633 (difference-based variance); Widrow, Kollar,
     Quantization Noise (2008), chapter 5 (q^2/12).
     """
+    known = np.isfinite(values)
+    time, values = np.asarray(time)[known], np.asarray(values)[known]
     q = quantisation_step(values)
     if len(values) < 6:
         return NoiseFloor(float(q / np.sqrt(12)), 0.0, q)
-    seen = _quiet_variance(_fourth_differences(np.asarray(time), np.asarray(values)) ** 2)
+    seen = _quiet_variance(_fourth_differences(time, values) ** 2)
     white = max(seen - q**2 / 12, 0.0)
     return NoiseFloor(float(np.sqrt(white + q**2 / 12)), float(np.sqrt(white)), q)
 

@@ -99,3 +99,11 @@ def test_a_command_that_steps_in_every_block_does_not_count_as_noise(sigma):
         speed[k] = speed[k - 1] + 0.3 * (wanted[k - 1] - speed[k - 1])
     noise = channel_noise(time, speed + sigma * random.normal(size=1000))
     assert noise.sigma == pytest.approx(sigma, rel=0.25)
+
+
+def test_samples_that_a_slow_sensor_lacks_are_left_out():
+    time = np.arange(0.0, 20.0, 0.01)
+    values = np.sin(time) + 0.02 * np.random.default_rng(3).standard_normal(len(time))
+    slow = np.where(np.arange(len(time)) % 10, np.nan, values)
+    assert channel_noise(time, slow) == channel_noise(time[::10], values[::10])
+    assert channel_noise(time, np.full(len(time), np.nan)).sigma == 0.0

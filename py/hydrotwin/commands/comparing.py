@@ -14,6 +14,7 @@ from ..loading import load, origin
 from .exporting import equations_told
 from .shared import (
     JsonOption,
+    MissingOption,
     ScaleOption,
     ValidateOption,
     check_file,
@@ -57,6 +58,7 @@ def compare(
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     scale: ScaleOption = None,
+    missing: MissingOption = "error",
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
@@ -75,6 +77,7 @@ def compare(
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--rate": rates, "--mode": modes}
     doubled = [option for option, value in {**said, "--title": title, "--scale": scale}.items() if value]
+    doubled += ["--missing"] if missing != "error" else []
     if scenario is not None and doubled:
         raise DeclarationError(
             f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
@@ -82,7 +85,7 @@ def compare(
     if scenario is not None:
         described = read_scenario(scenario)
     else:
-        read_all(validate, scale)  # tells gaps before a long run
+        read_all(validate, scale, missing)  # tells gaps before a long run
         described = Scenario(
             title=title or "Comparison of models",
             models=tuple(entry(m) for m in models),
@@ -92,6 +95,7 @@ def compare(
             outputs=tuple(outputs) if outputs else None,
             rates=tuple(rates or ()),
             scale=dict(s.split("=", 1) for s in scale or []),
+            missing=missing,
         )
     with progress_bar() as bar:
         row = bar.add_task("compare", total=None)

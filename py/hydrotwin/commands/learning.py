@@ -16,6 +16,7 @@ from hydrotwin.records import Record
 from ..loading import load, origin
 from .shared import (
     JsonOption,
+    MissingOption,
     RecordsArgument,
     ScaleOption,
     ValidateOption,
@@ -88,6 +89,7 @@ def learn(
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
     scale: ScaleOption = None,
+    missing: MissingOption = "error",
     as_json: JsonOption = False,
 ) -> None:
     """Learn a surrogate from recordings: a block that simulates, compares and exports as a model does."""
@@ -104,7 +106,7 @@ def learn(
     flags = {"fit": None if kind in PUBLISHED else fit, "hidden": hidden, "budget": budget}
     more = (hydrotwin.learned.train_network,) if kind == "hybrid" else ()
     options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None}, *more)
-    train, judged = read_all(records, scale), read_all(validate, scale)
+    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
     if kind == "hybrid":
         arguments = (physical(model, "learn hybrid"), train, outputs)
     else:

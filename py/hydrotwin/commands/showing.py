@@ -16,6 +16,7 @@ from hydrotwin.records import write_record
 from ..loading import load
 from .shared import (
     JsonOption,
+    MissingOption,
     ModelArgument,
     ScaleOption,
     check_file,
@@ -61,6 +62,7 @@ def simulate(
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     scale: ScaleOption = None,
+    missing: MissingOption = "error",
     as_json: JsonOption = False,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
@@ -69,7 +71,7 @@ def simulate(
 
     if output:
         check_file(output, *RECORDINGS, sources=[input])
-    (record,) = read_all([input], scale)
+    (record,) = read_all([input], scale, missing)
     thing = load(model)
     settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):

@@ -7,8 +7,10 @@ import pytest
 
 from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, refit
+from hydrotwin.discovery.screen import Screen
 from hydrotwin.discovery.starts import REACH, SHORTER, different, within_reach
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, der
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.records import Record
 
 NOISE = 1e-3
@@ -58,6 +60,21 @@ def test_a_stiff_start_far_away_ends_where_a_near_one_does(start):
     near = refit(RefitJob(Model(Follower()).flat, free, question, ({"hold": 0.2},)))
     assert near.values["hold"] == pytest.approx(0.05, rel=0.05)
     assert far.likelihood == pytest.approx(near.likelihood, abs=1.0)
+
+
+class Runaway(Follower):
+    """What a follower becomes when candidates that should be neutral are not."""
+
+    def equations(self):
+        yield der(self.x) == self.rate * (1e3 * self.x**3 + self.command) + self.hold
+        yield self.followed == self.x
+
+
+def test_candidates_that_are_together_not_neutral_are_refused_with_what_to_do():
+    question = asked(hold=0.05)
+    fitted = refit(RefitJob(Model(Follower()).flat, ("rate", "hold"), question, ({"hold": 0.2},)))
+    with pytest.raises(SolveError, match=r"at neutral diverges\. Look for fewer of them at once"):
+        Screen(Model(Runaway()).flat, ("rate", "hold"), (), fitted, question)
 
 
 def test_each_cost_is_a_start_once_in_order():

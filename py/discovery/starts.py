@@ -37,9 +37,9 @@ def by_cost(
         return shooting.cost(q, given(shooting, z, states)), q
 
     points = [point(task, values) for values in starts]
-    if task.propagator.method == "rosenbrock":
-        neutral = {p.name: p.value for p in task.flat.parameters if p.name in first and p.name not in base}
-        neutral = inside(task.flat, neutral)
+    own = {p.name: p.value for p in task.flat.parameters if p.name in first and p.name not in base}
+    if own and task.propagator.method == "rosenbrock":
+        neutral = inside(task.flat, own)
         starts = [within_reach(lambda v: point(undecided(task), v)[0], values, neutral) for values in starts]
         task = undecided(task)
         points = [point(task, values) for values in starts]

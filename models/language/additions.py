@@ -175,8 +175,7 @@ def _cut(elaboration: Elaboration, symbol: ca.SX, inside: str | None) -> ca.SX:
     elaboration.units[gap.element_hash()] = elaboration.units[symbol.element_hash()]
     for k, equation in enumerate(elaboration.equations):
         if inside is None or not (equation.owner == inside or equation.owner.startswith(f"{inside}.")):
-            left, right = ca.substitute([equation.left, equation.right], [symbol], [gap])
-            elaboration.equations[k] = Equation(left, right, equation.owner)
+            elaboration.equations[k] = equation.with_instead(symbol, gap)
     for k, (owner, c) in enumerate(elaboration.connections):
         if not isinstance(c.first, BoundPort) and owner != inside:
             ends = (gap if end.element_hash() == symbol.element_hash() else end for end in (c.first, c.second))
@@ -186,9 +185,7 @@ def _cut(elaboration: Elaboration, symbol: ca.SX, inside: str | None) -> ca.SX:
 
 def _close(elaboration: Elaboration, gap: ca.SX, taker: ca.SX, symbol: ca.SX, giver: ca.SX) -> None:
     """The gap becomes ``taker``; ``symbol`` and ``giver`` are one."""
-    for k, equation in enumerate(elaboration.equations):
-        left, right = ca.substitute([equation.left, equation.right], [gap], [taker])
-        elaboration.equations[k] = Equation(left, right, equation.owner)
+    elaboration.equations[:] = [equation.with_instead(gap, taker) for equation in elaboration.equations]
     for k, (owner, c) in enumerate(elaboration.connections):
         if not isinstance(c.first, BoundPort):
             ends = (taker if end.element_hash() == gap.element_hash() else end for end in (c.first, c.second))

@@ -70,6 +70,12 @@ class Equation:
         """The symbols of both sides, by hash."""
         return self.sides[0] | self.sides[1]
 
+    def with_instead(self, symbol: ca.SX, other: ca.SX) -> Equation:
+        """The same equation with ``other`` where ``symbol`` stands."""
+        if symbol.element_hash() not in self.symbols:
+            return self
+        return Equation(*ca.substitute([self.left, self.right], [symbol], [other]), self.owner)
+
 
 def _symbols(expression: ca.SX) -> dict[int, ca.SX]:
     found = [expression] if expression.is_symbolic() else ca.symvar(expression)

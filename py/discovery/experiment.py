@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 
 from hydrotwin.identification.problem import Recording
-from hydrotwin.identification.shooting import StartStates
+from hydrotwin.identification.start_states import StartStates
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel, Signal
 from hydrotwin.simulation import prepare

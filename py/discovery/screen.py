@@ -23,7 +23,8 @@ from hydrotwin.identification.descent import Task
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.problem import free_parameters
-from hydrotwin.identification.shooting import Shooting, StartStates
+from hydrotwin.identification.shooting import Shooting
+from hydrotwin.identification.start_states import StartStates
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare

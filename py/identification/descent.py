@@ -16,7 +16,8 @@ from .fit import Iteration
 from .least_squares import Minimum, minimise
 from .loss import Loss
 from .problem import FreeParameters, Recording
-from .shooting import Prior, Shooting, StartStates
+from .shooting import Prior, Shooting
+from .start_states import StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage

@@ -17,7 +17,8 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 
 from .problem import Recording
-from .shooting import Segment, StartStates
+from .shooting import Segment
+from .start_states import StartStates
 
 PERIODS = 3.0  # of the fastest lightly damped mode in the shortest window: 15 % frequency error is then half a turn
 LIGHTLY_DAMPED = 0.3

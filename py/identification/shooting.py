@@ -8,19 +8,18 @@ an output measures is free, and the first residual is its prior, so noise in it 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import FlatModel
 
 from .loss import Loss
 from .problem import FreeParameters, Recording
+from .start_states import StartStates
 
 WEAK_PRIOR = 0.1  # per state nominal: an unmeasured start state may move by ten nominals for one sigma
 PIECE = 1000  # samples of a run whose Jacobian is worked on at once
@@ -40,43 +39,6 @@ class Segment:
     begin: int
     first: int
     last: int
-
-
-class StartStates:
-    """x0(u0, p, z) of a segment with its derivatives; ``names`` are the states that z gives, the model finds the rest.
-
-    ``held`` are given but not free: they keep their value.
-    """
-
-    def __init__(self, flat: FlatModel, names: Sequence[str], free_index: np.ndarray, held: bool = False):
-        order = [s.name for s in flat.states]
-        self.names = tuple(n for n in order if n in names)
-        self.columns = np.array([order.index(n) for n in self.names], dtype=int)
-        self.nominal = np.array([flat.states[i].nominal for i in self.columns])
-        self.bounds = np.array([flat.states[i].bounds for i in self.columns]).reshape(-1, 2)
-        self.measured = np.array([flat.states[i].measured_by is not None for i in self.columns], dtype=bool)
-        self.held = held
-        self.whole = len(self.names) == len(order)
-        self.free_index = free_index
-        self.size = len(order)
-        if not self.whole:
-            self._function = _start_with_jacobians(flat, self.names, free_index)
-
-    def __call__(self, u0: np.ndarray, p: np.ndarray, z: np.ndarray):
-        """x0 (nx,), dx0/dp of the free parameters (nx, np), dx0/dz (nx, nz)."""
-        if self.whole:
-            x0 = np.empty(self.size)
-            x0[self.columns] = z
-            return x0, np.zeros((self.size, len(self.free_index))), np.eye(self.size)[:, self.columns]
-        x0, by_p, by_z = (np.array(m) for m in self._function(u0, p, z))
-        return x0.ravel(), by_p, by_z.reshape(self.size, -1)
-
-
-def _start_with_jacobians(flat: FlatModel, names: Sequence[str], free_index: np.ndarray) -> ca.Function:
-    u, p, z = ca.SX.sym("u", len(flat.inputs)), ca.SX.sym("p", len(flat.parameters)), ca.SX.sym("z", len(names))
-    x0 = flat.start_given(names)(u, p, z)
-    by_p = ca.jacobian(x0, p)[:, [int(i) for i in free_index]] if len(free_index) else ca.SX(x0.shape[0], 0)
-    return ca.Function("start_states", [u, p, z], [x0, ca.densify(by_p), ca.densify(ca.jacobian(x0, z))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +104,7 @@ class Shooting:
     def linearise(self, q: np.ndarray, z: np.ndarray) -> Linearisation:
         """Cost, gradient and Gauss-Newton Hessian at parameters q (np,) and start states z (segments, nz)."""
         at = self._point(q)
-        rows = self._over_segments(lambda i: self._expand(i, at, z[i]))
+        rows = self._over_segments(lambda part: self._expansions(part, at, z))
         costs, diverged, gradient, hessian = (np.array(c) for c in zip(*rows, strict=True))
         if self.prior:  # it belongs to no segment: the first carries it
             n = np.arange(len(q))
@@ -155,7 +117,7 @@ class Shooting:
         """Cost alone."""
         at = self._point(q)
         known = self.prior.cost(q) if self.prior else 0.0
-        return known + float(sum(self._over_segments(lambda i: self._cost(i, at, z[i]))))
+        return known + float(sum(self._over_segments(lambda part: self._costs(part, at, z))))
 
     def residuals(self, i: int, q: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Weighted residuals (samples, ny) of segment i, nan where nothing was measured; None when it diverged."""
@@ -171,7 +133,7 @@ class Shooting:
     def all_sensitivities(self, q: np.ndarray, z: np.ndarray) -> list:
         """`sensitivities` of every segment."""
         at = self._point(q)
-        return self._over_segments(lambda i: self._sensitivities(i, at, z[i]))
+        return self._over_segments(lambda part: [self._sensitivities(i, at, z[i]) for i in part])
 
     def trajectories(self, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
         """State trajectories (n, nx) of every recording, put together from its segments; nan where one diverged."""
@@ -216,8 +178,7 @@ class Shooting:
         if not np.isfinite(dy).all():
             return None
         r, here = self._weighted(i, y), self._measured[i]
-        rows = (dy[-len(r) :] * (self.weights[:, None] * scale))[here]
-        return r[here], rows, dy
+        return *_picked(here, r, dy[-len(r) :] * (self.weights[:, None] * scale)), dy
 
     def _weighted(self, i: int, y: np.ndarray) -> np.ndarray:
         segment = self.segments[i]
@@ -258,6 +219,59 @@ class Shooting:
             spread.append(float((seen.var(axis=0) + 1.0).sum()))
         return [DIVERGED * 0.5 * (s.last - s.first) * spread[s.recording] for s in self.segments]
 
+    @cached_property
+    def _in_one_call(self) -> bool:
+        """The compiled driver sums plain squares itself, for all windows of a recording in one call."""
+        plain = self.loss.kind == "linear" and self.averaged == 1 and not self.propagator.flat.black_box
+        return plain and self.propagator.engine == "c"
+
+    def _by_recording(self, part: np.ndarray):
+        """Of the segments ``part``: those of each recording, their cuts (s, 3), and the recording."""
+        for r, members in itertools.groupby(part, key=lambda i: self.segments[i].recording):
+            members = list(members)
+            cuts = np.array([(s.begin, s.first, s.last) for s in (self.segments[i] for i in members)])
+            yield members, cuts, self.recordings[r]
+
+    def _costs(self, part: np.ndarray, at, z: np.ndarray) -> list[float]:
+        """The costs of the segments ``part``."""
+        if not self._in_one_call:
+            return [self._cost(i, at, z[i]) for i in part]
+        found = []
+        for members, cuts, recording in self._by_recording(part):
+            x0, _ = self._all_seeds(members, recording.u[cuts[:, 0]], at[0], z)
+            ran = self.propagator.costs(recording.time, recording.u, at[0], cuts, x0, recording.y, self.weights)
+            with np.errstate(all="ignore"):
+                costs = [cost + self._start_prior(i, z[i])[0] for i, cost in zip(members, ran, strict=True)]
+            limits = (self._limits[i] for i in members)  # a stopped run is nan: it counts as diverged
+            found += [cost if cost < limit else limit for cost, limit in zip(costs, limits, strict=True)]
+        return found
+
+    def _expansions(self, part: np.ndarray, at, z: np.ndarray) -> list:
+        """Cost, whether it diverged, gradient and Gauss-Newton Hessian of the segments ``part``."""
+        if not self._in_one_call:
+            return [self._expand(i, at, z[i]) for i in part]
+        (p, scale), found = at, []
+        k = len(scale)
+        for members, cuts, recording in self._by_recording(part):
+            x0, dx0 = self._all_seeds(members, recording.u[cuts[:, 0]], p, z)
+            ran = self.propagator.expansions(
+                recording.time, recording.u, p, cuts, x0, dx0, recording.y, self.weights
+            )  # fmt: skip
+            with np.errstate(all="ignore"):
+                gradient, hessian = ran[1][:, :k] * scale, ran[2][:, :k, :k] * np.outer(scale, scale)
+                rows = zip(members, ran[0], gradient, hessian, strict=True)
+                found += [self._with_prior(i, z[i], *row) for i, *row in rows]
+        return found
+
+    def _all_seeds(self, members: list[int], u0: np.ndarray, p: np.ndarray, z: np.ndarray):
+        """`_seeds` of several segments: (s, nx) and (s, nx, n_theta)."""
+        if self.start.whole:
+            x0 = np.empty((len(members), self.start.size))
+            x0[:, self.start.columns] = z[members] * self.start.nominal
+            return x0, np.repeat(self._seeds(u0, p, z[members[0]])[1][None], len(members), axis=0)
+        seeds = [self._seeds(u[None], p, z[i]) for i, u in zip(members, u0, strict=True)]
+        return tuple(np.array(part) for part in zip(*seeds, strict=True))
+
     def _cost(self, i: int, at, z: np.ndarray) -> float:
         r = self._residuals(i, at, z)
         if r is None:
@@ -267,11 +281,9 @@ class Shooting:
         return min(cost, self._limits[i]) if np.isfinite(cost) else self._limits[i]
 
     def _expand(self, i: int, at, z: np.ndarray):
-        k, limit = len(at[1]), self._limits[i]
-        diverged = limit, True, np.zeros(k), np.zeros((k, k))
+        cost, k = 0.0, len(at[1])
         gradient, hessian = np.zeros(k), np.zeros((k, k))
         with np.errstate(all="ignore"):
-            cost, by_z, curvature = self._start_prior(i, z)
             try:
                 for r, J in self._pieces(i, at, z):
                     cost += self.loss.cost(r)
@@ -279,12 +291,19 @@ class Shooting:
                     gradient += J.T @ r
                     hessian += J.T @ J
             except SolveError:
-                return diverged
-        if not (cost < limit and np.isfinite(hessian).all()):
-            return diverged
+                cost = np.nan
+            return self._with_prior(i, z, cost, gradient, hessian)
+
+    def _with_prior(self, i: int, z: np.ndarray, cost: float, gradient: np.ndarray, hessian: np.ndarray):
+        """A segment's expansion with what is known of its start; of one that diverged the limit and no derivative."""
+        known, by_z, curvature = self._start_prior(i, z)
+        cost = cost + known
+        if not (cost < self._limits[i] and np.isfinite(hessian).all()):
+            return self._limits[i], True, np.zeros(len(gradient)), np.zeros(hessian.shape)
         if self.locals:
-            gradient[-self.locals :] += by_z
-            hessian[-self.locals :, -self.locals :] += np.diag(curvature)
+            own = np.arange(len(gradient) - self.locals, len(gradient))
+            gradient[own] += by_z
+            hessian[own, own] += curvature
         return cost, False, gradient, hessian
 
     def _pieces(self, i: int, at, z: np.ndarray):
@@ -311,7 +330,7 @@ class Shooting:
             x, dx, rows = x[-1], np.where(np.abs(dx[-1]) < NOTHING, 0.0, dx[-1]), slice(0, b - a + (b == last))
             here = self._measured[i][a : a + rows.stop]
             r = (ran[rows] - y[a : a + rows.stop]) * self.weights
-            yield r[here], (by[rows, :, : len(at[1])] * (self.weights[:, None] * at[1]))[here]
+            yield _picked(here, r, by[rows, :, : len(at[1])] * (self.weights[:, None] * at[1]))
 
     def _seeds(self, u: np.ndarray, p: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Start states (nx,) and their derivatives to the free parameters and states (nx, n_theta)."""
@@ -332,9 +351,17 @@ class Shooting:
         return np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:
-        samples = sum(s.last - s.begin for s in self.segments)
-        if self.threads == 1 or len(self.segments) == 1 or samples < WORTH_THREADS * len(self.segments):
-            return [work(i) for i in range(len(self.segments))]
-        chunks = np.array_split(np.arange(len(self.segments)), min(len(self.segments), 4 * self.threads))
+        """What ``work`` gives, a list for a list of segments, of all of them."""
+        every, samples = np.arange(len(self.segments)), sum(s.last - s.begin for s in self.segments)
+        if self.threads == 1 or len(every) == 1 or samples < WORTH_THREADS * len(every):
+            return work(every)
         with ThreadPoolExecutor(self.threads) as pool:
-            return [row for rows in pool.map(lambda chunk: [work(i) for i in chunk], chunks) for row in rows]
+            parts = np.array_split(every, min(len(every), 4 * self.threads))
+            return [row for rows in pool.map(work, parts) for row in rows]
+
+
+def _picked(here: np.ndarray, r: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What was measured of residuals (n, ny) and their derivatives (n, ny, k): (m,) and (m, k)."""
+    if here.all():  # no copy of all derivatives
+        return r.ravel(), rows.reshape(r.size, -1)
+    return r[here], rows[here]

@@ -21,7 +21,7 @@ import platformdirs
 
 from hydrotwin.models.language.errors import SolveError
 
-# Contraction off: one rounding per operation, so that the C code equals the CasADi virtual machine.
+# Contraction off: one rounding per operation, as in the CasADi virtual machine.
 # No -march=native: measured equal without, and a cache folder may be shared by different machines.
 FLAGS = ("-fvisibility=hidden", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")

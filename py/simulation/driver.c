@@ -170,28 +170,80 @@ static int stopped(int status, double t, const double *x, double *where) {
   return status;
 }
 
+/* ---- what runs cost: 1/2 sum (w (y - measured))^2 from sample `first` on, nothing where nothing was measured ---- */
+
+typedef struct {
+  const double *measured, *weights; /* (samples, NY), (NY); a weight of zero: not used */
+  long long first;
+  double cost, *gradient, *hessian; /* (NT), (NT, NT) with its upper triangle alone, once there are sensitivities */
+} Sum;
+
+/* Weighted residual of output i at sample k; 0 when it does not count. */
+static int residual(const Sum *sum, long long k, int i, const double *y, double *r) {
+  double measured = sum->measured[k * NY + i];
+  *r = sum->weights[i] * (y[i] - measured);
+  return k >= sum->first && sum->weights[i] > 0.0 && measured * 0.0 == 0.0;
+}
+
+static void add_cost(Sum *sum, long long k, const double *y) {
+  double r;
+  for (int i = 0; i < NY; i++)
+    if (residual(sum, k, i, y, &r)) sum->cost += 0.5 * r * r;
+}
+
+/* Segment s of a recording, given by the samples where it begins, counts from and ends: its run and what it sums. */
+static Run run_of(const long long *cut, const double *time, const double *u, const double *p, double step) {
+  Run run = {cut[2] - cut[0], time + cut[0], u + cut[0] * NU, p, step};
+  return run;
+}
+
+static Sum sum_of(const long long *cut, const double *measured, const double *weights) {
+  Sum sum = {measured + cut[0] * NY, weights, cut[1] - cut[0]};
+  return sum;
+}
+
+/* One run. Without sum every sample is kept: y (samples, NY), x (samples, NX); with it only the last. */
+static int walk(Run *run, const double *x0, const double *restart, double *y, double *x_out, Sum *sum, double *where) {
+  const double *time = run->time;
+  double x[NX + 1], mean[NU + 1];
+  int status = open_run(run);
+  memcpy(x, x0, NX * sizeof(double));
+  for (long long k = 0; k < run->samples && !status; k++) {
+    long long row = sum ? 0 : k;
+    memcpy(x_out + row * NX, x, NX * sizeof(double));
+    if ((status = write_output(run, k, x, y + row * NY))) stopped(status, time[k], x, where);
+    if (sum) add_cost(sum, k, y);
+    if (k + 1 == run->samples || status) break;
+    if (restart) memcpy(x, restart + k * NX, NX * sizeof(double));
+    double dt = time[k + 1] - time[k];
+    long long n = substeps_in(run, dt);
+    for (long long i = 0; i < n && !status; i++) {
+      double h = dt / (double)n, t = time[k] + (double)i * h;
+      mean_inputs(run, k, t, h, n == 1, mean);
+      if ((status = advance(run, t, h, mean, x))) stopped(status, t, x, where);
+    }
+  }
+  close_run(run);
+  return status;
+}
+
 /* x0 (NX); restart (samples, NX) or null: state from which each interval starts; y (samples, NY), x (samples, NX). */
 EXPORT int propagate(long long samples, const double *time, const double *u, const double *p, double step,
                      const double *x0, const double *restart, double *y, double *x_out, double *where) {
   Run run = {samples, time, u, p, step};
-  double x[NX + 1], mean[NU + 1];
-  int status = open_run(&run);
-  memcpy(x, x0, NX * sizeof(double));
-  for (long long k = 0; k < samples && !status; k++) {
-    memcpy(x_out + k * NX, x, NX * sizeof(double));
-    if ((status = write_output(&run, k, x, y + k * NY))) stopped(status, time[k], x, where);
-    if (k + 1 == samples || status) break;
-    if (restart) memcpy(x, restart + k * NX, NX * sizeof(double));
-    double dt = time[k + 1] - time[k];
-    long long n = substeps_in(&run, dt);
-    for (long long i = 0; i < n && !status; i++) {
-      double h = dt / (double)n, t = time[k] + (double)i * h;
-      mean_inputs(&run, k, t, h, n == 1, mean);
-      if ((status = advance(&run, t, h, mean, x))) stopped(status, t, x, where);
-    }
+  return walk(&run, x0, restart, y, x_out, 0, where);
+}
+
+/* cuts (segments, 3), x0 (segments, NX), cost (segments): not a number where a run stopped. */
+EXPORT void propagate_costs(long long segments, const long long *cuts, const double *time, const double *u,
+                            const double *p, double step, const double *x0, const double *measured,
+                            const double *weights, double *cost) {
+  double y[NY + 1], x[NX + 1], where[NX + 1];
+  for (long long s = 0; s < segments; s++) {
+    Run run = run_of(cuts + 3 * s, time, u, p, step);
+    Sum sum = sum_of(cuts + 3 * s, measured, weights);
+    cost[s] = walk(&run, x0 + s * NX, 0, y, x, &sum, where) ? NAN : sum.cost;
   }
-  close_run(&run);
-  return status;
 }
 
 #if NT > 0
@@ -297,34 +349,74 @@ static int write_linear_output(Run *run, long long k, const double *x, const dou
   return not_finite(y, NY) ? 2 : 0;
 }
 
+/* Cost, gradient and upper triangle of the Gauss-Newton Hessian gain what sample k leaves. */
+static void add_expansion(Sum *sum, long long k, const double *y, const double *dy) {
+  double r, row[NT];
+  for (int i = 0; i < NY; i++) {
+    if (!residual(sum, k, i, y, &r)) continue;
+    sum->cost += 0.5 * r * r;
+    for (int c = 0; c < NT; c++) row[c] = sum->weights[i] * dy[i * NT + c];
+    for (int c = 0; c < NT; c++) {
+      sum->gradient[c] += r * row[c];
+      for (int d = c; d < NT; d++) sum->hessian[c * NT + d] += row[c] * row[d];
+    }
+  }
+}
+
+/* One run with sensitivities; as `walk`. */
+static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y, double *dy, double *x_out,
+                        double *dx_out, Sum *sum, double *where) {
+  const double *time = run->time;
+  double x[NX + 1], dx[NX * LD + 1], mean[NU + 1], rate[ND + 1];
+  int status = open_run(run);
+  FLUSH();
+  memcpy(x, x0, NX * sizeof(double));
+  memset(dx, 0, sizeof dx);
+  for (int i = 0; i < NX; i++) memcpy(dx + i * LD, dx0 + i * NT, NT * sizeof(double));
+  for (long long k = 0; k < run->samples && !status; k++) {
+    long long row = sum ? 0 : k;
+    memcpy(x_out + row * NX, x, NX * sizeof(double));
+    for (int i = 0; dx_out && i < NX; i++) memcpy(dx_out + (row * NX + i) * NT, dx + i * LD, NT * sizeof(double));
+    if ((status = write_linear_output(run, k, x, dx, y + row * NY, dy + row * NY * NT)))
+      stopped(status, time[k], x, where);
+    if (sum) add_expansion(sum, k, y, dy);
+    if (k + 1 == run->samples || status) break;
+    double dt = time[k + 1] - time[k];
+    long long n = substeps_in(run, dt);
+    for (long long i = 0; i < n && !status; i++) {
+      double h = dt / (double)n, t = time[k] + (double)i * h;
+      mean_inputs(run, k, t, h, n == 1, mean);
+      mean_input_rates(run, t, h, rate);
+      if ((status = advance_tangent(run, t, h, mean, rate, x, dx))) stopped(status, t, x, where);
+    }
+  }
+  close_run(run);
+  RESTORE();
+  return status;
+}
+
 /* dx0 (NX, NT); y (samples, NY), dy (samples, NY, NT), x (samples, NX), dx (samples, NX, NT) or null. */
 EXPORT int propagate_tangent(long long samples, const double *time, const double *u, const double *p, double step,
                              const double *x0, const double *dx0, double *y, double *dy, double *x_out,
                              double *dx_out, double *where) {
   Run run = {samples, time, u, p, step};
-  double x[NX + 1], dx[NX * LD + 1], mean[NU + 1], rate[ND + 1];
-  int status = open_run(&run);
-  FLUSH();
-  memcpy(x, x0, NX * sizeof(double));
-  memset(dx, 0, sizeof dx);
-  for (int i = 0; i < NX; i++) memcpy(dx + i * LD, dx0 + i * NT, NT * sizeof(double));
-  for (long long k = 0; k < samples && !status; k++) {
-    memcpy(x_out + k * NX, x, NX * sizeof(double));
-    for (int i = 0; dx_out && i < NX; i++) memcpy(dx_out + (k * NX + i) * NT, dx + i * LD, NT * sizeof(double));
-    if ((status = write_linear_output(&run, k, x, dx, y + k * NY, dy + k * NY * NT)))
-      stopped(status, time[k], x, where);
-    if (k + 1 == samples || status) break;
-    double dt = time[k + 1] - time[k];
-    long long n = substeps_in(&run, dt);
-    for (long long i = 0; i < n && !status; i++) {
-      double h = dt / (double)n, t = time[k] + (double)i * h;
-      mean_inputs(&run, k, t, h, n == 1, mean);
-      mean_input_rates(&run, t, h, rate);
-      if ((status = advance_tangent(&run, t, h, mean, rate, x, dx))) stopped(status, t, x, where);
-    }
+  return walk_tangent(&run, x0, dx0, y, dy, x_out, dx_out, 0, where);
+}
+
+/* As `propagate_costs`; dx0 (segments, NX, NT), gradient (segments, NT), hessian (segments, NT, NT), all zero before. */
+EXPORT void propagate_expansions(long long segments, const long long *cuts, const double *time, const double *u,
+                                 const double *p, double step, const double *x0, const double *dx0,
+                                 const double *measured, const double *weights, double *cost, double *gradient,
+                                 double *hessian) {
+  double y[NY + 1], dy[NY * NT + 1], x[NX + 1], where[NX + 1];
+  for (long long s = 0; s < segments; s++) {
+    Run run = run_of(cuts + 3 * s, time, u, p, step);
+    Sum sum = sum_of(cuts + 3 * s, measured, weights);
+    double *H = sum.hessian = hessian + s * NT * NT;
+    sum.gradient = gradient + s * NT;
+    cost[s] = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where) ? NAN : sum.cost;
+    for (int c = 0; c < NT; c++)
+      for (int d = 0; d < c; d++) H[c * NT + d] = H[d * NT + c];
   }
-  close_run(&run);
-  RESTORE();
-  return status;
 }
 #endif

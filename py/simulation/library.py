@@ -11,7 +11,7 @@ _NUMBER, _ARRAY, _COUNT = ctypes.c_double, ctypes.c_void_p, ctypes.c_longlong
 
 
 class Library:
-    """``propagate`` and ``propagate_tangent`` of one shared library; safe to call from several threads."""
+    """The runs of one shared library; safe to call from several threads."""
 
     def __init__(self, path: Path, outputs: int):
         self._outputs = outputs
@@ -21,6 +21,10 @@ class Library:
         self._tangent = getattr(loaded, "propagate_tangent", None)
         if self._tangent is not None:
             self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 7]
+            self._expansions = loaded.propagate_expansions
+            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 7]
+        self._costs = loaded.propagate_costs
+        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 4]
 
     def propagate(self, time, u, p, step, x0, restart=None):
         """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
@@ -39,6 +43,21 @@ class Library:
         status = self._tangent(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
         return status, where, y, dy, x, dx
 
+    def costs(self, cuts, time, u, p, step, x0, measured, weights):
+        """What runs over segments cost, (segments,): nan where one stopped."""
+        cost = np.empty(len(cuts))
+        arrays = (x0, measured, weights, cost)
+        self._costs(len(cuts), *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
+        return cost
+
+    def expansions(self, cuts, time, u, p, step, x0, dx0, measured, weights):
+        """Cost (segments,), its gradient (segments, nt) and Gauss-Newton Hessian (segments, nt, nt)."""
+        n, _, nt = dx0.shape
+        cost, gradient, hessian = np.empty(n), np.zeros((n, nt)), np.zeros((n, nt, nt))
+        arrays = (x0, dx0, measured, weights, cost, gradient, hessian)
+        self._expansions(n, *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
+        return cost, gradient, hessian
+
 
 def _address(array):
-    return None if array is None else array.ctypes.data
+    return None if array is None else array.__array_interface__["data"][0]  # `ctypes.data` takes ten times as long

@@ -124,10 +124,50 @@ class Propagator:
         self._stop(status, where, time, u, p)
         return y, dy, x, dx
 
+    def costs(self, time, u, p, cuts, x0, measured, weights) -> np.ndarray:
+        """``1/2 sum (w (y - measured))^2`` of many runs over one recording in one call, (segments,); engine "c" alone.
+
+        cuts : (segments, 3) whole numbers, the samples at which each run begins, counts from, and ends before.
+        x0 : (segments, nx); measured : (n, ny), nan where nothing was; weights : (ny,), 0 for an output not used.
+
+        Nan where a run left the finite numbers.
+        """
+        arrays = self._segments(time, u, p, cuts, x0)
+        return self._chosen().costs(*arrays[:4], self._longest(), arrays[4], *self._judged(time, measured, weights))
+
+    def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured, weights):
+        """As `costs`: also gradient (segments, n_theta) and Gauss-Newton Hessian (segments, n_theta, n_theta).
+
+        x0_jacobian : (segments, nx, n_theta), as in `sensitivity`.
+        """
+        cuts, time, u, p, x0 = self._segments(time, u, p, cuts, x0)
+        dx0 = _shaped("x0_jacobian", x0_jacobian, (*x0.shape, self._to.count), self.flat.name)
+        judged = self._judged(time, measured, weights)
+        if self._to.count == 0:
+            cost = self._chosen().costs(cuts, time, u, p, self._longest(), x0, *judged)
+            return cost, np.zeros((len(x0), 0)), np.zeros((len(x0), 0, 0))
+        return self._chosen().expansions(cuts, time, u, p, self._longest(), x0, dx0, *judged)
+
+    def _segments(self, time, u, p, cuts, x0):
+        """The arrays of many runs; the first of them settles "auto"."""
+        cuts = np.ascontiguousarray(cuts, dtype=np.int64)
+        begin, first, last = cuts.reshape(-1, 3).T
+        if not len(cuts) or not ((begin >= 0) & (begin <= first) & (first < last) & (last <= len(time))).all():
+            raise SolveError(f"{self.flat.name}: cuts must be rows 0 <= begin <= first < last <= {len(time)}.")
+        x0 = _shaped("x0", x0, (len(cuts), len(self.flat.states)), self.flat.name)
+        time, u, p, _ = self._arrays(time, u, p, x0[0])
+        here = slice(begin[0], last[0])
+        self._decide(time[here], u[here], p, x0[0])
+        return cuts, time, u, p, x0
+
+    def _judged(self, time, measured, weights):
+        n, name = len(self.flat.outputs), self.flat.name
+        return _shaped("measured", measured, (len(time), n), name), _shaped("weights", weights, (n,), name)
+
     def _arrays(self, time, u, p, x0):
         flat, time = self.flat, np.ascontiguousarray(time, dtype=float)
         name = flat.name
-        if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time[[0, -1]]).all() and (time[1:] > time[:-1]).all()):
             raise SolveError(f"{name}: the time must be finite and rising (n,). Sort it and drop repeated samples.")
         u = _shaped("u", np.reshape(u, (len(time), -1)) if np.ndim(u) < 2 else u, (len(time), len(flat.inputs)), name)
         if not np.isfinite(u).all():

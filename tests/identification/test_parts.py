@@ -19,8 +19,8 @@ from tests.identification.drive import drive, recorded
 NOISE = {"position": 0.01, "motor_speed": 0.1}
 
 
-def task(loss: str = "linear", bounds=None, start=None):
-    model = drive()
+def task(loss: str = "linear", bounds=None, start=None, dead_time=False):
+    model = drive(dead_time)
     free = free_parameters(model, None, start, bounds)
     measured = recordings(model, [recorded(model, 1, noise=NOISE), recorded(model, 2, noise=NOISE)], None, "record")
     propagator = prepare(model, free_parameters=free.names, free_states=[s.name for s in model.states])

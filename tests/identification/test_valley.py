@@ -32,7 +32,7 @@ def task(duration: float = 60.0, outputs=("position", "motor_speed"), free=None)
 
 
 def test_a_run_in_pieces_has_the_derivatives_of_the_whole(monkeypatch):
-    t = task()
+    t = dataclasses.replace(task(), loss=Loss("soft_l1", 10.0))
     q = t.free.scaled(t.free.start * [1.05, 0.9])
     runs, z = descent.whole_runs(t)
     in_pieces = runs.linearise(q, z)

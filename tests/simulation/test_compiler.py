@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 import warnings
 
@@ -10,8 +11,9 @@ import pytest
 
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import compiler, prepare
+from hydrotwin.simulation.compiler import compile_library
 from hydrotwin.simulation.equations import directions
-from hydrotwin.simulation.source import c_source
+from hydrotwin.simulation.source import TANH, c_source
 from tests.simulation.small_models import lag
 
 TIME = np.linspace(0, 0.3, 31)
@@ -108,3 +110,16 @@ def test_a_cache_that_cannot_be_written_is_not_needed(tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     propagator, _ = run(lag())
     assert propagator.engine == "c"
+
+
+def test_the_tanh_of_the_driver_is_that_of_the_library(tmp_path, monkeypatch):
+    monkeypatch.setenv("HYDROTWIN_CACHE", str(tmp_path))
+    text = TANH + '__attribute__((visibility("default"))) double ours(double x) { return tanh(x); }'
+    ours = ctypes.CDLL(str(compile_library(text, "tanh"))).ours
+    ours.argtypes, ours.restype = [ctypes.c_double], ctypes.c_double
+    random = np.random.default_rng(0)
+    sizes = [random.uniform(0, 1, 2000), random.uniform(0.39, 0.41, 500), random.uniform(0, 25, 500)]
+    x = np.concatenate([*sizes, 10 ** random.uniform(-300, 0, 500), [0.0, 5e-324, 1e308, np.inf]])
+    x = np.concatenate([x, -x])
+    np.testing.assert_array_max_ulp(np.array([ours(v) for v in x]), np.tanh(x), 4)
+    assert np.isnan(ours(np.nan)) and np.signbit(ours(-0.0))

@@ -1,0 +1,88 @@
+"""The driver sums plain squares itself, for all windows of a recording in one call: as numpy does, window by window."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.identification import descent, horizon
+from hydrotwin.models.language.errors import SolveError
+from hydrotwin.simulation import prepare
+from tests.identification.test_parts import task
+
+
+def with_gaps(t: descent.Task) -> descent.Task:
+    """Samples that one sensor misses, in one recording; and an output that is not used."""
+    first = dataclasses.replace(t.recordings[0], y=t.recordings[0].y.copy())
+    first.y[3:9, 0] = np.nan
+    first.y[-1, 1] = np.nan
+    return dataclasses.replace(t, recordings=(first, *t.recordings[1:]))
+
+
+def windows_of(t: descent.Task, q):
+    states = horizon.first_guess(t.flat, t.recordings, t.propagator, t.free.vector(q), 1.0)
+    return descent.windows(t, q, 1.0, states)
+
+
+def one_by_one(shooting, monkeypatch):
+    other = dataclasses.replace(shooting)
+    monkeypatch.setitem(other.__dict__, "_in_one_call", False)
+    return other
+
+
+@pytest.mark.parametrize("cut", ["windows", "whole runs"])
+@pytest.mark.parametrize(("threads", "dead_time"), [(1, False), (2, False), (1, True)])
+def test_one_call_expands_what_many_do(cut, threads, dead_time, monkeypatch):
+    t = dataclasses.replace(with_gaps(task(dead_time=dead_time, start={"delay": 0.13})), threads=threads)
+    q = t.free.scaled(t.free.start) + 0.1
+    shooting, z = windows_of(t, q) if cut == "windows" else descent.whole_runs(t)
+    assert shooting._in_one_call
+    at, other = shooting.linearise(q, z), one_by_one(shooting, monkeypatch).linearise(q, z)
+    assert not at.diverged.any()
+    np.testing.assert_allclose(at.costs, other.costs, rtol=1e-10)
+    for ours, theirs in ((at.gradient, other.gradient), (at.hessian, other.hessian)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12 * np.abs(theirs).max())
+    assert shooting.cost(q, z) == pytest.approx(one_by_one(shooting, monkeypatch).cost(q, z), rel=1e-10)
+    assert shooting.cost(q, z) == pytest.approx(at.cost, rel=1e-10)
+
+
+def test_an_output_that_is_not_used_costs_nothing(monkeypatch):
+    t = task()
+    t = dataclasses.replace(t, weights=t.weights * [1.0, 0.0])
+    q = t.free.scaled(t.free.start) + 0.1
+    shooting, z = windows_of(t, q)
+    at, other = shooting.linearise(q, z), one_by_one(shooting, monkeypatch).linearise(q, z)
+    np.testing.assert_allclose(at.hessian, other.hessian, rtol=1e-9, atol=1e-12 * np.abs(other.hessian).max())
+
+
+def test_a_window_that_leaves_the_finite_numbers_counts_as_diverged(monkeypatch):
+    t = task()
+    q = t.free.scaled(t.free.start)
+    shooting, z = windows_of(t, q)
+    z[2] = 1e300
+    for one in (shooting, one_by_one(shooting, monkeypatch)):
+        at = one.linearise(q, z)
+        assert at.diverged.tolist() == [i == 2 for i in range(len(z))]
+        assert np.isfinite(at.cost) and not at.gradient[2].any()
+        assert one.cost(q, z) == pytest.approx(at.cost)
+
+
+def test_without_a_compiler_the_sums_are_the_same():
+    t = task()
+    q = t.free.scaled(t.free.start) + 0.1
+    names = {"free_parameters": t.free.names, "free_states": [s.name for s in t.flat.states]}
+    slow = dataclasses.replace(t, propagator=prepare(t.flat, method="vm", **names))
+    (shooting, z), (other, _) = descent.whole_runs(t), descent.whole_runs(slow)
+    assert not other._in_one_call
+    np.testing.assert_allclose(shooting.linearise(q, z).hessian, other.linearise(q, z).hessian, rtol=1e-8)
+
+
+def test_cuts_outside_the_recording_are_refused():
+    t = task()
+    r, p = t.recordings[0], t.free.vector(t.free.scaled(t.free.start))
+    x0 = np.zeros((1, len(t.flat.states)))
+    for cut in ([0, 0, len(r.time) + 1], [5, 4, 9], [-1, 0, 9], [3, 3, 3]):
+        with pytest.raises(SolveError, match="cuts must be rows"):
+            t.propagator.costs(r.time, r.u, p, [cut], x0, r.y, t.weights)

@@ -88,9 +88,12 @@ class Screen:
         known = fitted.states[0] if fitted.states else {}
         self.free = free_parameters(big, names, dict(fitted.values))
         given = [s.name for s in big.states if s.name in known]
+        here = self.free.vector(self.free.scaled(self.free.start))
+        absent = [n for c in candidates for n, value in c.neutral.items() if value == 0 == here[big.index_of(n)]]
         propagator = prepare(
-            big, free_parameters=self.free.names, free_states=given, step=question.step, few_runs=True
-        )
+            big, free_parameters=self.free.names, free_states=given, step=question.step, few_runs=True,
+            zero=tuple(dict.fromkeys(absent)),
+        )  # fmt: skip
         self.task = Task(
             big, self.free, propagator, question.fit, weights(self.size), Loss("linear", 1.0), question.initial_states,
             1, _silent, question.noise,

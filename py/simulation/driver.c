@@ -1,7 +1,7 @@
 /* Walks the samples of one recording through one model.
 
-   Generated in front of this text: the sizes (NX states, NU inputs, NP parameters, NY outputs, NT sensitivities,
-   LD = NT rounded up), the sparse products of the sensitivities as macros, and the CasADi functions
+   Generated in front of this text: the sizes (NX states, NS of them with sensitivities, NU inputs, NP parameters, NY
+   outputs, NT sensitivities, LD = NT rounded up), the sparse products of the sensitivities as macros, and the CasADi functions
 
      rk4_substep  (t, x, u, p, h) -> x          or  implicit_substep (t, x, u, p, h) -> x
      output       (t, x, u, p) -> y
@@ -247,7 +247,8 @@ EXPORT void propagate_costs(long long segments, const long long *cuts, const dou
 }
 
 #if NT > 0
-/* ---- forward sensitivities: rows of length LD, one column per free parameter or start state ---- */
+/* ---- forward sensitivities: rows of length LD, one column per free parameter or start state; NS of the NX states
+   have one, KEPT, where nothing that is measured depends on the others ---- */
 
 /* d mean / d Td = (u(a) - u(b)) / h, one-sided towards longer dead time. */
 static void mean_input_rates(Run *run, double t, double h, double *rate) {
@@ -313,20 +314,20 @@ static int advance_tangent(Run *run, double t, double h, const double *u, const 
   return not_finite(next, NX * NT) ? 3 : 0;
 #else
   double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1];
-  double d1[NX * LD + 1], d2[NX * LD + 1], d3[NX * LD + 1], d4[NX * LD + 1], ds[NX * LD + 1];
+  double d1[NS * LD + 1], d2[NS * LD + 1], d3[NS * LD + 1], d4[NS * LD + 1], ds[NS * LD + 1];
   linear_stage(run, t, x, u, dx, du, k1, d1);
   combine(NX, xs, x, h / 2, k1);
-  combine(NX * LD, ds, dx, h / 2, d1);
+  combine(NS * LD, ds, dx, h / 2, d1);
   linear_stage(run, t + h / 2, xs, u, ds, du, k2, d2);
   combine(NX, xs, x, h / 2, k2);
-  combine(NX * LD, ds, dx, h / 2, d2);
+  combine(NS * LD, ds, dx, h / 2, d2);
   linear_stage(run, t + h / 2, xs, u, ds, du, k3, d3);
   combine(NX, xs, x, h, k3);
-  combine(NX * LD, ds, dx, h, d3);
+  combine(NS * LD, ds, dx, h, d3);
   linear_stage(run, t + h, xs, u, ds, du, k4, d4);
   memcpy(xs, x, NX * sizeof(double));
   weigh(NX, x, h, k1, k2, k3, k4);
-  weigh(NX * LD, dx, h, d1, d2, d3, d4);
+  weigh(NS * LD, dx, h, d1, d2, d3, d4);
   if (!not_finite(x, NX)) return 0;
   memcpy(x, xs, NX * sizeof(double));
   return 1;
@@ -367,16 +368,17 @@ static void add_expansion(Sum *sum, long long k, const double *y, const double *
 static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y, double *dy, double *x_out,
                         double *dx_out, Sum *sum, double *where) {
   const double *time = run->time;
-  double x[NX + 1], dx[NX * LD + 1], mean[NU + 1], rate[ND + 1];
+  double x[NX + 1], dx[NS * LD + 1], mean[NU + 1], rate[ND + 1];
   int status = open_run(run);
   FLUSH();
   memcpy(x, x0, NX * sizeof(double));
   memset(dx, 0, sizeof dx);
-  for (int i = 0; i < NX; i++) memcpy(dx + i * LD, dx0 + i * NT, NT * sizeof(double));
+  for (int i = 0; i < NS; i++) memcpy(dx + i * LD, dx0 + KEPT[i] * NT, NT * sizeof(double));
   for (long long k = 0; k < run->samples && !status; k++) {
     long long row = sum ? 0 : k;
     memcpy(x_out + row * NX, x, NX * sizeof(double));
-    for (int i = 0; dx_out && i < NX; i++) memcpy(dx_out + (row * NX + i) * NT, dx + i * LD, NT * sizeof(double));
+    for (int i = 0; dx_out && i < NS; i++)
+      memcpy(dx_out + (row * NX + KEPT[i]) * NT, dx + i * LD, NT * sizeof(double));
     if ((status = write_linear_output(run, k, x, dx, y + row * NY, dy + row * NY * NT)))
       stopped(status, time[k], x, where);
     if (sum) add_expansion(sum, k, y, dy);
@@ -395,7 +397,7 @@ static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y
   return status;
 }
 
-/* dx0 (NX, NT); y (samples, NY), dy (samples, NY, NT), x (samples, NX), dx (samples, NX, NT) or null. */
+/* dx0 (NX, NT); y (samples, NY), dy (samples, NY, NT), x (samples, NX), dx (samples, NX, NT; rows KEPT) or null. */
 EXPORT int propagate_tangent(long long samples, const double *time, const double *u, const double *p, double step,
                              const double *x0, const double *dx0, double *y, double *dy, double *x_out,
                              double *dx_out, double *where) {

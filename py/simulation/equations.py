@@ -19,19 +19,23 @@ TANGENT_TOLERANCE = 1e-8  # of its sensitivities, in nominal units of states and
 class Directions:
     """What the sensitivities are taken to: free parameters, then free start states.
 
-    ``dead`` pairs every input whose dead time is free with the column of that dead time.
+    ``dead`` pairs every input whose dead time is free with the column of that dead time; ``zero`` are parameters at
+    whose value 0 the sensitivities are taken: what they multiply is left out.
     """
 
     parameters: tuple[int, ...]
     states: tuple[int, ...]
     dead: tuple[tuple[int, int], ...]
+    zero: tuple[int, ...] = ()
 
     @property
     def count(self) -> int:
         return len(self.parameters) + len(self.states)
 
 
-def directions(flat: FlatModel, free_parameters: Sequence[str], free_states: Sequence[str]) -> Directions:
+def directions(
+    flat: FlatModel, free_parameters: Sequence[str], free_states: Sequence[str], zero: Sequence[str] = ()
+) -> Directions:
     """Positions of the free parameters and states; an unknown name raises with the nearest right one."""
     names = [s.name for s in flat.states]
     for name in free_states:
@@ -41,7 +45,9 @@ def directions(flat: FlatModel, free_parameters: Sequence[str], free_states: Seq
     dead = tuple(
         (j, columns.index(delay)) for j, delay in enumerate(delays(flat)) if delay is not None and delay in columns
     )
-    return Directions(columns, tuple(names.index(name) for name in free_states), dead)
+    return Directions(
+        columns, tuple(names.index(name) for name in free_states), dead, tuple(flat.index_of(name) for name in zero)
+    )
 
 
 def delays(flat: FlatModel) -> list[int | None]:
@@ -93,7 +99,26 @@ def _linear(name: str, flat: FlatModel, to: Directions, which: int) -> ca.Functi
     value = ca.densify(flat.ode(t, x, u, p)[which])
     by_p = ca.jacobian(value, p)[:, list(to.parameters)]
     by_u = ca.jacobian(value, u)[:, [j for j, _ in to.dead]]
-    return _shared(name, [t, x, u, p], [value, ca.jacobian(value, x), by_p, by_u])
+    results = [value, ca.jacobian(value, x), by_p, by_u]
+    if to.zero:
+        still = ca.vertcat(*(p[i] for i in to.zero))
+        results = ca.substitute(results, [still], [ca.SX.zeros(len(to.zero))])
+        results = [ca.densify(results[0]), *map(ca.sparsify, results[1:])]
+    return _shared(name, [t, x, u, p], results)
+
+
+def states_with_rows(flat: FlatModel, to: Directions) -> list[int]:
+    """States whose sensitivities are computed: all, or, where parameters are zero, those that reach an output."""
+    if not to.zero:
+        return list(range(len(flat.states)))
+    rows: dict[int, set[int]] = {}
+    for i, j in zip(*linear_rate(flat, to).sparsity_out(1).get_triplet(), strict=True):
+        rows.setdefault(i, set()).add(j)
+    found, waiting = set(), set(linear_output(flat, to).sparsity_out(1).get_triplet()[1])
+    while waiting:
+        found |= waiting
+        waiting = set().union(*(rows.get(i, set()) for i in waiting)) - found
+    return sorted(found)
 
 
 def rk4_tangent(flat: FlatModel, to: Directions) -> ca.Function:

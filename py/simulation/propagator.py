@@ -39,6 +39,7 @@ def prepare(
     step: float | None = None,
     method: str = "auto",
     few_runs: bool = False,
+    zero: Sequence[str] = (),
 ) -> Propagator:
     """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
 
@@ -46,6 +47,8 @@ def prepare(
     method : "explicit" (RK4), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto": explicit,
         with the step halved up to three times if the eigenvalues along the first run ask for it, else rosenbrock.
     few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
+    zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
+        while they are have none, which makes a model of many parts at rest several times faster.
 
     Raises DeclarationError for an unknown parameter, state or method; SolveError when the compiler fails.
     """
@@ -57,7 +60,7 @@ def prepare(
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
         return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method)
-    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs)
+    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
 
 
 class Propagator:
@@ -67,12 +70,14 @@ class Propagator:
     interpreter).
     """
 
-    def __init__(self, flat: FlatModel, free_parameters, free_states, step: float, method: str, few_runs=False):
+    def __init__(
+        self, flat: FlatModel, free_parameters, free_states, step: float, method: str, few_runs=False, zero=()
+    ):
         self.flat, self.step, self._asked = flat, step, (step, method)
         self.free_parameters, self.free_states = free_parameters, free_states
         self.method = "explicit" if method == "vm" else method
         self._interpreted, self._few_runs = method == "vm", few_runs
-        self._to = equations.directions(flat, free_parameters, free_states)
+        self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._deciding = threading.Lock()
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
         self._engines = {False: explicit}
@@ -114,6 +119,11 @@ class Propagator:
         """
         time, u, p, x0 = self._arrays(time, u, p, x0)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (len(x0), self._to.count), self.flat.name)
+        if self._to.zero and (with_states or p[list(self._to.zero)].any()):
+            raise SolveError(
+                f"{self.flat.name}: prepared with parameters at zero, it has the sensitivities of its outputs there "
+                "alone. Leave them at 0 and with_states False, or prepare without zero."
+            )
         self._decide(time, u, p, x0)
         if self._to.count == 0:
             y, x = self.run(time, u, p, x0)

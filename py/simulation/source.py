@@ -31,13 +31,16 @@ static inline double hydrotwin_tanh(double x) {
 def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
     """Everything in one translation unit, so that the compiler can inline the model into the loop."""
     functions = _functions(flat, to, implicit)
-    lines = [*_sizes(flat, to), f"#define IMPLICIT {int(implicit)}"]
+    kept = list(range(len(flat.states))) if implicit else equations.states_with_rows(flat, to)
+    lines = [*_sizes(flat, to, kept), f"#define IMPLICIT {int(implicit)}"]
     for prefix, function in functions.items():
         lines += [f"#define {prefix}_ARG {function.sz_arg()}", f"#define {prefix}_RES {function.sz_res()}"]
     lines.append(f"#define WORK_REALS {max(f.sz_w() for f in functions.values())}")
     lines.append(f"#define WORK_INTEGERS {max(f.sz_iw() for f in functions.values())}")
     if to.count:
-        lines += _products("F", functions["RATE"]) + _products("H", functions["SEEN"])
+        row = {i: position for position, i in enumerate(kept)}
+        lines += _products("F", functions["RATE"], row, row)
+        lines += _products("H", functions["SEEN"], {i: i for i in range(len(flat.outputs))}, row)
     return "\n".join((TANH, _generated(functions), *lines, DRIVER))
 
 
@@ -62,9 +65,10 @@ def _generated(functions: dict[str, ca.Function]) -> str:
         return (Path(folder) / "model.c").read_text(encoding="utf-8")
 
 
-def _sizes(flat: FlatModel, to: Directions) -> list[str]:
+def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
     sizes = {
         "NX": len(flat.states),
+        "NS": len(kept),
         "NU": len(flat.inputs),
         "NP": len(flat.parameters),
         "NY": len(flat.outputs),
@@ -77,25 +81,28 @@ def _sizes(flat: FlatModel, to: Directions) -> list[str]:
         *(f"#define {name} {size}" for name, size in sizes.items()),
         _table("DELAY", delay),
         _table("LINEAR", [int(s.interpolation == "linear") for s in flat.inputs]),
+        _table("KEPT", kept),
         _table("DEAD_INPUT", [j for j, _ in to.dead]),
         _table("DEAD_COLUMN", [column for _, column in to.dead]),
     ]
 
 
-def _products(prefix: str, linear: ca.Function) -> list[str]:
+def _products(prefix: str, linear: ca.Function, row: dict[int, int], seed: dict[int, int]) -> list[str]:
     """The sparse products of the sensitivities, unrolled into macros:
 
     ``FX_ROWS(ROW)`` calls ``ROW(i, sum)`` for each row i of df/dx times the seeds, the sum written with ``ENTRY(e)``
     and ``SEED(j)``; ``FP_EACH(ADD)`` and ``FU_EACH(ADD)`` call ``ADD(e, i, j)`` for each nonzero e at row i, column j.
+    ``row`` and ``seed`` are where the rows of the matrix and of the seeds are kept; others are left out.
     """
-    rows: dict[int, list[str]] = {i: [] for i in range(linear.size1_out(1))}
+    sums: dict[int, list[str]] = {i: [] for i in row.values()}
     for e, (i, j) in enumerate(zip(*linear.sparsity_out(1).get_triplet(), strict=True)):
-        rows[i].append(f"ENTRY({e}) * SEED({j})")
-    lines = [f"#define {prefix}X_ROWS(ROW) " + " ".join(f"ROW({i}, {' + '.join(r) or '0.0'})" for i, r in rows.items())]
+        if i in row:
+            sums[row[i]].append(f"ENTRY({e}) * SEED({seed[j]})")
+    lines = [f"#define {prefix}X_ROWS(ROW) " + " ".join(f"ROW({i}, {' + '.join(r) or '0.0'})" for i, r in sums.items())]
     lines.append(f"#define {prefix}X_NNZ {linear.nnz_out(1)}")
     for name, which in (("P", 2), ("U", 3)):
         entries = enumerate(zip(*linear.sparsity_out(which).get_triplet(), strict=True))
-        each = " ".join(f"ADD({e}, {i}, {j})" for e, (i, j) in entries)
+        each = " ".join(f"ADD({e}, {row[i]}, {j})" for e, (i, j) in entries if i in row)
         lines += [f"#define {prefix}{name}_NNZ {linear.nnz_out(which)}", f"#define {prefix}{name}_EACH(ADD) {each}"]
     return lines
 

@@ -6,11 +6,14 @@ import dataclasses
 import platform
 from collections import OrderedDict
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
 from hydrotwin.simulation import prepare
+from hydrotwin.simulation.equations import directions, states_with_rows
 from tests.simulation.flat_cehA import flat_cehA
 from tests.simulation.small_models import lag, stiff_pair
 
@@ -216,3 +219,51 @@ def test_what_runs_a_few_times_only_is_another_library_with_the_same_bits(machin
         assert len(list(tmp_path.iterdir())) == 1 + few_runs
     for one, other in zip(*answers, strict=True):
         assert np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("method", ["explicit", "rosenbrock", "vm"])
+def test_what_is_zero_need_not_be_carried_along(method):
+    """A lag that a weight of zero keeps from the output: its weight has a derivative, its own state is in no output."""
+    model, p, time, u, x0, dx0 = weighted_lag(weight=0.0)
+    free = ["weight", "time_constant"]
+    plain = prepare(model, free_parameters=free, method=method)
+    lean = prepare(model, free_parameters=free, method=method, zero=["weight"])
+    there, here = (q.sensitivity(time, u, p, x0, dx0, with_states=False) for q in (plain, lean))
+    np.testing.assert_allclose(here[0], there[0], rtol=1e-12)
+    np.testing.assert_allclose(here[1], there[1], rtol=1e-9, atol=1e-12)
+    assert np.abs(here[1][:, 0, 0]).max() > 0.1  # of the weight
+    assert not here[1][:, 0, 1].any()  # of the time constant behind a weight of zero
+
+
+def test_rows_are_kept_only_of_states_that_reach_an_output():
+    model, *_ = weighted_lag(weight=0.0)
+    every = directions(model, ["weight", "time_constant"], [])
+    at_zero = directions(model, ["weight", "time_constant"], [], zero=["weight"])
+    assert states_with_rows(model, every) == [0, 1]
+    assert states_with_rows(model, at_zero) == [0]
+
+
+def test_sensitivities_at_zero_are_refused_elsewhere():
+    model, p, time, u, x0, dx0 = weighted_lag(weight=0.5)
+    lean = prepare(model, free_parameters=["weight", "time_constant"], zero=["weight"])
+    with pytest.raises(SolveError, match="prepared with parameters at zero"):
+        lean.sensitivity(time, u, p, x0, dx0, with_states=False)
+    with pytest.raises(SolveError, match="with_states False"):
+        lean.sensitivity(time, u, 0 * p, x0, dx0)
+
+
+def weighted_lag(weight: float):
+    """x' = -x + u + weight z,  T z' = u - z,  y = x."""
+    t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 2)
+    ode = [t, x, u, p], [ca.vertcat(-x[0] + u + p[0] * x[1], (u - x[1]) / p[1]), x[0]]
+    model = FlatModel(
+        name="weighted_lag",
+        inputs=(Signal("u", "1"),),
+        outputs=(Signal("y", "1"),),
+        states=(StateVariable("x", "1"), StateVariable("z", "1")),
+        parameters=(ParameterValue("weight", weight, "1"), ParameterValue("time_constant", 0.2, "s", (1e-3, 10.0))),
+        ode=ca.Function("ode", *ode, ["t", "x", "u", "p"], ["xdot", "y"]),
+        initialisation=fixed_start([0.0, 0.0], ["x", "z"], 1, 2),
+        step=0.01,
+    )
+    return model, model.parameter_vector(), TIME, COMMAND, np.array([0.1, 0.3]), np.zeros((2, 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 
 import casadi as ca
@@ -35,6 +36,7 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     starts = {s.element_hash(): _declared_start(solved, state) for s, state in zip(symbols, states, strict=True)}
     position = {s.path: i for i, s in enumerate(states)}
 
+    @functools.cache
     def start_given(given: tuple[str, ...]) -> ca.Function:
         z = ca.SX.sym("z", len(given))
         taken = {position[path]: z[k] for k, path in enumerate(given)}

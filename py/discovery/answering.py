@@ -9,15 +9,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.model import Model
 
 from .choose import Choice, label
 from .decide import CLEARLY, INEXACT, closed, has_gap, output_gap_closed, share_closed
-from .discovery import Discovery, EffectParameter, OutputGap, Overlay, RecordingGap, Rung, Shift
+from .discovery import Discovery, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
 from .locate import locations
-from .ranking import ranking, untestable
+from .ranking import concluded_values, ranking, untestable
 from .recordings import Split
 from .refit import Concluded, Question, RefitJob, conclude, pooled_rmse
 from .regions import regions
@@ -35,8 +36,8 @@ from .verdict import (
     verdict_of,
 )
 
+MOST_RIVALS = 4  # fits of what is told beside what is named
 SOUND = 0.95  # of names, those that prove right however sure the evidence is: from 89 of the benchmark, see its README
-FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
     verdict = verdict_of(search, found)
     kept = found.last if verdict in ("named", "class") else found.base
-    before, after = _concluded(search, data, found.base, kept)
+    rivals = _rivals(found.steps) if verdict == "class" else {}
+    before, after, rivals = _concluded(search, data, found.base, kept, rivals)
     shown = closed_where_it_counts(before, after, data)
     elsewhere = only_elsewhere(search, found.base, before, data)
     verdict = "unknown" if verdict == "none" and elsewhere else verdict
@@ -87,7 +89,9 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     share = max(min(closed(found.last.fitted, found.base.fitted, search.question), shown), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
     members = [
-        named for step in steps for named in _named(step, after, share * _weight(search, found.base, step), known)
+        named
+        for step in steps
+        for named in _named(step, after, share * _weight(search, found.base, step), known, rivals)
     ]
     experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit
@@ -136,12 +140,24 @@ def _without_name(search: Search, found: Found, elsewhere: Sequence[str]) -> str
 
 
 # -- final fits --------------------------------------------------------------------------------------------------------
-def _concluded(search: Search, data: Split, base: Structure, last: Structure) -> tuple[Concluded, Concluded]:
-    """Both structures fitted to all training recordings and run on those to report on."""
+def _rivals(steps: Sequence[Step]) -> dict[str, Structure]:
+    """The other members of the classes, by label: what is told of them must come with intervals, too."""
+    choices = [choice for step in steps for choice in step.choices()]
+    others = [t for choice in choices for t in choice.members if label(t) != label(choice.best) and t.structure]
+    return {label(t): t.structure for t in others[:MOST_RIVALS]}
+
+
+def _concluded(search: Search, data: Split, base: Structure, last: Structure, rivals: Mapping[str, Structure]):
+    """Structures fitted to all training recordings and run on those to report on: base, last, and rivals by label."""
     q = dataclasses.replace(search.question, fit=data.train, select=data.report)
-    jobs = [_job(search, q, structure) for structure in ([base] if last is base else [base, last])]
+    needed = [base] if last is base else [base, last]
+    jobs = [_job(search, q, structure) for structure in (*needed, *rivals.values())]
     answers = search.run(conclude, jobs, "final fit")
-    return answers[0], answers[-1]
+    for one in answers[: len(needed)]:
+        if isinstance(one, str):
+            raise SolveError(one)
+    others = zip(rivals, answers[len(needed) :], strict=True)
+    return answers[0], answers[len(needed) - 1], {name: one for name, one in others if not isinstance(one, str)}
 
 
 def _job(search: Search, q: Question, structure: Structure) -> RefitJob:
@@ -182,7 +198,9 @@ def _weight(search: Search, base: Structure, step: Step) -> float:
     return SOUND * left / (left + INEXACT) if left > 0 else 0.0
 
 
-def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> list[NamedStep]:
+def _named(
+    step: Step, after: Concluded, explained: float, known: Mapping, rivals: Mapping[str, Concluded]
+) -> list[NamedStep]:
     """The named effect of a step; two for a pair, the one that explains more alone first."""
     best = step.choice.best
     alone = {t.members[0].label: t for t in step.tried if len(t.members) == 1 and t.structure}
@@ -197,6 +215,7 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
         closed_alone = by_itself(c) if c is not order[-1] and np.isfinite(by_itself(c)) else best.evidence.closed
         last = step.revised.get(c.label, step)
         choice = last.choice
+        final = {**rivals, label(choice.best): after}
         alike = [t for t in choice.members if len(t.members) == 1]
         members = [(t.members[0].id, t.members[0].site.name) for t in alike] or [(c.id, c.site.name)]
         named.append(
@@ -208,34 +227,15 @@ def _named(step: Step, after: Concluded, explained: float, known: Mapping) -> li
                 source=c.effect.source,
                 members=tuple(members),
                 probability=choice.probability[label(choice.best)] * explained,
-                parameters=_parameters(c, after),
+                parameters=concluded_values(c, after),
                 gap_closed=closed_alone,
-                ranked=ranking(last.ranked, last.tried, choice, known, explained),
+                ranked=ranking(last.ranked, last.tried, choice, known, explained, final),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
                 beside=tuple((m.id, m.site.name) for m in last.before.members),
             )
         )
     return named
-
-
-def _parameters(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
-    """Values of an effect with their intervals, from the final fit; empty for one that is not in it.
-
-    sigma is that of the fit, as if the law were exact; the interval also holds that it is none (`FORM`).
-    """
-    rows = {p.name: p for p in after.fit.parameters}
-    found = []
-    for name in candidate.free:
-        if name in rows:
-            p = rows[name]
-            moved = min(abs(p.value), abs(p.value - candidate.neutral[name]) or np.inf)
-            reach = 1.96 * np.hypot(p.sigma, FORM * moved) if np.isfinite(p.sigma) else np.nan
-            low, high = np.clip([p.value - reach, p.value + reach], *p.bounds)
-            text = next((f.description for f in after.fit.flat.parameters if f.name == name), "")
-            typical = candidate.typical.get(name)
-            found.append(EffectParameter(name, p.value, p.unit, p.sigma, float(low), float(high), text, typical))
-    return tuple(found)
 
 
 def _experiment(search: Search, data: Split, steps: Sequence[Step]):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -10,10 +11,12 @@ from hydrotwin.models.language.flat import ParameterValue
 
 from .choose import Choice, label
 from .discovery import EffectParameter, Ranked
+from .refit import Concluded
 from .screen import TESTABLE, Screened
 from .structure import Tried
 
 SHOWN = 12  # candidates of a step in the answer that were not refitted
+FORM = 0.02  # of what an effect's parameter moved: machines keep to a law no better; from the benchmark's tuning seeds
 
 
 def ranking(
@@ -22,15 +25,17 @@ def ranking(
     choice: Choice | None,
     known: Mapping[str, ParameterValue],
     explained: float = 1.0,
+    concluded: Mapping[str, Concluded] = MappingProxyType({}),
 ) -> tuple[Ranked, ...]:
     """Every candidate of a step, the named first; ``known`` are the declarations of their parameters by path.
 
     explained : how sure it is that the answer is among them; the rest of the probability is that of something else.
+    concluded : final fits by label, for the intervals of those that have one.
     """
     members = [] if choice is None else list(choice.members)
     rows, done = [], set()
     for t in sorted(tried, key=lambda t: -(t.evidence.bic_gain if t.evidence else -np.inf)):
-        rows.append(_ranked_tried(t, choice, members, known, explained))
+        rows.append(_ranked_tried(t, choice, members, known, explained, concluded.get(label(t))))
         done.add(label(t))
     for s in [s for s in ranked if s.candidate.label not in done][:SHOWN]:
         rows.append(
@@ -55,7 +60,12 @@ def _held_back(s: Screened, tried: Sequence[str]) -> str:
 
 
 def _ranked_tried(
-    t: Tried, choice: Choice | None, members: Sequence[Tried], known: Mapping, explained: float
+    t: Tried,
+    choice: Choice | None,
+    members: Sequence[Tried],
+    known: Mapping,
+    explained: float,
+    final: Concluded | None,
 ) -> Ranked:
     first = t.members[0]
     share = t.screened.share if t.screened else 0.0
@@ -68,17 +78,40 @@ def _ranked_tried(
     probability = explained * choice.probability.get(label(t), 0.0) if choice else 0.0
     fate, reason = _fate(t, choice, members)
     e = t.evidence
-    values = tuple(
-        EffectParameter(
-            n, t.structure.fitted.values[n], known[n].unit, np.nan, np.nan, np.nan, known[n].description,
-            c.typical.get(n),
-        )
-        for c in t.members
-        for n in c.free
-    )  # fmt: skip
+    values = tuple(v for c in t.members for v in (concluded_values(c, final) if final else _as_fitted(t, c, known)))
     return Ranked(
         name, site, title, equation, share, e.bic_gain, e.paired_t, e.closed, probability, fate, reason, values
     )
+
+
+def _as_fitted(t: Tried, candidate, known: Mapping) -> tuple[EffectParameter, ...]:
+    """Values of an effect from a fit of the search, which has no intervals."""
+    return tuple(
+        EffectParameter(
+            n, t.structure.fitted.values[n], known[n].unit, np.nan, np.nan, np.nan, known[n].description,
+            candidate.typical.get(n),
+        )
+        for n in candidate.free
+    )  # fmt: skip
+
+
+def concluded_values(candidate, after: Concluded) -> tuple[EffectParameter, ...]:
+    """Values of an effect with their intervals, from the final fit; empty for one that is not in it.
+
+    sigma is that of the fit, as if the law were exact; the interval also holds that it is none (`FORM`).
+    """
+    rows = {p.name: p for p in after.fit.parameters}
+    found = []
+    for name in candidate.free:
+        if name in rows:
+            p = rows[name]
+            moved = min(abs(p.value), abs(p.value - candidate.neutral[name]) or np.inf)
+            reach = 1.96 * np.hypot(p.sigma, FORM * moved) if np.isfinite(p.sigma) else np.nan
+            low, high = np.clip([p.value - reach, p.value + reach], *p.bounds)
+            text = next((f.description for f in after.fit.flat.parameters if f.name == name), "")
+            typical = candidate.typical.get(name)
+            found.append(EffectParameter(name, p.value, p.unit, p.sigma, float(low), float(high), text, typical))
+    return tuple(found)
 
 
 def _fate(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> tuple[str, str]:

@@ -354,8 +354,18 @@ class Concluded:
     residuals_report: tuple[np.ndarray, ...]
 
 
-def conclude(job: RefitJob) -> Concluded:
-    """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part."""
+def conclude(job: RefitJob) -> Concluded | str:
+    """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part.
+
+    A sentence when every start diverges. Pure and picklable.
+    """
+    try:
+        return _conclude(job)
+    except SolveError as error:
+        return str(error)
+
+
+def _conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
     task = _weighed(job, np.fmax(q.noise if job.size is None else job.size, q.noise))
     found = _from_starts(task, job)[0]

@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.discovery import discover
+from hydrotwin.discovery import answering, discover, refit
 from hydrotwin.discovery.answering import SOUND
 from hydrotwin.discovery.discovery import FATES
 from hydrotwin.discovery.resume import Memory
@@ -99,6 +99,19 @@ def test_a_gain_that_is_off_and_a_sensor_that_shows_too_much_are_a_class():
     (step,) = answer.steps
     assert {m[0] for m in step.members} == {"command_gain", "sensor_scale"}
     assert answer.steps[0].parameters[0].value == pytest.approx(0.25, rel=0.02)
+    told = [r for r in step.ranked if r.fate in ("named", "in class")]
+    assert {r.effect for r in told} == {"command_gain", "sensor_scale"}
+    for p in (p for r in told for p in r.parameters):
+        assert p.low < p.value < p.high and p.high - p.low < abs(p.value), "rivals come with intervals, too"
+
+
+def test_a_rival_whose_final_fit_diverges_is_told_without_interval(monkeypatch):
+    fit, number = refit.conclude, iter(range(9))
+    monkeypatch.setattr(answering, "conclude", lambda job: fit(job) if next(number) < 2 else "it diverges")
+    drive = Model(Drive(), settings={"gain": {"free": False}})
+    answer = discover(drive, drive_records(4), effects=["command_gain", "sensor_scale"], executor=Inline(), step=5e-3)
+    (other,) = [r for r in answer.steps[0].ranked if r.fate == "in class"]
+    assert np.isfinite(other.parameters[0].value) and np.isnan(other.parameters[0].low)
 
 
 def test_every_candidate_has_its_evidence_and_its_fate(rubbing):

@@ -234,6 +234,8 @@ def test_a_model_that_diverges_is_a_sentence():
     model = Model(Unstable())
     said = refit(RefitJob(model.flat, ("gain",), question(driven(3), model), coarse=True))
     assert isinstance(said, str) and "diverge" in said
+    said = conclude(RefitJob(model.flat, ("gain",), question(driven(3), model)))
+    assert isinstance(said, str) and "diverge" in said
 
 
 def test_the_final_fit_has_intervals_that_hold_the_truth_and_unseen_residuals(plain, fitted):

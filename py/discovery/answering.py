@@ -105,7 +105,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer=_without_name(search, found, elsewhere) if verdict == "unknown" else "",
+        answer=_without_name(search, data, found, elsewhere) if verdict == "unknown" else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),
@@ -134,9 +134,9 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     )
 
 
-def _without_name(search: Search, found: Found, elsewhere: Sequence[str]) -> str:
+def _without_name(search: Search, data: Split, found: Found, elsewhere: Sequence[str]) -> str:
     """What to say of a gap that gets no name, where it is known why."""
-    return not_excited(elsewhere) if elsewhere else unconfirmed(search, found)
+    return not_excited(search, data, elsewhere) if elsewhere else unconfirmed(search, found)
 
 
 # -- final fits --------------------------------------------------------------------------------------------------------

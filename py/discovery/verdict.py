@@ -15,10 +15,13 @@ from .search import Search
 from .structure import Structure
 
 if TYPE_CHECKING:
+    from hydrotwin.identification.problem import Recording
+
     from .answering import Found
 
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
+FURTHER = 0.1  # of the range that was fitted: beyond it a model is not what was tested
 NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
 
 
@@ -49,12 +52,33 @@ def only_elsewhere(search: Search, base: Structure, before: Concluded, data: Spl
     return [recording.name for recording, r in held_out if has_gap([r], q.noise, LARGE).any()]
 
 
-def not_excited(elsewhere: Sequence[str]) -> str:
+def not_excited(search: Search, data: Split, elsewhere: Sequence[str]) -> str:
     """The answer when nothing but these recordings shows a gap."""
+    shown = [r for r in (*data.select, *data.report) if r.name in elsewhere]
+    further = further_out(search.base.flat, search.question.fit, shown)
     return (
         f"Something is missing that shows in {', '.join(elsewhere)} only, kept to judge by: what the model was fitted "
-        "to shows none of it. Record more runs that move like that, and give them to be fitted to."
+        f"to shows none of it.{' ' * bool(further)}{further} Record more runs that move like that, and give them to be "
+        "fitted to."
     )
+
+
+def further_out(flat, fitted: Sequence[Recording], others: Sequence[Recording]) -> str:
+    """The signals of ``others`` that most leave the range they had in ``fitted``, SI; empty when none does."""
+    said = {}
+    signals = [(s, "u", j) for j, s in enumerate(flat.inputs)] + [(s, "y", j) for j, s in enumerate(flat.outputs)]
+    for signal, kind, j in signals:
+        here, there = (np.concatenate([getattr(r, kind)[:, j] for r in some]) for some in (fitted, others))
+        if not (np.isfinite(here).any() and np.isfinite(there).any()):
+            continue
+        low, high = np.nanmin(here), np.nanmax(here)
+        reached = np.array([np.nanmin(there), np.nanmax(there)])
+        outside = max(low - reached[0], reached[1] - high)
+        if outside > FURTHER * (high - low):
+            words = f"{signal.name} goes from {reached[0]:.3g} to {reached[1]:.3g} {signal.unit} there"
+            said[f"{words} (fitted: {low:.3g} to {high:.3g})"] = outside / max(high - low, 1e-9 * abs(high), 1e-300)
+    most = sorted(said, key=said.__getitem__, reverse=True)[:2]
+    return f"The model was never tried so far out: {'; '.join(most)}." if most else ""
 
 
 def unconfirmed(search: Search, found: Found) -> str:

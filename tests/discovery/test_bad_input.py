@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import re
 import warnings
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.verdict import further_out
+from hydrotwin.identification.problem import recordings
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record, write_record
@@ -141,7 +144,19 @@ def test_a_gap_that_only_the_validation_recording_shows_is_unknown_and_says_what
     d = found(runs, ["null_bias"], validate=[limited])
     assert d.verdict == "unknown" and d.steps == ()
     assert f"shows in {limited.name} only" in d.answer and "Record more runs that move like that" in d.answer
+    assert "never tried so far out: force goes from" in d.answer
     assert found(runs, ["null_bias"], validate=[record(9)]).verdict == "none"
+
+
+def test_only_signals_that_leave_the_range_they_had_are_further_out():
+    flat = Model(Drive()).flat
+    runs = recordings(flat, drive_records(2), None, "record")
+    assert further_out(flat, runs, runs) == "" == further_out(flat, runs, runs[:1])
+    far = dataclasses.replace(runs[0], y=3 * runs[0].y)
+    blind = dataclasses.replace(runs[0], y=np.full_like(runs[0].y, np.nan))
+    said = further_out(flat, runs, [far])
+    assert said.startswith("The model was never tried so far out: rate goes from") and "command" not in said
+    assert further_out(flat, runs, [blind]) == ""
 
 
 def test_where_no_effect_fits_the_gap_is_unknown():

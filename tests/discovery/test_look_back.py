@@ -244,3 +244,11 @@ def test_what_begins_anew_begins_where_the_base_did(rubbing):
     assert _from_first(search, base).starts[0] == {n: START[n] for n in search.free}
     moved = dataclasses.replace(search, first={**search.first, "mass.mass": 33.0})
     assert _from_first(moved, base).starts[0]["mass.mass"] == 33.0
+    assert _from_first(search, base).size is search.first_size
+    weighed = dataclasses.replace(search, first_size=np.array([0.25]))
+    assert _from_first(weighed, base).size is weighed.first_size, "weighed as the base was, too"
+    asked = []
+    weighed.run = lambda work, jobs, what: [asked.extend(jobs), *(work(job) for job in jobs)][1:]
+    from_the_beginning(weighed, base)
+    coarse = [job for job in asked if job.coarse]
+    assert coarse and all(job.size is weighed.first_size for job in coarse)

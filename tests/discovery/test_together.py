@@ -105,7 +105,7 @@ def test_what_the_first_search_found_is_remembered_and_asked_whether_it_comes_ne
     assert ("command_saturation at force",) in search.hints
 
 
-def asked_again(monkeypatch, known, other, diverges=lambda job: False):
+def asked_again(monkeypatch, known, other, diverges=lambda job: False, size=None):
     """What `explained_together` answers to a search that found nothing, when it knows this and finds the other."""
     runs = [record(k, limit=280.0) for k in range(3)]
     search, fitted = searching(question(runs), LIMITED)
@@ -113,7 +113,7 @@ def asked_again(monkeypatch, known, other, diverges=lambda job: False):
     base = Structure((), fitted)
     (limited,) = search.refitted(base, [((cut,), [{cut.free[0]: 250.0}])])
     structures = {"base": base, "limited": limited.structure, "poor": Structure((cut,), fitted), None: None}
-    found = Found(base, base, (), ())
+    found, search.first_size = Found(base, base, (), ()), size
     monkeypatch.setattr(together, "unconfirmed", lambda *_: "a limit would explain it")
     monkeypatch.setattr(together, "likeliest", lambda *_: structures[known])
     monkeypatch.setattr(together, "verdict_of", lambda s, f: "unknown" if f is found else "named")
@@ -137,6 +137,13 @@ def test_where_no_base_can_be_fitted_to_all_recordings_the_first_search_stands(m
 def test_the_base_of_all_recordings_is_begun_anew_and_goes_on_from_the_first(monkeypatch, begun_anew):
     """Begun anew it may end in a hollow that the one which explains most recordings is not in; or nowhere, as here."""
     assert asked_again(monkeypatch, None, "limited", diverges=lambda job: job.coarse is begun_anew)
+
+
+def test_the_base_of_all_recordings_is_weighed_as_the_first_was(monkeypatch):
+    asked = []
+    asked_again(monkeypatch, None, "limited", diverges=asked.append, size=np.array([0.25]))
+    (anew,) = [job for job in asked if job.coarse]
+    assert anew.size.tolist() == [0.25]
 
 
 def test_what_comes_nowhere_near_the_noise_is_not_searched_for_again(monkeypatch):
@@ -216,9 +223,7 @@ def test_what_is_not_worth_its_parameters_is_looked_at_no_further():
 def test_two_ends_that_two_recordings_reach_are_named_together():
     runs = [moved(0, *UP), moved(1, *DOWN), moved(2, *SHORT)]
     judging = [moved(3, 70.0, -70.0, 90.0)]
-    answer = discover(
-        rail(), runs, validate=judging, effects=["end_stop", "coulomb_friction"], executor=Inline()
-    )
+    answer = discover(rail(), runs, validate=judging, effects=["end_stop", "coulomb_friction"], executor=Inline())
     assert [s.effect for s in answer.steps] == ["end_stop"]
     values = {p.name: p.value for p in answer.steps[0].parameters}
     assert (values["end_stop.low"], values["end_stop.high"]) == pytest.approx(STOPS, abs=5e-3)

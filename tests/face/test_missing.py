@@ -39,6 +39,9 @@ def test_compare_scores_a_slow_sensor_where_it_was_read(slow):
     assert [s["rmse"] for s in by_file] == [s["rmse"] for s in by_option]
     doubled = hydrotwin("compare", "all.toml", "--missing", "keep", "--out", "again")
     assert doubled.code == 2 and "--missing would be ignored" in doubled.said
+    (slow / "all.toml").write_text(scenario.replace('"keep"', '"sometimes"'))
+    wrong = hydrotwin("compare", "all.toml", "--out", "again")
+    assert wrong.code == 2 and "sometimes" in wrong.said and "drop rows" in wrong.said
 
 
 def test_simulate_needs_the_inputs_alone(slow):

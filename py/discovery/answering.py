@@ -75,7 +75,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
     verdict = verdict_of(search, found)
     kept = found.last if verdict in ("named", "class") else found.base
-    rivals = _rivals(found.steps) if verdict == "class" else {}
+    rivals = _rivals(found.steps) if verdict in ("named", "class") else {}
     before, after, rivals = _concluded(search, data, found.base, kept, rivals)
     shown = closed_where_it_counts(before, after, data)
     elsewhere = only_elsewhere(search, found.base, before, data)

@@ -18,7 +18,8 @@ class EffectParameter:
     """One parameter of an added effect, SI; ``typical``: the catalogue's range.
 
     sigma : of the fit, as if the law were exact. low, high : 95 % interval, which also allows for a law that the
-    machine keeps to within 2 % (one sigma): stick-slip, knees and ripples are never quite the catalogue's.
+    machine keeps to within 2 % (one sigma): stick-slip, knees and ripples are never quite the catalogue's. Both are nan
+    where it was fitted for the search alone, and where it rests ``at_bound``, with the cost still falling beyond.
     """
 
     name: str
@@ -29,6 +30,7 @@ class EffectParameter:
     high: float
     description: str = ""
     typical: tuple[float, float] | None = None
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,8 @@ def concluded_values(candidate, after: Concluded) -> tuple[EffectParameter, ...]
             low, high = np.clip([p.value - reach, p.value + reach], *p.bounds)
             text = next((f.description for f in after.fit.flat.parameters if f.name == name), "")
             typical = candidate.typical.get(name)
-            found.append(EffectParameter(name, p.value, p.unit, p.sigma, float(low), float(high), text, typical))
+            interval = float(p.sigma), float(low), float(high)
+            found.append(EffectParameter(name, p.value, p.unit, *interval, text, typical, bool(p.at_bound)))
     return tuple(found)
 
 

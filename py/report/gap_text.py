@@ -42,7 +42,7 @@ def interval_words(p: EffectParameter) -> str:
     """The 95 % interval in brackets."""
     _, low, high = value_texts(p)
     if not (math.isfinite(p.low) and math.isfinite(p.high)):
-        return " (interval not known)"
+        return " (on its limit)" if p.at_bound else " (interval not known)"
     return f" (95\u00a0%: {low} to {high})"
 
 

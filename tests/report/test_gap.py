@@ -357,6 +357,7 @@ def test_intervals_get_the_digits_that_they_give_sense_to():
     sharp = replace(DELAY, sigma=1e-6, low=0.031 - 2e-6, high=0.031 + 2e-6)
     assert value_text(sharp) == "31.0000\u00a0ms"
     assert interval_words(replace(DELAY, low=NAN, high=NAN)) == " (interval not known)"
+    assert interval_words(replace(DELAY, low=NAN, high=NAN, at_bound=True)) == " (on its limit)"
 
 
 def test_shares_are_never_rounded_up_to_all():

@@ -14,8 +14,9 @@ from hydrotwin.discovery.discovery import FATES
 from hydrotwin.discovery.resume import Memory
 from hydrotwin.models.components.mechanical import Freewheel
 from hydrotwin.models.effects import candidates
-from hydrotwin.models.language import Model, connect
+from hydrotwin.models.language import Input, Model, connect, der
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 from tests.discovery.slides import (
     DAMPING,
@@ -103,6 +104,28 @@ def test_a_gain_that_is_off_and_a_sensor_that_shows_too_much_are_a_class():
     assert {r.effect for r in told} == {"command_gain", "sensor_scale"}
     for p in (p for r in told for p in r.parameters):
         assert p.low < p.value < p.high and p.high - p.low < abs(p.value), "rivals come with intervals, too"
+
+
+class TwoCommands(Drive):
+    """A drive with a second command that adds to the first."""
+
+    second = Input("V", "second command")
+
+    def equations(self):
+        yield self.time_constant * der(self.turning) + self.turning == self.gain * (self.command + self.second)
+        yield self.rate == self.turning
+
+
+def test_the_same_effect_at_another_place_has_an_interval_too():
+    runs = []
+    for r in drive_records(4, command=lambda u: u + 0.4):
+        half = {"command": r["command"] / 2, "second": r["command"] / 2, "rate": r["rate"]}
+        runs.append(Record(r.time, half, {"command": "V", "second": "V", "rate": "rad/s"}, r.name))
+    answer = discover(Model(TwoCommands()), runs, effects=["null_bias"], executor=Inline(), step=5e-3)
+    (step,) = answer.steps
+    assert answer.verdict == "named" and {m[1] for m in step.members} == {"command", "second"}
+    (other,) = [r.parameters[0] for r in step.ranked if r.fate == "in class"]
+    assert other.low < 0.4 < other.high and other.high - other.low < 0.2
 
 
 def test_a_rival_whose_final_fit_diverges_is_told_without_interval(monkeypatch):

@@ -119,11 +119,7 @@ class Propagator:
         """
         time, u, p, x0 = self._arrays(time, u, p, x0)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (len(x0), self._to.count), self.flat.name)
-        if self._to.zero and (with_states or p[list(self._to.zero)].any()):
-            raise SolveError(
-                f"{self.flat.name}: prepared with parameters at zero, it has the sensitivities of its outputs there "
-                "alone. Leave them at 0 and with_states False, or prepare without zero."
-            )
+        self._at_zero(p, with_states)
         self._decide(time, u, p, x0)
         if self._to.count == 0:
             y, x = self.run(time, u, p, x0)
@@ -152,14 +148,25 @@ class Propagator:
         """
         cuts, time, u, p, x0 = self._segments(time, u, p, cuts, x0)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (*x0.shape, self._to.count), self.flat.name)
+        self._at_zero(p)
         judged = self._judged(time, measured, weights)
         if self._to.count == 0:
             cost = self._chosen().costs(cuts, time, u, p, self._longest(), x0, *judged)
             return cost, np.zeros((len(x0), 0)), np.zeros((len(x0), 0, 0))
         return self._chosen().expansions(cuts, time, u, p, self._longest(), x0, dx0, *judged)
 
+    def _at_zero(self, p, with_states: bool = False) -> None:
+        """Refuse sensitivities that were left out."""
+        if self._to.zero and (with_states or p[list(self._to.zero)].any()):
+            raise SolveError(
+                f"{self.flat.name}: prepared with parameters at zero, it has the sensitivities of its outputs there "
+                "alone. Leave them at 0 and with_states False, or prepare without zero."
+            )
+
     def _segments(self, time, u, p, cuts, x0):
         """The arrays of many runs; the first of them settles "auto"."""
+        if self.engine != "c":
+            raise SolveError(f"{self.flat.name}: only compiled runs sum what they leave. Use run and sensitivity.")
         cuts = np.ascontiguousarray(cuts, dtype=np.int64)
         begin, first, last = cuts.reshape(-1, 3).T
         if not len(cuts) or not ((begin >= 0) & (begin <= first) & (first < last) & (last <= len(time))).all():

@@ -12,7 +12,9 @@ from hydrotwin.models.language.flat import FlatModel
 from . import equations
 from .equations import Directions
 
-DRIVER = Path(__file__).with_name("driver.c").read_text(encoding="utf-8")
+DRIVER, SENSITIVITIES = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("driver.c", "sensitivities.c")
+)
 
 # Friction and every smoothed corner call it: half the time of the library's, within 2 units in the last place of it.
 # Near zero the Pade approximant [7/6], elsewhere 1 - 2 / (exp(2 a) + 1).
@@ -41,7 +43,7 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
         row = {i: position for position, i in enumerate(kept)}
         lines += _products("F", functions["RATE"], row, row)
         lines += _products("H", functions["SEEN"], {i: i for i in range(len(flat.outputs))}, row)
-    return "\n".join((TANH, _generated(functions), *lines, DRIVER))
+    return "\n".join((TANH, _generated(functions), *lines, DRIVER, SENSITIVITIES if to.count else ""))
 
 
 def _functions(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, ca.Function]:

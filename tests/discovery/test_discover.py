@@ -15,7 +15,7 @@ from hydrotwin.discovery.resume import Memory
 from hydrotwin.models.components.mechanical import Freewheel
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Input, Model, connect, der
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 from tests.discovery.slides import (
@@ -104,6 +104,12 @@ def test_a_gain_that_is_off_and_a_sensor_that_shows_too_much_are_a_class():
     assert {r.effect for r in told} == {"command_gain", "sensor_scale"}
     for p in (p for r in told for p in r.parameters):
         assert p.low < p.value < p.high and p.high - p.low < abs(p.value), "rivals come with intervals, too"
+
+
+def test_a_final_fit_that_diverges_is_a_sentence(monkeypatch):
+    monkeypatch.setattr(answering, "conclude", lambda job: "identify: every run diverges.")
+    with pytest.raises(SolveError, match="every run diverges"):
+        discover(Model(Drive()), drive_records(4), effects=["null_bias"], executor=Inline(), step=5e-3)
 
 
 class TwoCommands(Drive):

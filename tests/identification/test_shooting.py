@@ -76,6 +76,9 @@ def test_without_a_compiler_the_sums_are_the_same():
     slow = dataclasses.replace(t, propagator=prepare(t.flat, method="vm", **names))
     (shooting, z), (other, _) = descent.whole_runs(t), descent.whole_runs(slow)
     assert not other._in_one_call
+    with pytest.raises(SolveError, match="only compiled runs"):
+        r = slow.recordings[0]
+        slow.propagator.costs(r.time, r.u, t.free.vector(q), [[0, 0, 9]], np.zeros((1, 2)), r.y, t.weights)
     np.testing.assert_allclose(shooting.linearise(q, z).hessian, other.linearise(q, z).hessian, rtol=1e-8)
 
 

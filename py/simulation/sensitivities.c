@@ -1,0 +1,176 @@
+/* Walks with forward sensitivities: stands behind driver.c where something is free.
+
+   Rows of length LD, one column per free parameter or start state. NS of the NX states have a row: those in KEPT, where
+   nothing that is measured depends on the others. */
+
+/* d mean / d Td = (u(a) - u(b)) / h, one-sided towards longer dead time. */
+static void mean_input_rates(Run *run, double t, double h, double *rate) {
+  for (int m = 0; m < ND; m++) {
+    int j = DEAD_INPUT[m];
+    double a = t - delay_of(run, j), slope;
+    rate[m] = (input_at(run, j, a, 0, &slope) - input_at(run, j, a + h, 0, &slope)) / h;
+  }
+}
+
+static void input_rates_at_sample(Run *run, long long k, double *rate) {
+  for (int m = 0; m < ND; m++) {
+    double slope;
+    input_at(run, DEAD_INPUT[m], run->time[k] - delay_of(run, DEAD_INPUT[m]), 0, &slope);
+    rate[m] = -slope;
+  }
+}
+
+/* Rows of a sparse matrix times the seeds, and single entries added to them; see source.py. */
+#define SEED(j) dx[(j) * LD + c]
+#define ROW(i, sum) \
+  for (int c = 0; c < LD; c++) rows[(i) * LD + c] = sum;
+
+/* One stage: xdot and its derivative to theta, rows = d xdot / d theta, at (x, dx). */
+static void linear_stage(Run *run, double t, const double *x, const double *u, const double *restrict dx,
+                         const double *du, double *xdot, double *restrict rows) {
+  double fx[FX_NNZ + 1], fp[FP_NNZ + 1], fu[FU_NNZ + 1];
+  const double *arg[RATE_ARG] = {&t, x, u, run->p};
+  double *res[RATE_RES] = {xdot, fx, fp, fu};
+  linear_rate(arg, res, run->integers, run->work, 0);
+#define ENTRY(e) fx[e]
+#define ADD_P(e, i, j) rows[(i) * LD + (j)] += fp[e];
+#define ADD_U(e, i, j) rows[(i) * LD + DEAD_COLUMN[j]] += fu[e] * du[j];
+  FX_ROWS(ROW) FP_EACH(ADD_P) FU_EACH(ADD_U)
+#undef ENTRY
+#undef ADD_P
+#undef ADD_U
+}
+
+static inline void combine(int n, double *restrict to, const double *restrict from, double factor,
+                           const double *restrict rate) {
+  for (int i = 0; i < n; i++) to[i] = from[i] + factor * rate[i];
+}
+
+static inline void weigh(int n, double *restrict x, double h, const double *restrict k1, const double *restrict k2,
+                         const double *restrict k3, const double *restrict k4) {
+  for (int i = 0; i < n; i++) x[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+}
+
+static int advance_tangent(Run *run, double t, double h, const double *u, const double *du, double *x, double *dx) {
+#if IMPLICIT
+  double kept[NX + 1], seeds[NX * NT + 1], next[NX * NT + 1]; /* column by column, as CasADi stores matrices */
+  const double *arg[TANGENT_ARG] = {&t, kept, u, run->p, &h, seeds, du};
+  double *res[TANGENT_RES] = {next};
+  memcpy(kept, x, NX * sizeof(double));
+  for (int i = 0; i < NX; i++)
+    for (int c = 0; c < NT; c++) seeds[c * NX + i] = dx[i * LD + c];
+  int status = advance(run, t, h, u, x);
+  if (status) return status;
+  if (implicit_tangent(arg, res, run->integers, run->work, 0)) return 3;
+  for (int i = 0; i < NX; i++)
+    for (int c = 0; c < NT; c++) dx[i * LD + c] = next[c * NX + i];
+  return not_finite(next, NX * NT) ? 3 : 0;
+#else
+  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1];
+  double d1[NS * LD + 1], d2[NS * LD + 1], d3[NS * LD + 1], d4[NS * LD + 1], ds[NS * LD + 1];
+  linear_stage(run, t, x, u, dx, du, k1, d1);
+  combine(NX, xs, x, h / 2, k1);
+  combine(NS * LD, ds, dx, h / 2, d1);
+  linear_stage(run, t + h / 2, xs, u, ds, du, k2, d2);
+  combine(NX, xs, x, h / 2, k2);
+  combine(NS * LD, ds, dx, h / 2, d2);
+  linear_stage(run, t + h / 2, xs, u, ds, du, k3, d3);
+  combine(NX, xs, x, h, k3);
+  combine(NS * LD, ds, dx, h, d3);
+  linear_stage(run, t + h, xs, u, ds, du, k4, d4);
+  memcpy(xs, x, NX * sizeof(double));
+  weigh(NX, x, h, k1, k2, k3, k4);
+  weigh(NS * LD, dx, h, d1, d2, d3, d4);
+  if (!not_finite(x, NX)) return 0;
+  memcpy(x, xs, NX * sizeof(double));
+  return 1;
+#endif
+}
+
+/* dy = dh/dx dx + dh/dp + dh/du du at sample k. */
+static int write_linear_output(Run *run, long long k, const double *x, const double *dx, double *y, double *dy) {
+  double u[NU + 1], du[ND + 1], hx[HX_NNZ + 1], hp[HP_NNZ + 1], hu[HU_NNZ + 1], rows[NY * LD + 1];
+  const double *arg[SEEN_ARG] = {run->time + k, x, u, run->p};
+  double *res[SEEN_RES] = {y, hx, hp, hu};
+  inputs_at_sample(run, k, u);
+  input_rates_at_sample(run, k, du);
+  linear_output(arg, res, run->integers, run->work, 0);
+#define ENTRY(e) hx[e]
+#define ADD_P(e, i, j) rows[(i) * LD + (j)] += hp[e];
+#define ADD_U(e, i, j) rows[(i) * LD + DEAD_COLUMN[j]] += hu[e] * du[j];
+  HX_ROWS(ROW) HP_EACH(ADD_P) HU_EACH(ADD_U)
+  for (int i = 0; i < NY; i++) memcpy(dy + i * NT, rows + i * LD, NT * sizeof(double));
+  return not_finite(y, NY) ? 2 : 0;
+}
+
+/* Cost, gradient and upper triangle of the Gauss-Newton Hessian gain what sample k leaves. */
+static void add_expansion(Sum *sum, long long k, const double *y, const double *dy) {
+  double r, row[NT];
+  for (int i = 0; i < NY; i++) {
+    if (!residual(sum, k, i, y, &r)) continue;
+    sum->cost += 0.5 * r * r;
+    for (int c = 0; c < NT; c++) row[c] = sum->weights[i] * dy[i * NT + c];
+    for (int c = 0; c < NT; c++) {
+      sum->gradient[c] += r * row[c];
+      for (int d = c; d < NT; d++) sum->hessian[c * NT + d] += row[c] * row[d];
+    }
+  }
+}
+
+/* One run with sensitivities; as `walk`. */
+static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y, double *dy, double *x_out,
+                        double *dx_out, Sum *sum, double *where) {
+  const double *time = run->time;
+  double x[NX + 1], dx[NS * LD + 1], mean[NU + 1], rate[ND + 1];
+  int status = open_run(run);
+  FLUSH();
+  memcpy(x, x0, NX * sizeof(double));
+  memset(dx, 0, sizeof dx);
+  for (int i = 0; i < NS; i++) memcpy(dx + i * LD, dx0 + KEPT[i] * NT, NT * sizeof(double));
+  for (long long k = 0; k < run->samples && !status; k++) {
+    long long row = sum ? 0 : k;
+    memcpy(x_out + row * NX, x, NX * sizeof(double));
+    for (int i = 0; dx_out && i < NS; i++)
+      memcpy(dx_out + (row * NX + KEPT[i]) * NT, dx + i * LD, NT * sizeof(double));
+    if ((status = write_linear_output(run, k, x, dx, y + row * NY, dy + row * NY * NT)))
+      stopped(status, time[k], x, where);
+    if (sum) add_expansion(sum, k, y, dy);
+    if (k + 1 == run->samples || status) break;
+    double dt = time[k + 1] - time[k];
+    long long n = substeps_in(run, dt);
+    for (long long i = 0; i < n && !status; i++) {
+      double h = dt / (double)n, t = time[k] + (double)i * h;
+      mean_inputs(run, k, t, h, n == 1, mean);
+      mean_input_rates(run, t, h, rate);
+      if ((status = advance_tangent(run, t, h, mean, rate, x, dx))) stopped(status, t, x, where);
+    }
+  }
+  close_run(run);
+  RESTORE();
+  return status;
+}
+
+/* dx0 (NX, NT); y (samples, NY), dy (samples, NY, NT), x (samples, NX), dx (samples, NX, NT; rows KEPT) or null. */
+EXPORT int propagate_tangent(long long samples, const double *time, const double *u, const double *p, double step,
+                             const double *x0, const double *dx0, double *y, double *dy, double *x_out,
+                             double *dx_out, double *where) {
+  Run run = {samples, time, u, p, step};
+  return walk_tangent(&run, x0, dx0, y, dy, x_out, dx_out, 0, where);
+}
+
+/* As `propagate_costs`; dx0 (segments, NX, NT), gradient (segments, NT), hessian (segments, NT, NT), all zero before. */
+EXPORT void propagate_expansions(long long segments, const long long *cuts, const double *time, const double *u,
+                                 const double *p, double step, const double *x0, const double *dx0,
+                                 const double *measured, const double *weights, double *cost, double *gradient,
+                                 double *hessian) {
+  double y[NY + 1], dy[NY * NT + 1], x[NX + 1], where[NX + 1];
+  for (long long s = 0; s < segments; s++) {
+    Run run = run_of(cuts + 3 * s, time, u, p, step);
+    Sum sum = sum_of(cuts + 3 * s, measured, weights);
+    double *H = sum.hessian = hessian + s * NT * NT;
+    sum.gradient = gradient + s * NT;
+    cost[s] = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where) ? NAN : sum.cost;
+    for (int c = 0; c < NT; c++)
+      for (int d = 0; d < c; d++) H[c * NT + d] = H[d * NT + c];
+  }
+}

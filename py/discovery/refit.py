@@ -265,17 +265,16 @@ def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -
 def _settled(task: Task, q: Question, found: Minimum, most: int):
     """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``."""
     task = undecided(task)
-    size, further = _sizes(residuals_of(task, found), q), max(LONGEST, 2 * most)
+    size, further = np.fmax(_rmse(task, found), q.noise), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))
         shooting, _ = whole_runs(task)
         found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, further))
         further -= found.iterations
-        left = residuals_of(task, found)
-        before, size = size, _sizes(left, q)
+        before, size = size, np.fmax(_rmse(task, found), q.noise)
         if further <= 0 or (number and np.nanmax(np.abs(np.log(size / before))) < STEADY):
             break
-    return task, found, left, _likelihood(task, q, found, left)
+    return task, found, residuals_of(task, found), _likelihood(task, q, found)
 
 
 def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | None = None) -> list[np.ndarray]:
@@ -305,9 +304,20 @@ def _sizes(left: Sequence[np.ndarray], q: Question) -> np.ndarray:
     return np.fmax(pooled_rmse(left), q.noise)
 
 
-def _likelihood(task: Task, q: Question, found: Minimum, left: Sequence[np.ndarray] | None = None) -> float:
-    left = residuals_of(task, found) if left is None else left
-    return likelihood(pooled_rmse(left), q) + task.prior.cost(found.q)
+def _rmse(task: Task, found: Minimum) -> np.ndarray:
+    """RMSE (ny,) over the fit recordings, SI, from what the minimum summed there where it did; nan: not measured."""
+    squares = found.at.squares
+    if squares is None:
+        return pooled_rmse(residuals_of(task, found))
+    counts = np.sum([np.isfinite(r.y).sum(axis=0) for r in task.recordings], axis=0)
+    total = squares.sum(axis=0)
+    with np.errstate(invalid="ignore"):
+        rmse = np.sqrt(np.where(np.isfinite(total), total, np.inf) / counts)
+    return np.where((task.weights > 0) & (counts > 0), rmse, np.nan)
+
+
+def _likelihood(task: Task, q: Question, found: Minimum) -> float:
+    return likelihood(_rmse(task, found), q) + task.prior.cost(found.q)
 
 
 def likelihood(rmse: np.ndarray, q: Question) -> float:

@@ -47,6 +47,8 @@ class Linearisation:
 
     gradient (segments, k), hessian (segments, k, k); k = free parameters, then start states. A segment in ``diverged``
     has a constant cost and no derivative.
+    squares : (segments, ny), SI, of what was measured, without weights, not finite where a run stopped; None where the
+        driver did not sum them.
     """
 
     cost: float
@@ -54,6 +56,7 @@ class Linearisation:
     diverged: np.ndarray
     gradient: np.ndarray
     hessian: np.ndarray
+    squares: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +108,14 @@ class Shooting:
         """Cost, gradient and Gauss-Newton Hessian at parameters q (np,) and start states z (segments, nz)."""
         at = self._point(q)
         rows = self._over_segments(lambda part: self._expansions(part, at, z))
-        costs, diverged, gradient, hessian = (np.array(c) for c in zip(*rows, strict=True))
+        costs, diverged, gradient, hessian, squares = (np.array(c) for c in zip(*rows, strict=True))
         if self.prior:  # it belongs to no segment: the first carries it
             n = np.arange(len(q))
             costs[0] += self.prior.cost(q)
             gradient[0, n] += self.prior.weight * (q - self.prior.centre)
             hessian[0, n, n] += self.prior.weight
-        return Linearisation(float(costs.sum()), costs, diverged, gradient, hessian)
+        known = squares if self._in_one_call else None
+        return Linearisation(float(costs.sum()), costs, diverged, gradient, hessian, known)
 
     def cost(self, q: np.ndarray, z: np.ndarray) -> float:
         """Cost alone."""
@@ -247,20 +251,20 @@ class Shooting:
         return found
 
     def _expansions(self, part: np.ndarray, at, z: np.ndarray) -> list:
-        """Cost, whether it diverged, gradient and Gauss-Newton Hessian of the segments ``part``."""
+        """Cost, whether it diverged, gradient, Gauss-Newton Hessian and squares of the segments ``part``."""
         if not self._in_one_call:
-            return [self._expand(i, at, z[i]) for i in part]
+            return [(*self._expand(i, at, z[i]), np.nan) for i in part]
         (p, scale), found = at, []
-        k = len(scale)
+        k, used = len(scale), self.weights > 0
+        w = self.weights[used] ** 2
         for members, cuts, recording in self._by_recording(part):
             x0, dx0 = self._all_seeds(members, recording.u[cuts[:, 0]], p, z)
-            ran = self.propagator.expansions(
-                recording.time, recording.u, p, cuts, x0, dx0, recording.y, self.weights
-            )  # fmt: skip
+            ran = self.propagator.expansions(recording.time, recording.u, p, cuts, x0, dx0, recording.y)
             with np.errstate(all="ignore"):
-                gradient, hessian = ran[1][:, :k] * scale, ran[2][:, :k, :k] * np.outer(scale, scale)
-                rows = zip(members, ran[0], gradient, hessian, strict=True)
-                found += [self._with_prior(i, z[i], *row) for i, *row in rows]
+                costs, gradient, hessian = (np.einsum("j,sj...->s...", w, sums[:, used]) for sums in ran)
+                gradient, hessian = gradient[:, :k] * scale, hessian[:, :k, :k] * np.outer(scale, scale)
+                rows = zip(members, 0.5 * costs, gradient, hessian, ran[0], strict=True)
+                found += [(*self._with_prior(i, z[i], *row), squares) for i, *row, squares in rows]
         return found
 
     def _all_seeds(self, members: list[int], u0: np.ndarray, p: np.ndarray, z: np.ndarray):

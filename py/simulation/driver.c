@@ -175,20 +175,24 @@ static int stopped(int status, double t, const double *x, double *where) {
 typedef struct {
   const double *measured, *weights; /* (samples, NY), (NY); a weight of zero: not used */
   long long first;
-  double cost, *gradient, *hessian; /* (NT), (NT, NT) with its upper triangle alone, once there are sensitivities */
+  double cost;
+  double *squares, *gradient, *hessian; /* by output, without weights: (NY), (NY, NT), (NY, NT, NT): upper triangles */
 } Sum;
 
-/* Weighted residual of output i at sample k; 0 when it does not count. */
+/* Residual of output i at sample k; 0 when nothing was measured. */
 static int residual(const Sum *sum, long long k, int i, const double *y, double *r) {
   double measured = sum->measured[k * NY + i];
-  *r = sum->weights[i] * (y[i] - measured);
-  return k >= sum->first && sum->weights[i] > 0.0 && measured * 0.0 == 0.0;
+  *r = y[i] - measured;
+  return k >= sum->first && measured * 0.0 == 0.0;
 }
 
 static void add_cost(Sum *sum, long long k, const double *y) {
   double r;
   for (int i = 0; i < NY; i++)
-    if (residual(sum, k, i, y, &r)) sum->cost += 0.5 * r * r;
+    if (sum->weights[i] > 0.0 && residual(sum, k, i, y, &r)) {
+      r *= sum->weights[i];
+      sum->cost += 0.5 * r * r;
+    }
 }
 
 /* Segment s of a recording, given by the samples where it begins, counts from and ends: its run and what it sums. */

@@ -22,7 +22,7 @@ class Library:
         if self._tangent is not None:
             self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 7]
             self._expansions = loaded.propagate_expansions
-            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 7]
+            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 6]
         self._costs = loaded.propagate_costs
         self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 4]
 
@@ -50,13 +50,13 @@ class Library:
         self._costs(len(cuts), *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
         return cost
 
-    def expansions(self, cuts, time, u, p, step, x0, dx0, measured, weights):
-        """Cost (segments,), its gradient (segments, nt) and Gauss-Newton Hessian (segments, nt, nt)."""
-        n, _, nt = dx0.shape
-        cost, gradient, hessian = np.empty(n), np.zeros((n, nt)), np.zeros((n, nt, nt))
-        arrays = (x0, dx0, measured, weights, cost, gradient, hessian)
+    def expansions(self, cuts, time, u, p, step, x0, dx0, measured):
+        """By output: squares (segments, ny), half their gradient (.., nt) and Gauss-Newton Hessian (.., nt, nt)."""
+        (n, _, nt), ny = dx0.shape, self._outputs
+        squares, gradient, hessian = np.zeros((n, ny)), np.zeros((n, ny, nt)), np.zeros((n, ny, nt, nt))
+        arrays = (x0, dx0, measured, squares, gradient, hessian)
         self._expansions(n, *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
-        return cost, gradient, hessian
+        return squares, gradient, hessian
 
 
 def _address(array):

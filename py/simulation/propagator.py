@@ -17,6 +17,7 @@ from . import equations, stiffness
 from .compiler import compile_library
 from .library import Library
 from .machine import DONE, NO_MEMORY, OUTPUT, STATE, VirtualMachine
+from .recent import Recent
 from .source import c_source
 
 METHODS = ("auto", "explicit", "rosenbrock", "vm")
@@ -80,7 +81,7 @@ class Propagator:
         self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._deciding = threading.Lock()
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
-        self._engines = {False: explicit}
+        self._engines, self._recents = {False: explicit}, {"explicit": Recent(), "rosenbrock": Recent()}
 
     def undecided(self) -> Propagator:
         """The same with step and method as they were asked for: "auto" is decided again, at other parameters."""
@@ -138,22 +139,28 @@ class Propagator:
 
         Nan where a run left the finite numbers.
         """
-        arrays = self._segments(time, u, p, cuts, x0)
-        return self._chosen().costs(*arrays[:4], self._longest(), arrays[4], *self._judged(time, measured, weights))
+        cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
+        weights = _shaped("weights", weights, (len(self.flat.outputs),), self.flat.name)
+        return self._chosen().costs(cuts, time, u, p, self._longest(), x0, measured, weights)
 
-    def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured, weights):
-        """As `costs`: also gradient (segments, n_theta) and Gauss-Newton Hessian (segments, n_theta, n_theta).
+    def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured):
+        """``sum (y - measured)^2`` of many runs as in `costs`, half its gradient and half its Gauss-Newton Hessian.
+
+        By output: (segments, ny), (segments, ny, n_theta), (segments, ny, n_theta, n_theta), so that other weights need
+        no other run. The last few are remembered: a fit that goes on under other weights begins where it stands.
 
         x0_jacobian : (segments, nx, n_theta), as in `sensitivity`.
         """
-        cuts, time, u, p, x0 = self._segments(time, u, p, cuts, x0)
+        cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (*x0.shape, self._to.count), self.flat.name)
         self._at_zero(p)
-        judged = self._judged(time, measured, weights)
+        engine, step = self._chosen(), self._longest()
         if self._to.count == 0:
-            cost = self._chosen().costs(cuts, time, u, p, self._longest(), x0, *judged)
-            return cost, np.zeros((len(x0), 0)), np.zeros((len(x0), 0, 0))
-        return self._chosen().expansions(cuts, time, u, p, self._longest(), x0, dx0, *judged)
+            ny = len(self.flat.outputs)
+            alone = [engine.costs(cuts, time, u, p, step, x0, measured, unit) for unit in np.eye(ny)]
+            return 2 * np.stack(alone, axis=1), np.zeros((len(x0), ny, 0)), np.zeros((len(x0), ny, 0, 0))
+        recent = self._recents[self.method]
+        return recent.answer(engine.expansions, cuts, time, u, p, step, x0, dx0, measured)
 
     def _at_zero(self, p, with_states: bool = False) -> None:
         """Refuse sensitivities that were left out."""
@@ -163,7 +170,7 @@ class Propagator:
                 "alone. Leave them at 0 and with_states False, or prepare without zero."
             )
 
-    def _segments(self, time, u, p, cuts, x0):
+    def _segments(self, time, u, p, cuts, x0, measured):
         """The arrays of many runs; the first of them settles "auto"."""
         if self.engine != "c":
             raise SolveError(f"{self.flat.name}: only compiled runs sum what they leave. Use run and sensitivity.")
@@ -172,14 +179,11 @@ class Propagator:
         if not len(cuts) or not ((begin >= 0) & (begin <= first) & (first < last) & (last <= len(time))).all():
             raise SolveError(f"{self.flat.name}: cuts must be rows 0 <= begin <= first < last <= {len(time)}.")
         x0 = _shaped("x0", x0, (len(cuts), len(self.flat.states)), self.flat.name)
+        measured = _shaped("measured", measured, (len(time), len(self.flat.outputs)), self.flat.name)
         time, u, p, _ = self._arrays(time, u, p, x0[0])
         here = slice(begin[0], last[0])
         self._decide(time[here], u[here], p, x0[0])
-        return cuts, time, u, p, x0
-
-    def _judged(self, time, measured, weights):
-        n, name = len(self.flat.outputs), self.flat.name
-        return _shaped("measured", measured, (len(time), n), name), _shaped("weights", weights, (n,), name)
+        return cuts, time, u, p, x0, measured
 
     def _arrays(self, time, u, p, x0):
         flat, time = self.flat, np.ascontiguousarray(time, dtype=float)

@@ -103,16 +103,17 @@ static int write_linear_output(Run *run, long long k, const double *x, const dou
   return not_finite(y, NY) ? 2 : 0;
 }
 
-/* Cost, gradient and upper triangle of the Gauss-Newton Hessian gain what sample k leaves. */
-static void add_expansion(Sum *sum, long long k, const double *y, const double *dy) {
-  double r, row[NT];
+/* Squares, their gradient and the upper triangle of their Gauss-Newton Hessian gain what sample k leaves. */
+static void add_expansion(Sum *sum, long long k, const double *y, const double *restrict dy) {
+  double r;
   for (int i = 0; i < NY; i++) {
     if (!residual(sum, k, i, y, &r)) continue;
-    sum->cost += 0.5 * r * r;
-    for (int c = 0; c < NT; c++) row[c] = sum->weights[i] * dy[i * NT + c];
+    const double *restrict row = dy + i * NT;
+    double *restrict gradient = sum->gradient + i * NT, *restrict hessian = sum->hessian + i * NT * NT;
+    sum->squares[i] += r * r;
     for (int c = 0; c < NT; c++) {
-      sum->gradient[c] += r * row[c];
-      for (int d = c; d < NT; d++) sum->hessian[c * NT + d] += row[c] * row[d];
+      gradient[c] += r * row[c];
+      for (int d = c; d < NT; d++) hessian[c * NT + d] += row[c] * row[d];
     }
   }
 }
@@ -158,19 +159,22 @@ EXPORT int propagate_tangent(long long samples, const double *time, const double
   return walk_tangent(&run, x0, dx0, y, dy, x_out, dx_out, 0, where);
 }
 
-/* As `propagate_costs`; dx0 (segments, NX, NT), gradient (segments, NT), hessian (segments, NT, NT), all zero before. */
+/* dx0 (segments, NX, NT); sums by output, all zero before: squares (segments, NY), their gradient (segments, NY, NT) and
+   hessian (segments, NY, NT, NT), both halved; squares are not a number where a run stopped. */
 EXPORT void propagate_expansions(long long segments, const long long *cuts, const double *time, const double *u,
                                  const double *p, double step, const double *x0, const double *dx0,
-                                 const double *measured, const double *weights, double *cost, double *gradient,
-                                 double *hessian) {
+                                 const double *measured, double *squares, double *gradient, double *hessian) {
   double y[NY + 1], dy[NY * NT + 1], x[NX + 1], where[NX + 1];
   for (long long s = 0; s < segments; s++) {
     Run run = run_of(cuts + 3 * s, time, u, p, step);
-    Sum sum = sum_of(cuts + 3 * s, measured, weights);
-    double *H = sum.hessian = hessian + s * NT * NT;
-    sum.gradient = gradient + s * NT;
-    cost[s] = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where) ? NAN : sum.cost;
-    for (int c = 0; c < NT; c++)
-      for (int d = 0; d < c; d++) H[c * NT + d] = H[d * NT + c];
+    Sum sum = sum_of(cuts + 3 * s, measured, 0);
+    sum.squares = squares + s * NY, sum.gradient = gradient + s * NY * NT, sum.hessian = hessian + s * NY * NT * NT;
+    int status = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where);
+    for (int i = 0; i < NY; i++) {
+      double *H = sum.hessian + i * NT * NT;
+      if (status) sum.squares[i] = NAN;
+      for (int c = 0; c < NT; c++)
+        for (int d = 0; d < c; d++) H[c * NT + d] = H[d * NT + c];
+    }
   }
 }

@@ -12,6 +12,8 @@ from hydrotwin.discovery.decide import bic_gain, correlation_times
 from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
 from hydrotwin.discovery.resume import key_of
+from hydrotwin.identification.descent import whole_runs
+from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Model
 from hydrotwin.simulation import prepare
@@ -70,6 +72,26 @@ def test_what_is_left_is_that_of_the_values_given_however_early_the_fit_stops(pl
         y, _ = prepare(flat).run(recording.time, u, p, x)
         np.testing.assert_allclose(left, y - recording.y, rtol=1e-9, atol=1e-12)
     assert early.size == pytest.approx(np.fmax(early.rmse, plain.noise))
+
+
+def test_what_a_minimum_summed_is_what_is_left(plain):
+    """One sample is missing, and one output is not used."""
+    model, runs = Model(TwoSensors()), driven(3, other=lambda y, t: y)
+    asked = question(runs, model, {"rate": RATE_NOISE, "other": np.inf})
+    asked.fit[0].y[5, 0] = np.nan
+    task = MODULE._weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
+    found = minimise(*_first_point(task), most=2)
+    assert found.at.squares is not None
+    summed = MODULE._rmse(task, found)
+    np.testing.assert_allclose(summed, pooled_rmse(MODULE.residuals_of(task, found)), rtol=1e-9)
+    assert np.isnan(summed[1])
+    stopped = dataclasses.replace(found, at=dataclasses.replace(found.at, squares=np.full((2, 2), np.nan)))
+    assert MODULE._rmse(task, stopped)[0] == np.inf
+
+
+def _first_point(task):
+    shooting, z = whole_runs(task)
+    return shooting, task.free.scaled(task.free.start), z
 
 
 def test_a_residual_is_never_weighed_by_less_than_the_noise(plain):

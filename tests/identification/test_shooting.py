@@ -10,6 +10,7 @@ import pytest
 from hydrotwin.identification import descent, horizon
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
+from hydrotwin.simulation.library import Library
 from tests.identification.test_parts import task
 
 
@@ -48,6 +49,38 @@ def test_one_call_expands_what_many_do(cut, threads, dead_time, monkeypatch):
     assert shooting.cost(q, z) == pytest.approx(at.cost, rel=1e-10)
 
 
+def test_squares_are_those_of_what_was_measured_without_weights():
+    t = with_gaps(task())
+    q = t.free.scaled(t.free.start) + 0.1
+    shooting, z = descent.whole_runs(t)
+    left = [shooting.residuals(i, q, z[i]) / t.weights for i in range(len(z))]
+    expected = [np.nansum(r**2, axis=0) for r in left]
+    np.testing.assert_allclose(shooting.linearise(q, z).squares, expected, rtol=1e-9)
+    assert dataclasses.replace(shooting, averaged=2).linearise(q, z).squares is None
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_under_other_weights_the_same_point_needs_no_other_run(threads, monkeypatch):
+    t = dataclasses.replace(with_gaps(task()), threads=threads)
+    q, runs, expansions = t.free.scaled(t.free.start) + 0.1, [], Library.expansions
+    monkeypatch.setattr(Library, "expansions", lambda self, *a: runs.append(1) or expansions(self, *a))
+    heavier = dataclasses.replace(t, weights=t.weights * [3.0, 0.2])
+    (shooting, z), (other, _) = descent.whole_runs(t), descent.whole_runs(heavier)
+    shooting.linearise(q, z)
+    before, at = len(runs), other.linearise(q, z)
+    assert before and len(runs) == before
+    anew = dataclasses.replace(other, propagator=prepare(
+        t.flat, free_parameters=t.free.names, free_states=[s.name for s in t.flat.states]
+    ))  # fmt: skip
+    np.testing.assert_array_equal(at.hessian, anew.linearise(q, z).hessian)
+    moved = z + 1e-3
+    assert other.linearise(q, moved).cost != at.cost
+    assert other.linearise(q + 1e-3, z).cost != at.cost
+    later = dataclasses.replace(other.recordings[0], y=other.recordings[0].y + 0.1)
+    elsewhere = dataclasses.replace(other, recordings=(later, *other.recordings[1:]))
+    assert elsewhere.linearise(q, z).cost != at.cost
+
+
 def test_an_output_that_is_not_used_costs_nothing(monkeypatch):
     t = task()
     t = dataclasses.replace(t, weights=t.weights * [1.0, 0.0])
@@ -65,6 +98,7 @@ def test_a_window_that_leaves_the_finite_numbers_counts_as_diverged(monkeypatch)
     for one in (shooting, one_by_one(shooting, monkeypatch)):
         at = one.linearise(q, z)
         assert at.diverged.tolist() == [i == 2 for i in range(len(z))]
+        assert at.squares is None or (~np.isfinite(at.squares)).all(axis=1).tolist() == at.diverged.tolist()
         assert np.isfinite(at.cost) and not at.gradient[2].any()
         assert one.cost(q, z) == pytest.approx(at.cost)
 

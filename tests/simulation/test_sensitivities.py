@@ -249,8 +249,8 @@ def test_sensitivities_at_zero_are_refused_elsewhere():
     with pytest.raises(SolveError, match="prepared with parameters at zero"):
         lean.sensitivity(time, u, p, x0, dx0, with_states=False)
     with pytest.raises(SolveError, match="prepared with parameters at zero"):
-        y, w = np.zeros((len(time), 1)), np.ones(1)
-        lean.expansions(time, u, p, [[0, 0, len(time)]], x0[None], dx0[None], y, w)
+        y = np.zeros((len(time), 1))
+        lean.expansions(time, u, p, [[0, 0, len(time)]], x0[None], dx0[None], y)
     with pytest.raises(SolveError, match="with_states False"):
         lean.sensitivity(time, u, 0 * p, x0, dx0)
 

@@ -120,8 +120,8 @@ def closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> 
     return gap_closed(was, now, data.noise) if np.any(was**2 > LARGE * data.noise**2) else 1.0
 
 
-def findings_of(search: Search, found: Found, verdict: str, shown: float) -> list[str]:
-    """What is to be said about the candidates, the noise and the verdict."""
+def findings_of(search: Search, found: Found, verdict: str, shown: float, changing: bool) -> list[str]:
+    """What is to be said of candidates, noise and verdict, unless ``changing``: then the answer has the reason."""
     said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
     tested = [c for c in search.candidates if c.label not in search.not_testable]
     if not tested:
@@ -146,7 +146,7 @@ def findings_of(search: Search, found: Found, verdict: str, shown: float) -> lis
             "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "
             "separates its members stands with each of them."
         )
-    if verdict == "unknown" and found.steps:
+    if verdict == "unknown" and found.steps and not changing:
         names = ", ".join(label(step.choice.best) for step in found.steps)
         share = closed(found.last.fitted, found.base.fitted, search.question)
         also = f", but only {100 * shown:.0f} % on the recordings that judge" if shown < CONFIRMED <= share else ""

@@ -96,10 +96,13 @@ def pushes(seed: int, seconds: float = 12.0, highest: float = 300.0) -> tuple[np
     return time, highest * np.clip(levels[(time / 0.6).astype(int)] + wave, -1, 1)
 
 
-def slid(force: np.ndarray, dry: float = 0.0, mass: float = MASS, damping: float = DAMPING) -> np.ndarray:
-    """Speed at every sample of a mass from rest, Coulomb friction exact: m v' = F - b v - F_c sign(v)."""
+def slid(force: np.ndarray, friction=0.0, mass: float = MASS, damping: float = DAMPING) -> np.ndarray:
+    """Speed at every sample of a mass from rest, Coulomb friction exact: m v' = F - b v - F_c sign(v).
+
+    friction : F_c [N], one for all samples or one for each.
+    """
     speeds, v = np.zeros(len(force)), 0.0
-    for k, push in enumerate(force[:-1]):
+    for k, (push, dry) in enumerate(zip(force[:-1], np.broadcast_to(friction, len(force)), strict=False)):
         left = PERIOD
         while left > 1e-12:
             if v == 0.0 and abs(push) <= dry:
@@ -116,12 +119,19 @@ def slid(force: np.ndarray, dry: float = 0.0, mass: float = MASS, damping: float
     return speeds
 
 
-def record(seed: int, *, dry: float = 0.0, late: int = 0, pulse: float = 0.0, limit: float = np.inf, **more) -> Record:
-    """A recording of the slide: dry friction [N], a delay [samples], a hidden force [N] from 7 to 8 s, a limit."""
+def record(
+    seed: int, *, dry: float = 0.0, late: int = 0, pulse: float = 0.0, limit: float = np.inf, then: float | None = None,
+    **more
+) -> Record:  # fmt: skip
+    """A recording of the slide: dry friction [N], a delay [samples], a hidden force [N] from 7 to 8 s, a limit.
+
+    then : dry friction from the middle on.
+    """
     time, force = pushes(seed, **more)
     acting = np.clip(np.concatenate([np.full(late, force[0]), force[: len(force) - late]]), -limit, limit)
     acting = acting + pulse * ((time >= 7.0) & (time < 8.0))
-    speed = slid(acting, dry) + NOISE * np.random.default_rng(1000 + seed).standard_normal(len(time))
+    friction = np.where(time < 0.5 * time[-1], dry, dry if then is None else then)
+    speed = slid(acting, friction) + NOISE * np.random.default_rng(1000 + seed).standard_normal(len(time))
     return Record(time, {"force": force, "speed": speed}, {"force": "N", "speed": "m/s"}, f"run_{seed}")
 
 

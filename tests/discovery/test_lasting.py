@@ -1,0 +1,102 @@
+"""What does not keep its value while it is recorded is no constant of the machine, and gets no name."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.lasting import Change, _differs, changing, halved, with_two_values
+from hydrotwin.discovery.structure import Structure
+from hydrotwin.identification.problem import Recording
+from hydrotwin.models.effects import candidates
+
+from .slides import found, grown, question, records, searching, slide, started
+
+
+def named(runs, effect="coulomb_friction", **values):
+    """A search in recordings of the slide, its base, and the base with an effect."""
+    search, fitted = searching(question(runs), (effect,))
+    base = Structure((), fitted)
+    return search, base, grown(search, base, effect, **values)
+
+
+def test_friction_that_trebles_half_way_is_found_with_both_values():
+    search, base, now = named(records(3, dry=20.0, then=60.0), coulomb_friction=30.0)
+    answer = changing(search, now, base)
+    (change,) = answer.parameters
+    assert (change.parameter, change.unit) == ("coulomb_friction.force", "N")
+    assert (change.before, change.after) == (pytest.approx(20.0, rel=0.02), pytest.approx(60.0, rel=0.02))
+    assert answer.closed > 0.99
+    assert "Coulomb friction at mass.flange would explain 100 % of the gap, but not as a constant" in answer.told()
+    assert "coulomb_friction.force 20" in answer.told() and " then 60" in answer.told() and " N," in answer.told()
+
+
+@pytest.mark.parametrize("then", [30.0, 36.0])
+def test_friction_that_stays_or_hardly_changes_is_a_constant(then):
+    search, base, now = named(records(3, dry=30.0, then=then), coulomb_friction=30.0)
+    assert changing(search, now, base) is None
+
+
+def test_what_explains_nothing_with_two_values_either_is_not_told():
+    """A limit far above every force, where friction changes."""
+    search, base, now = named(records(3, dry=20.0, then=60.0), "command_saturation")
+    assert changing(search, now, base) is None
+
+
+def test_a_refit_that_diverges_says_nothing():
+    search, base, now = named(records(3, dry=20.0, then=60.0), coulomb_friction=30.0)
+    fails = dataclasses.replace(search, run=lambda function, jobs, stage: ["it diverges"])
+    assert changing(fails, now, base) is None
+
+
+def test_a_delay_is_read_by_the_driver_and_has_one_value():
+    search, fitted = searching(question(records(3, late=6)), ("dead_time",))
+    base = Structure((), fitted)
+    assert changing(search, grown(search, base, "dead_time", dead_time=0.1), base) is None
+
+
+def test_something_that_changes_gets_no_name_but_is_told():
+    runs = records(3, dry=20.0, then=60.0)
+    answer = found(runs, ["coulomb_friction", "null_bias"], validate=records(1, 8, dry=20.0, then=60.0))
+    assert answer.verdict == "unknown" and not answer.steps
+    assert answer.answer.startswith("Something changes while it is recorded: Coulomb friction at mass.flange")
+    assert not any("too little for a name" in str(f) for f in answer.findings)
+    assert answer.model is not None and not answer.model.additions
+
+
+def test_a_parameter_has_its_second_value_where_late_is_one():
+    flat, _, force = started("coulomb_friction")
+    two = with_two_values(flat, [force])
+    p, both = flat.parameter_vector({force: 20.0}), two.parameter_vector({force: 20.0, f"{force}.later": 60.0})
+    x, u = np.array([0.1, 0.5, *np.zeros(len(flat.states) - 2)]), np.array([100.0])
+    for late, value in ((0.0, 20.0), (1.0, 60.0)):
+        ours = two.ode(0.0, x, [*u, late], both)
+        theirs = flat.ode(0.0, x, u, flat.parameter_vector({force: value}))
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(a.full(), b.full(), rtol=1e-14)
+    start, own = two.start_given(("mass.speed",)), flat.start_given(("mass.speed",))
+    np.testing.assert_array_equal(start([*u, 0.0], both, [0.2]).full(), own(u, p, [0.2]).full())
+
+
+def test_each_recording_has_its_middle_and_recordings_in_a_row_one():
+    def at(*times):
+        return [Recording(f"{a}", None, np.arange(a, b), np.zeros((b - a, 1)), np.zeros((b - a, 1))) for a, b in times]
+
+    own = halved(at((0, 10), (0, 20)))
+    assert [r.u[:, 1].sum() for r in own] == [5, 10] and own[0].u[4:6, 1].tolist() == [0.0, 1.0]
+    row = halved(at((20, 30), (0, 10), (10, 20)))
+    assert [r.u[:, 1].sum() for r in row] == [10, 0, 5]
+    assert halved(at((5, 15)))[0].u[:, 1].sum() == 5
+
+
+def test_values_differ_as_they_are_or_beyond_neutral():
+    (bias,) = candidates(slide(), ["null_bias"])
+    name = bias.free[0]
+
+    def differ(before, after, neutral):
+        return _differs(Change(dataclasses.replace(bias, neutral={name: neutral}), name, "N", before, after))
+
+    assert differ(348.0, 518.0, 350.0) and differ(3.0, -3.0, 0.0) and differ(2.0, 4.1, 1e9)
+    assert not differ(2.0, 3.9, 1e9) and not differ(1.02, 1.03, 1.0) and not differ(-5.0, -8.0, 0.0)

@@ -17,7 +17,7 @@ from .decide import CLEARLY, INEXACT, closed, has_gap, output_gap_closed, share_
 from .discovery import Discovery, OutputGap, Overlay, RecordingGap, Rung, Shift
 from .discovery import Step as NamedStep
 from .experiment import next_experiment
-from .lasting import Changing, changing
+from .lasting import Change, changing
 from .locate import locations
 from .ranking import concluded_values, ranking, untestable
 from .recordings import Split
@@ -77,8 +77,8 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
     verdict = verdict_of(search, found)
     likely = likeliest(search, found) if verdict != "none" else None
-    changes = changing(search, likely, found.base) if likely else None
-    verdict = "unknown" if changes else verdict
+    change = changing(search, likely, found.base) if likely else None
+    verdict = "unknown" if change else verdict
     kept = found.last if verdict in ("named", "class") else found.base
     rivals = _rivals(found.steps) if verdict in ("named", "class") else {}
     before, after, rivals = _concluded(search, data, found.base, kept, rivals)
@@ -110,7 +110,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer=_without_name(search, data, found, elsewhere, changes) if verdict == "unknown" else "",
+        answer=_without_name(search, data, found, elsewhere, change) if verdict == "unknown" else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),
@@ -129,7 +129,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         experiment=experiment,
         findings=(
             *data.findings,
-            *findings_of(search, found, verdict, shown, changes is not None),
+            *findings_of(search, found, verdict, shown, change is not None),
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
@@ -139,10 +139,10 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     )
 
 
-def _without_name(search: Search, data: Split, found: Found, elsewhere: Sequence[str], changes: Changing | None) -> str:
+def _without_name(search: Search, data: Split, found: Found, elsewhere: Sequence[str], change: Change | None) -> str:
     """What to say of a gap that gets no name, where it is known why."""
-    if changes:
-        return changes.told()
+    if change:
+        return change.told()
     return not_excited(search, data, elsewhere) if elsewhere else unconfirmed(search, found)
 
 

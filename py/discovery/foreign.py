@@ -113,11 +113,14 @@ class AroundSearch(Search):
     What a dead time does to a step of a command is no multiple of what a small one does.
     """
 
-    def _screened(self, now: Structure, rest: Sequence[Candidate]) -> tuple[Screen, list[Screened]]:
+    def _screened(
+        self, now: Structure, rest: Sequence[Candidate], among: Sequence[Candidate] | None = None
+    ) -> tuple[Screen, list[Screened]]:
         self.report("screen", 0, len(rest), "")
-        screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
+        model = self.model(self.candidates if among is None else among)
+        screen = Screen(model.flat, self.names(now.members), rest, now.fitted, self.question)
         limits = [c for c in rest if hasattr(c.effect, "probes_for")]
-        seen = seen_by_parts(self.model(self.candidates), screen, limits)
+        seen = seen_by_parts(model, screen, limits)
         tries = [amplitudes(c, seen[c.label]) if c.label in seen else over_usual_range(c) for c in rest]
         jobs = [self._probe_job(now, c, values) for c, values in zip(rest, tries, strict=True)]
         found = []

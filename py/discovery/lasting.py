@@ -1,7 +1,7 @@
 """Lasting: does what was named keep its values while it is recorded?
 
 A load that grows heavier half way is explained, for the most part, by one mass, which is right at no time. So what was
-named is fitted once more with two values of each of its parameters, one before the middle of a recording, one after,
+named is fitted once more with two values of its parameter, one before the middle of a recording, one after,
 
     p(t) = p_1 + late(t) (p_2 - p_1),   late = 0, 1,
 
@@ -36,62 +36,62 @@ MOST_OF_IT = 0.5  # of what is left: what two values must explain
 
 @dataclass(frozen=True)
 class Change:
-    """A parameter of a named effect, SI, with the values it has before and after the middle of the recordings."""
+    """A parameter of a named effect, SI, with the values it has before and after the middle of the recordings.
+
+    closed : the share of the gap that is closed when it need not keep its value.
+    """
 
     candidate: Candidate
     parameter: str
     unit: str
     before: float
     after: float
-
-
-@dataclass(frozen=True)
-class Changing:
-    """The parameters that do not keep their values, and the share of the gap that is closed when they need not."""
-
-    parameters: tuple[Change, ...]
     closed: float
 
     def told(self) -> str:
-        """The answer where what would explain the gap does not keep its values."""
-        effects = dict.fromkeys(f"{c.candidate.effect.title} at {c.candidate.site.name}" for c in self.parameters)
-        values = "; ".join(f"{c.parameter} {c.before:.4g} then {c.after:.4g} {c.unit}" for c in self.parameters)
+        """The answer where this would explain the gap if it kept its value."""
+        c = self.candidate
         return (
-            f"Something changes while it is recorded: {' and '.join(effects)} would explain {100 * self.closed:.0f} % "
-            f"of the gap, but not as a constant of the machine ({values}, before and after the middle of a recording). "
+            f"Something changes while it is recorded: {c.effect.title} at {c.site.name} would explain "
+            f"{100 * self.closed:.0f} % of the gap, but not as a constant of the machine ({self.parameter} is "
+            f"{self.before:.4g} {self.unit} before the middle of a recording and {self.after:.4g} {self.unit} after). "
             "Record each state by itself."
         )
 
 
-def changing(search: Search, now: Structure, base: Structure) -> Changing | None:
-    """What does not keep its values in a structure that would explain the gap of ``base``, once it need not.
+def changing(search: Search, now: Structure, base: Structure) -> Change | None:
+    """What most surely does not keep its value in a structure that explains the gap of ``base`` once it need not.
 
-    None when all do, when that does not explain the gap either, and of an FMU, of which nothing is known.
+    Effects of one parameter are asked, each by itself: of several one could do another's work, and none had changed.
+    None when all last, when that does not explain the gap either, and of an FMU, of which nothing is known.
     """
     flat = search.model(now.members).flat
     delays = {s.dead_time for s in flat.inputs}  # read by the driver, not by the equations
-    names = [n for c in now.members for n in c.free if n not in delays]
-    if flat.black_box or not names:
+    asked = [c for c in now.members if len(c.free) == 1 and c.free[0] not in delays]
+    if flat.black_box or not asked:
         return None
+    jobs = [_job(search, now, flat, c.free[0]) for c in asked]
+    found, units = [], {p.name: p.unit for p in flat.parameters}
+    for c, fitted in zip(asked, search.run(refit, jobs, "look back"), strict=True):
+        if isinstance(fitted, str):
+            continue
+        (name,), share = c.free, closed(fitted, base.fitted, search.question)
+        change = Change(c, name, units[name], fitted.values[name], fitted.values[_later(name)], share)
+        over = compared(fitted, now.fitted, search.question)
+        if over.passes(len(search.candidates)) and over.closed > MOST_OF_IT and share > NAMED and _differs(change):
+            found.append((over.bic_gain, change))
+    return max(found, key=lambda pair: pair[0])[1] if found else None
+
+
+def _job(search: Search, now: Structure, flat: FlatModel, name: str) -> RefitJob:
+    """The structure's fit from where it stands, with two values of one parameter."""
     q, fitted = search.question, now.fitted
     question = dataclasses.replace(q, fit=halved(q.fit), select=halved(q.select))
-    start = {**fitted.values, **{_later(n): fitted.values[n] for n in names}}
-    job = RefitJob(
-        with_two_values(flat, names), (*search.names(now.members), *map(_later, names)), question, (start,),
-        fitted.states, fitted.size, label=label_of(now.members),
+    start = {**fitted.values, _later(name): fitted.values[name]}
+    return RefitJob(
+        with_two_values(flat, name), (*search.names(now.members), _later(name)), question, (start,), fitted.states,
+        fitted.size, label=label_of(now.members),
     )  # fmt: skip
-    found = search.run(refit, [job], "look back")[0]
-    if isinstance(found, str):
-        return None
-    over, share = compared(found, fitted, q), closed(found, base.fitted, q)
-    if not (over.passes(len(search.candidates)) and over.closed > MOST_OF_IT and share > NAMED):
-        return None
-    units = {p.name: p.unit for p in flat.parameters}
-    two = [
-        (c, n, units[n], found.values[n], found.values[_later(n)]) for c in now.members for n in c.free if n in names
-    ]
-    rows = tuple(row for row in (Change(*values) for values in two) if _differs(row))
-    return Changing(rows, share) if rows else None
 
 
 def _differs(row: Change) -> bool:
@@ -101,13 +101,11 @@ def _differs(row: Change) -> bool:
     return any(a * b < HALF * max(a * a, b * b) for a, b in ((row.before, row.after), beyond))
 
 
-def with_two_values(flat: FlatModel, names: Sequence[str]) -> FlatModel:
-    """A model in which these parameters have another value, ``NAME.later``, where the added input ``late`` is 1."""
+def with_two_values(flat: FlatModel, name: str) -> FlatModel:
+    """A model in which a parameter has another value, ``NAME.later``, where the added input ``late`` is 1."""
     t, x, u, p = (ca.SX.sym(n, flat.ode.size1_in(i)) for i, n in enumerate("txup"))
-    late, later = ca.SX.sym(LATE), ca.SX.sym(LATER, len(names))
-    index, present = [flat.index_of(n) for n in names], ca.SX(p)
-    for k, i in enumerate(index):
-        present[i] = p[i] + late * (later[k] - p[i])
+    late, later, index, present = ca.SX.sym(LATE), ca.SX.sym(LATER), flat.index_of(name), ca.SX(p)
+    present[index] = p[index] + late * (later - p[index])
     both, wider = ca.vertcat(p, later), ca.vertcat(u, late)
     ode = ca.Function(flat.ode.name(), [t, x, wider, both], flat.ode(t, x, u, present), list("txup"), ["xdot", "y"])
 
@@ -115,11 +113,10 @@ def with_two_values(flat: FlatModel, names: Sequence[str]) -> FlatModel:
         z, start = ca.SX.sym("z", len(given)), flat.start_given(given)
         return ca.Function("start", [wider, both, z], [start(u, p, z)], ["u", "p", "z"], ["x"])
 
-    added = (dataclasses.replace(flat.parameters[i], name=_later(n)) for n, i in zip(names, index, strict=True))
     return dataclasses.replace(
         flat,
         inputs=(*flat.inputs, Signal(LATE, "1")),
-        parameters=(*flat.parameters, *added),
+        parameters=(*flat.parameters, dataclasses.replace(flat.parameters[index], name=_later(name))),
         ode=ode,
         initialisation=initialisation,
     )

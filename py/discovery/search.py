@@ -136,16 +136,21 @@ class Search:
         _ = self.big
         rest = {c.label: c for c in (self.candidates if among is None else among) if c.label not in now.key}
         if self._seen[:2] != (now, self.question) or not rest.keys() <= self._seen[2]:
-            self._seen = (now, self.question, rest.keys(), *self._screened(now, list(rest.values())))
+            beside = None if among is None else [*now.members, *rest.values()]
+            self._seen = (now, self.question, rest.keys(), *self._screened(now, list(rest.values()), beside))
         *_, screen, ranked = self._seen
         return screen, [s for s in ranked if s.candidate.label in rest]
 
-    def _screened(self, now: Structure, rest: Sequence[Candidate]) -> tuple[Screen, list[Screened]]:
+    def _screened(
+        self, now: Structure, rest: Sequence[Candidate], among: Sequence[Candidate] | None = None
+    ) -> tuple[Screen, list[Screened]]:
+        """Those in ``rest``, in one model with ``among``; with all candidates, whose model is made once, when None."""
         self.report("screen", 0, len(rest), "")
-        screen = Screen(self.big, self.names(now.members), rest, now.fitted, self.question)
+        model = self.model(self.candidates if among is None else among)
+        screen = Screen(model.flat, self.names(now.members), rest, now.fitted, self.question)
         rest = rest if now.members else self._lean(rest, screen)
         probing = [c for c in rest if hasattr(c.effect, "probes_for")]
-        seen = seen_by_parts(self.model(self.candidates), screen, probing)
+        seen = seen_by_parts(model, screen, probing)
         plain = {c.label: screen.by_derivative(c) for c in rest}
         blind = [c for c in rest if c.label in seen or not plain[c.label].visible > 0]
         jobs = [self._probe_job(now, c, amplitudes(c, seen.get(c.label))) for c in blind]

@@ -12,7 +12,7 @@ is missing is no constant of the machine.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -86,7 +86,8 @@ def changing(search: Search, now: Structure, base: Structure) -> Change | None:
 def _job(search: Search, now: Structure, flat: FlatModel, name: str) -> RefitJob:
     """The structure's fit from where it stands, with two values of one parameter."""
     q, fitted = search.question, now.fitted
-    question = dataclasses.replace(q, fit=halved(q.fit), select=halved(q.select))
+    late = halved({r.name: r for r in (*q.fit, *q.select)}.values())
+    question = dataclasses.replace(q, fit=_of(late, q.fit), select=_of(late, q.select))
     start = {**fitted.values, _later(name): fitted.values[name]}
     return RefitJob(
         with_two_values(flat, name), (*search.names(now.members), _later(name)), question, (start,), fitted.states,
@@ -126,14 +127,17 @@ def _later(name: str) -> str:
     return f"{name}.{LATER}"
 
 
-def halved(recordings: Sequence[Recording]) -> tuple[Recording, ...]:
-    """The recordings with ``late`` as a last input: 1 from the middle of each on, of all where one follows another."""
-    spans = [(r.time[0], r.time[-1]) for r in recordings]
-    ordered = sorted(spans)
-    follow = len(spans) > 1 and all(a[1] < b[0] for a, b in pairwise(ordered))
-    whole = (ordered[0][0], ordered[-1][1]) if follow else None
-    found = []
-    for recording, span in zip(recordings, spans, strict=True):
-        late = recording.time >= 0.5 * sum(whole or span)
-        found.append(dataclasses.replace(recording, u=np.column_stack([recording.u, late])))
-    return tuple(found)
+def halved(recordings: Collection[Recording]) -> dict[str, Recording]:
+    """By name, with ``late`` as a last input: 1 from the middle of each on, of all where one follows another."""
+    spans = sorted((r.time[0], r.time[-1]) for r in recordings)
+    follow = len(spans) > 1 and all(a[1] < b[0] for a, b in pairwise(spans))
+    found = {}
+    for recording in recordings:
+        first, last = (spans[0][0], spans[-1][1]) if follow else (recording.time[0], recording.time[-1])
+        late = recording.time >= 0.5 * (first + last)
+        found[recording.name] = dataclasses.replace(recording, u=np.column_stack([recording.u, late]))
+    return found
+
+
+def _of(late: Mapping[str, Recording], recordings: Sequence[Recording]) -> tuple[Recording, ...]:
+    return tuple(late[r.name] for r in recordings)

@@ -11,8 +11,9 @@ from hydrotwin.discovery.lasting import Change, _differs, changing, halved, with
 from hydrotwin.discovery.structure import Structure
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.effects import candidates
+from hydrotwin.records import Record
 
-from .slides import found, grown, question, records, searching, slide, started
+from .slides import NOISE, found, grown, pushes, question, records, searching, slid, slide, started
 
 
 def named(runs, effect="coulomb_friction", **values):
@@ -95,13 +96,26 @@ def test_a_parameter_has_its_second_value_where_late_is_one():
 
 def test_each_recording_has_its_middle_and_recordings_in_a_row_one():
     def at(*times):
-        return [Recording(f"{a}", None, np.arange(a, b), np.zeros((b - a, 1)), np.zeros((b - a, 1))) for a, b in times]
+        runs = [
+            Recording(f"{a}-{b}", None, np.arange(a, b), np.zeros((b - a, 1)), np.zeros((b - a, 1))) for a, b in times
+        ]
+        return {name: r.u[:, 1].sum() for name, r in halved(runs).items()}
 
-    own = halved(at((0, 10), (0, 20)))
-    assert [r.u[:, 1].sum() for r in own] == [5, 10] and own[0].u[4:6, 1].tolist() == [0.0, 1.0]
-    row = halved(at((20, 30), (0, 10), (10, 20)))
-    assert [r.u[:, 1].sum() for r in row] == [10, 0, 5]
-    assert halved(at((5, 15)))[0].u[:, 1].sum() == 5
+    assert at((0, 10), (0, 20)) == {"0-10": 5, "0-20": 10}
+    assert at((20, 30), (0, 10), (10, 20)) == {"20-30": 10, "0-10": 0, "10-20": 5}
+    assert at((5, 15)) == {"5-15": 5}
+
+
+def test_all_parts_of_a_lone_recording_have_the_same_middle():
+    time, force = pushes(0, seconds=36.0)
+    friction = np.where(time < 18.0, 20.0, 60.0)
+    noise = NOISE * np.random.default_rng(7).standard_normal(len(time))
+    units = {"force": "N", "speed": "m/s"}
+    lone = Record(time, {"force": force, "speed": slid(force, friction) + noise}, units, "lone")
+    search, base, now = named([lone], coulomb_friction=30.0)
+    assert len(search.question.fit) == 8 and len(search.question.select) == 4
+    change = changing(search, now, base)
+    assert (change.before, change.after) == (pytest.approx(20.0, rel=0.03), pytest.approx(60.0, rel=0.03))
 
 
 def test_values_differ_as_they_are_or_beyond_neutral():

@@ -90,6 +90,7 @@ PARAMETERS = {
     "motor_droop": {"slope": _option("resistance")},
     "drift": {"rate": _option("rate")},
     "sensor_bias": {"offset": _option("value")},
+    "sensor_drift": {"rate": _option("rate")},
     "sensor_scale": {"error": lambda made, o: o["factor"] - 1},
     "sensor_delay": {"time": _option("seconds")},
     "sensor_lag": {"time_constant": _option("time_constant")},

@@ -6,7 +6,7 @@ import math
 
 import casadi as ca
 
-from hydrotwin.models.language import Input, Output, Parameter, State, der
+from hydrotwin.models.language import Input, Output, Parameter, State, der, time
 
 from .command import clipped, limits
 from .effect import Effect
@@ -161,6 +161,28 @@ class SensorBias(Effect):
 
     def equations(self):
         yield self.y == self.u + self.offset
+
+
+class SensorDrift(Effect):
+    """The reading creeps off while it is recorded: ``y = u + r t``; t counts from the recording's start."""
+
+    id, title = "sensor_drift", "drift of the sensor"
+    equation = "y = u + r t"
+    source = FRADEN
+    typical = {"rate": (-5e-3, 5e-3)}
+    probes = ({"rate": 1e-3}, {"rate": -1e-3})
+    confused_with = ("null_bias", "internal_leakage", "external_leakage", "turbulent_leakage", "sensor_bias")
+    experiment = "a long pause at a stop or with the valves closed: what still creeps is the reading, not the machine"
+    order = 3
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    rate = Parameter(0.0, "signal/s", "drift r", bounds=(-1, 1), nominal=1e-3, source=FRADEN, free=True)
+
+    sites = staticmethod(model_outputs)
+
+    def equations(self):
+        yield self.y == self.u + self.rate * time()
 
 
 class SensorSaturation(Effect):

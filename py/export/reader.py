@@ -107,7 +107,7 @@ class FmuBlock:
             "linear": [of[s.name] for s in self.inputs if s.interpolation == "linear"],
         }
         u = np.column_stack(columns) if columns else np.empty((len(record), 0))
-        return job, {"time": np.array(record.time), "u": u}
+        return job, {"time": record.time - record.time[0], "u": u}  # as a model's, its time is 0 as a record begins
 
     def _check_time_axis(self, record: Record):
         steps = np.diff(record.time)

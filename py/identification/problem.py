@@ -52,7 +52,10 @@ class FreeParameters:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured."""
+    """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured.
+
+    time (n,) counts from its first sample, as a drift does; a logger's clock, or a cut, may begin anywhere.
+    """
 
     name: str
     digest: str | None
@@ -161,4 +164,4 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
             f"At least one of {', '.join(wanted)} is needed."
         )
     u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
-    return Recording(name, record.digest, time, u, y)
+    return Recording(name, record.digest, time - time[0], u, y)

@@ -25,7 +25,7 @@ def simulate(
     step: float | None = None,
     method: str = "auto",
 ) -> Record:
-    """Outputs of a model or Block at ``record.time``, driven by the inputs in the record.
+    """Outputs of a model or Block at ``record.time``, driven by the inputs in the record. Its time is 0 as they begin.
 
     States start from ``start`` (SI, by name), else from the first sample of the output that measures them, else from
     the model's own initialisation. A Block runs at its own period: inputs are held or linear between the samples of
@@ -43,7 +43,7 @@ def simulate(
         return _with_domain(_answer(record, model, y, run.grid), model, run, y)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
-    return _answer(record, flat, prepare(flat, step=step, method=method).run(record.time, u, p, x0)[0])
+    return _answer(record, flat, prepare(flat, step=step, method=method).run(_since_start(record), u, p, x0)[0])
 
 
 def predict_one_step(
@@ -70,9 +70,9 @@ def predict_one_step(
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     propagator = prepare(flat, step=step, method=method)
-    _, x = propagator.run(record.time, u, p, x0)
+    _, x = propagator.run(_since_start(record), u, p, x0)
     restart = _corrected(flat, record, x, record.time)
-    return _answer(record, flat, propagator.run(record.time, u, p, x0, restart)[0])
+    return _answer(record, flat, propagator.run(_since_start(record), u, p, x0, restart)[0])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -81,6 +81,11 @@ class _BlockRun:
     u: np.ndarray
     p: np.ndarray
     x0: np.ndarray
+
+
+def _since_start(record: Record) -> np.ndarray:
+    """A model's time is 0 at the first sample, whatever the clock of the logger says."""
+    return record.time - record.time[0]
 
 
 def _filled(record: Record, model) -> None:

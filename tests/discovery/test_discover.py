@@ -22,6 +22,7 @@ from tests.discovery.slides import (
     DAMPING,
     MASS,
     NOISE,
+    PERIOD,
     Drive,
     Inline,
     Slide,
@@ -53,6 +54,21 @@ def test_dry_friction_is_named_at_its_place_with_its_size(rubbing):
     (force,) = step.parameters
     assert force.value == pytest.approx(30.0, rel=0.01) and force.unit == "N"
     assert force.low < force.value < force.high < 1.05 * force.value and force.sigma < 0.01 * force.value
+
+
+@pytest.mark.parametrize("effect", ["drift", "sensor_drift"])
+def test_what_drifts_is_named_by_whatever_clock_it_was_recorded(effect):
+    """Two loggers that had been running for an hour; a gain or a reading that creeps off from where each run begins."""
+    if effect == "drift":
+        runs = drive_records(3, command=lambda u: u * (1 + 0.02 * PERIOD * np.arange(len(u))))
+    else:
+        runs = [r.with_signals({"rate": r["rate"] + 0.5 * r.time}) for r in drive_records(3)]
+    later = [Record(r.time + 3600.0, dict(r.signals), dict(r.units), r.name) for r in runs]
+    asked = ["drift", "sensor_drift", "null_bias", "sensor_bias", "direction_asymmetry", "dead_time"]
+    answer = found(later, asked, model=Model(Drive()))
+    assert answer.verdict == "named" and [s.effect for s in answer.steps] == [effect]
+    (rate,) = answer.steps[0].parameters
+    assert rate.value == pytest.approx(0.02 if effect == "drift" else 0.5, rel=0.02)
 
 
 def test_the_base_parameters_lose_what_they_had_swallowed(rubbing):

@@ -23,6 +23,12 @@ def test_a_bias_is_added_to_the_reading():
     np.testing.assert_allclose(passed("sensor_bias", "reading", TIME, sine(2), offset=-0.3), sine(2) - 0.3, atol=1e-12)
 
 
+def test_a_drift_grows_with_time():
+    np.testing.assert_allclose(
+        passed("sensor_drift", "reading", TIME, sine(2), rate=-0.3), sine(2) - 0.3 * TIME, atol=1e-12
+    )
+
+
 def test_a_wrong_scale_multiplies_the_reading():
     np.testing.assert_allclose(passed("sensor_scale", "reading", TIME, sine(2), error=0.04), 1.04 * sine(2), atol=1e-12)
 
@@ -141,7 +147,8 @@ def test_the_derivative_by_a_play_that_is_not_there_is_that_of_a_small_one(lead,
 
 
 @pytest.mark.parametrize(
-    "effect", ["sensor_lag", "sensor_delay", "sensor_bias", "sensor_scale", "sensor_hysteresis", "quantisation"]
+    "effect",
+    ["sensor_lag", "sensor_delay", "sensor_bias", "sensor_drift", "sensor_scale", "sensor_hysteresis", "quantisation"],
 )
 def test_a_state_that_a_doubtful_sensor_measures_starts_from_its_first_sample_nonetheless(effect):
     model = add_effect(axis(), effect, "position")

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from hydrotwin.export import check_fmu, export_fmu, read_fmu
+from hydrotwin.models.effects import add_effect
+from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, UnitError
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
+from tests.discovery.slides import Drive, drive_records
 from tests.export.foreign import CRASHES, HANGS, fmi3_model_exchange, rewritten
 from tests.export.systems import arm_record, command_record
 
@@ -144,3 +147,20 @@ def test_an_fmu_of_fmi_3_for_model_exchange_runs(tmp_path):
     assert check_fmu(fmu)["runs"].passed
     with pytest.raises(DeclarationError, match="'x' cannot be set"):
         read_fmu(fmu, starts={"x": "y"})
+
+
+def test_its_time_is_0_where_the_recording_begins(tmp_path):
+    """A drive that grows stronger while it runs, recorded by a clock that began earlier: as `simulate` runs it."""
+    model = add_effect(Model(Drive()), "drift", values={"rate": 0.02})
+    (recorded,) = drive_records(1)
+    run, later = (
+        Record(recorded.time + clock, {"command": recorded["command"]}, {"command": "V"}, "run") for clock in (0, 1000)
+    )
+    block = read_fmu(export_fmu(model, tmp_path / "drive.fmu"))
+    plain, ours = simulate(model, run)["rate"], simulate(model, later)
+    assert ours.time[0] == 1000.0
+    np.testing.assert_allclose(ours["rate"], plain, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(predict_one_step(model, later)["rate"], predict_one_step(model, run)["rate"], rtol=1e-8)
+    found = block.free_run(later)
+    assert found.time[0] == 1000.0
+    np.testing.assert_allclose(found["rate"], plain, rtol=1e-6, atol=1e-6)

@@ -128,7 +128,10 @@ def _later(name: str) -> str:
 
 
 def halved(recordings: Collection[Recording]) -> dict[str, Recording]:
-    """By name, with ``late`` as a last input: 1 from the middle of each on, of all where one follows another."""
+    """By name, with ``late`` as a last input: 1 from the middle of each on, of all where one follows another.
+
+    The parts of a lone recording follow each other; whole ones all begin at 0.
+    """
     spans = sorted((r.time[0], r.time[-1]) for r in recordings)
     follow = len(spans) > 1 and all(a[1] < b[0] for a, b in pairwise(spans))
     found = {}

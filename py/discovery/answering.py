@@ -278,7 +278,7 @@ class View:
         return tuple(
             OutputGap(s.name, s.unit, float(n), float(b), float(a), output_gap_closed(b, a, n))
             for s, n, b, a in rows
-            if np.isfinite(n) and np.isfinite(b)
+            if np.isfinite(n) and not np.isnan(b)  # infinite: a run diverged, and that must be seen
         )
 
     def pooled(self, role: str) -> tuple[OutputGap, ...]:

@@ -222,7 +222,7 @@ def coloured(residuals: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def output_gap_closed(before: float, after: float, noise: float) -> float:
-    """The same for one output; nan when there is no measurable gap."""
-    if not before**2 > MEASURABLE * noise**2:
+    """The same for one output; nan when there is no measurable gap, and where what is left diverges."""
+    if not before**2 > MEASURABLE * noise**2 or np.isinf(after):
         return float("nan")
     return float(min(1.0, 1 - (after**2 - noise**2) / (before**2 - noise**2)))

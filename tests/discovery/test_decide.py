@@ -180,6 +180,8 @@ def test_a_diverged_run_closes_ten_times_nothing_and_no_gap_cannot_be_closed():
     assert gap_closed(1.005 * NOISE, 0.9 * NOISE, NOISE) == 0.0
     assert np.isnan(output_gap_closed(1.005 * 0.5, 0.4, 0.5))
     assert output_gap_closed(2.5, 0.5, 0.5) == 1.0
+    assert np.isnan(output_gap_closed(np.inf, np.inf, 0.5)) and np.isnan(output_gap_closed(2.5, np.inf, 0.5))
+    assert output_gap_closed(np.inf, 0.5, 0.5) == 1.0
 
 
 def test_what_no_longer_diverges_has_closed_the_gap():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -354,3 +355,12 @@ def test_one_recording_is_enough_for_a_clear_effect():
     d = found([record(3, dry=30.0, seconds=30.0)], ["coulomb_friction", "null_bias", "drift"])
     assert d.verdict == "named" and [s.effect for s in d.steps] == ["coulomb_friction"]
     assert d.steps[0].parameters[0].value == pytest.approx(30.0, rel=0.02)
+
+
+def test_a_recording_on_which_the_base_diverges_keeps_its_row():
+    residual = np.full((5, 1), np.inf)
+    flat = slide().flat
+    data = SimpleNamespace(noise=np.array([NOISE]), train=(), select=(), fit=(), report=("run",))
+    sides = [SimpleNamespace(residuals_report=(r,), refitted=None) for r in (residual, np.full((5, 1), NOISE))]
+    (gap,) = answering.View(flat, data, *sides)._gaps(*(answering.pooled_rmse(s.residuals_report) for s in sides))
+    assert (gap.output, gap.rmse_before, gap.rmse_after) == ("speed", np.inf, pytest.approx(NOISE))

@@ -55,6 +55,16 @@ def headline(found):
     return {row[0].text: [c.text for c in row[1:]] for row in gap_page(found, command="", date=DATE).headline.rows}
 
 
+def test_an_output_of_which_a_run_diverges_is_shown_as_such(tmp_path):
+    first = named().outputs["validate"][0]
+    for after in (first.rmse_after, math.inf):
+        worst = replace(first, rmse_before=math.inf, rmse_after=after, gap_closed=NAN)
+        found = replace(named(), outputs={**named().outputs, "validate": (worst, *named().outputs["validate"][1:])})
+        assert headline(found)[first.output][0] == "∞"
+        told = json.loads(written(found, tmp_path)["json"].read_text(encoding="utf-8"))
+        assert first.output in str(told["validate"])
+
+
 def test_a_named_effect_is_told_with_place_equation_value_interval_and_certainty():
     text = first_screen(named())
     assert "Coulomb friction at cylinder.rod: F = Fc sign(v)" in text

@@ -77,7 +77,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
     verdict = verdict_of(search, found)
     likely = likeliest(search, found) if verdict != "none" else None
-    change = changing(search, likely, found.base) if likely else None
+    change = changing(search, likely or found.base, found.base) if verdict != "none" else None
     verdict = "unknown" if change else verdict
     kept = found.last if verdict in ("named", "class") else found.base
     rivals = _rivals(found.steps) if verdict in ("named", "class") else {}

@@ -11,14 +11,14 @@ from __future__ import annotations
 import dataclasses
 
 from .answering import Found
-from .decide import CLEARLY, LARGE, has_gap
+from .decide import CLEARLY, LARGE, closed, has_gap
 from .ends import both_ends
 from .forward import begun, searched
 from .recordings import Split
 from .refit import Question, RefitJob, Refitted, refit
 from .search import Search
 from .structure import Structure
-from .verdict import likeliest, unconfirmed, verdict_of
+from .verdict import CONFIRMED, likeliest, unconfirmed, verdict_of
 
 
 def explained_together(search: Search, data: Split, found: Found, most: int) -> tuple[Search, Found]:
@@ -56,7 +56,7 @@ def _only_others_show_more(fitted: Refitted, q: Question) -> bool:
 def _remembered(search: Search, base: Structure, known: Structure) -> bool:
     """Fits may begin where the first search ended, too, with what the other recordings add: the other end of a stop.
 
-    Whether that comes near the noise in all of them.
+    Whether that closes much of the gap of all of them, and comes near the noise.
     """
     tried = search.refitted(base, [(known.members, [known.fitted.values])])
     (grown,) = both_ends(search, base, tried)
@@ -64,4 +64,5 @@ def _remembered(search: Search, base: Structure, known: Structure) -> bool:
     if grown.structure is None:
         return False
     search.hints[tuple(sorted(known.key))] = grown.structure.fitted.values
-    return search.near_noise(grown.structure)
+    much = closed(grown.structure.fitted, base.fitted, search.question) > CONFIRMED
+    return much and search.near_noise(grown.structure)

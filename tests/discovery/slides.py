@@ -121,15 +121,15 @@ def slid(force: np.ndarray, friction=0.0, mass: float = MASS, damping: float = D
 
 def record(
     seed: int, *, dry: float = 0.0, late: int = 0, pulse: float = 0.0, limit: float = np.inf, then: float | None = None,
-    **more
+    leaning: float = 0.0, **more
 ) -> Record:  # fmt: skip
     """A recording of the slide: dry friction [N], a delay [samples], a hidden force [N] from 7 to 8 s, a limit.
 
-    then : dry friction from the middle on.
+    then : dry friction from the middle on. leaning : a further force [N] from there on.
     """
     time, force = pushes(seed, **more)
     acting = np.clip(np.concatenate([np.full(late, force[0]), force[: len(force) - late]]), -limit, limit)
-    acting = acting + pulse * ((time >= 7.0) & (time < 8.0))
+    acting = acting + pulse * ((time >= 7.0) & (time < 8.0)) + leaning * (time >= 0.5 * time[-1])
     friction = np.where(time < 0.5 * time[-1], dry, dry if then is None else then)
     speed = slid(acting, friction) + NOISE * np.random.default_rng(1000 + seed).standard_normal(len(time))
     return Record(time, {"force": force, "speed": speed}, {"force": "N", "speed": "m/s"}, f"run_{seed}")

@@ -7,10 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery import lasting
 from hydrotwin.discovery.lasting import Change, _differs, changing, halved, with_two_values
 from hydrotwin.discovery.structure import Structure
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.effects import candidates
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.records import Record
 
 from .slides import NOISE, found, grown, pushes, question, records, searching, slid, slide, started
@@ -61,7 +63,7 @@ def test_each_effect_is_asked_by_itself_and_the_surest_is_told(monkeypatch):
 
 def test_a_refit_that_diverges_says_nothing():
     search, base, now = named(records(3, dry=20.0, then=60.0), coulomb_friction=30.0)
-    fails = dataclasses.replace(search, run=lambda function, jobs, stage: ["it diverges"])
+    fails = dataclasses.replace(search, run=lambda function, jobs, stage: ["it diverges"] * len(jobs))
     assert changing(fails, now, base) is None
 
 
@@ -78,6 +80,43 @@ def test_something_that_changes_gets_no_name_but_is_told():
     assert answer.answer.startswith("Something changes while it is recorded: Coulomb friction at mass.flange")
     assert not any("too little for a name" in str(f) for f in answer.findings)
     assert answer.model is not None and not answer.model.additions
+
+
+LEANING = {"leaning": 40.0}
+UNTOLD = ("drift", "sensor_drift", "constant_load", "viscous_friction", "coulomb_friction")
+
+
+def test_what_changes_is_found_where_something_else_was_named():
+    """A force that sets in half way, taken for a sensor that drifts."""
+    search, fitted = searching(question(records(3, **LEANING)), UNTOLD)
+    base = Structure((), fitted)
+    drifting = grown(search, base, "sensor_drift", sensor_drift=0.02)
+    change = changing(search, drifting, base)
+    assert change.candidate.id == "constant_load" and abs(change.before) < 0.5
+    assert abs(change.after) == pytest.approx(40.0, rel=0.02) and change.closed > 0.99
+
+
+def test_nothing_is_asked_in_its_place_where_all_is_explained(monkeypatch):
+    search, base, now = named(records(3, dry=30.0), coulomb_friction=30.0)
+    monkeypatch.setattr(lasting, "_instead", lambda *_: pytest.fail("asked"))
+    assert search.explained(now) and changing(search, now, base) is None
+
+
+def test_a_screen_that_diverges_says_nothing(monkeypatch):
+    search, fitted = searching(question(records(3, **LEANING)), ("drift", "constant_load"))
+    base = Structure((), fitted)
+
+    def diverging(*_):
+        raise SolveError("it diverges")
+
+    monkeypatch.setattr(lasting, "Screen", diverging)
+    assert changing(search, base, base) is None
+
+
+def test_a_force_that_sets_in_half_way_gets_no_name_whatever_explains_a_part_of_it():
+    answer = found(records(3, **LEANING), UNTOLD, validate=records(1, 8, **LEANING))
+    assert answer.verdict == "unknown" and not answer.steps
+    assert answer.answer.startswith("Something changes while it is recorded: constant force at mass.flange")
 
 
 def test_a_parameter_has_its_second_value_where_late_is_one():

@@ -105,6 +105,16 @@ def test_what_the_first_search_found_is_remembered_and_asked_whether_it_comes_ne
     assert ("command_saturation at force",) in search.hints
 
 
+def test_what_hardly_closes_a_small_gap_is_no_reason_to_look_in_all_recordings(monkeypatch):
+    """Near the noise it is, as the base is by itself."""
+    search, fitted = searching(question([record(k, limit=280.0) for k in range(3)]), LIMITED)
+    (cut,) = [c for c in search.candidates if c.id == "command_saturation"]
+    base = Structure((), fitted)
+    (known,) = search.refitted(base, [((cut,), [{cut.free[0]: 250.0}])])
+    monkeypatch.setattr(together, "closed", lambda *_: 0.4)
+    assert search.near_noise(known.structure) and not _remembered(search, base, known.structure)
+
+
 def asked_again(monkeypatch, known, other, diverges=lambda job: False, size=None):
     """What `explained_together` answers to a search that found nothing, when it knows this and finds the other."""
     runs = [record(k, limit=280.0) for k in range(3)]

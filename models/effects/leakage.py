@@ -181,19 +181,20 @@ class PumpSlip(Effect):
 class SpeedDependentEfficiency(Effect):
     """A share of the flow is not delivered; it falls with the speed.
 
-        eta = 1 - e / (1 + |w| / w_0)
+        eta = 1 - e (1 + |w| / (n w_0))^-n
 
+    A hyperbola for n = 1, nearly an exponential for n = 10: gaps differ in how fast they fill.
     Source: Ivantysyn and Ivantysynova 2001: filling and slip weigh most at low speed. Validity: while it pumps.
     """
 
     id, title = "speed_dependent_efficiency", "efficiency that depends on speed"
-    equation = "q = q_ideal (1 - e / (1 + |w| / w_0))"
+    equation = "q = q_ideal (1 - e (1 + |w| / (n w_0))^-n)"
     source = IVANTYSYN
-    typical = {"loss": (0.02, 0.3), "reference_speed": (10.0, 300.0)}
+    typical = {"loss": (0.02, 0.3), "reference_speed": (10.0, 300.0), "shape": (0.5, 10.0)}
     probes = (
-        {"loss": 0.05, "reference_speed": 50.0},
-        {"loss": 0.2, "reference_speed": 50.0},
-        {"loss": 0.1, "reference_speed": 200.0},
+        {"loss": 0.05, "reference_speed": 50.0, "shape": 1.0},
+        {"loss": 0.2, "reference_speed": 50.0, "shape": 3.0},
+        {"loss": 0.1, "reference_speed": 200.0, "shape": 1.0},
     )
     confused_with = ("pump_slip", "internal_leakage", "displacement_error", "motor_droop")
     experiment = "the same load at several speeds in both directions, then another load"
@@ -204,12 +205,14 @@ class SpeedDependentEfficiency(Effect):
     q = Input("m3/s", "flow into the pump at a", nominal=1e-4)
     q_b = Input("m3/s", "flow into the pump at b", nominal=1e-4)
     loss = Parameter(0.0, "1", "share e lost at rest", bounds=(0, 0.9), nominal=0.05, source=IVANTYSYN, free=True)
-    reference_speed = Parameter(50.0, "rad/s", "speed w_0 that halves it", (2, 2000), 50.0, IVANTYSYN, True)
+    reference_speed = Parameter(50.0, "rad/s", "speed w_0 over which it falls", (2, 2000), 50.0, IVANTYSYN, True)
+    shape = Parameter(1.0, "1", "how steeply it falls n", (0.5, 20), 1.0, "assumed", True)
 
     sites = staticmethod(_loss_sites)
 
     def equations(self):
-        share = self.loss / (1 + ca.fabs(self.w) / self.reference_speed)
+        falls = 1 + ca.fabs(self.w) / (self.shape * self.reference_speed)
+        share = self.loss * falls**-self.shape
         yield self.a.q == -share * self.q
         yield self.b.q == -share * self.q_b
 

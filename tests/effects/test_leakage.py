@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -82,11 +84,17 @@ def test_a_pump_slips_less_the_faster_it_turns(speed, share):
 
 
 @pytest.mark.parametrize("speed", [-200.0, 50.0, 200.0])
-def test_a_share_of_the_flow_is_lost_on_both_sides_of_the_pump_more_at_low_speed(speed):
-    flows = change(pump_bench(), "speed_dependent_efficiency", CHAMBERS, speed, loss=0.2)
-    share = 0.2 / (1 + abs(speed) / 50.0)
+@pytest.mark.parametrize(("shape", "falls"), [(1.0, lambda s: 1 / (1 + s)), (2.0, lambda s: 4 / (2 + s) ** 2)])
+def test_a_share_of_the_flow_is_lost_on_both_sides_of_the_pump_more_at_low_speed(speed, shape, falls):
+    flows = change(pump_bench(), "speed_dependent_efficiency", CHAMBERS, speed, loss=0.2, shape=shape)
+    share = 0.2 * falls(abs(speed) / 50.0)
     assert flows[0] == pytest.approx(-share * 2e-7 * speed, rel=1e-6)
     assert flows[1] == pytest.approx(share * 0.8 * 2e-7 * speed, rel=1e-6)
+
+
+def test_a_steep_loss_is_nearly_an_exponential_of_the_speed():
+    lost, _ = change(pump_bench(), "speed_dependent_efficiency", CHAMBERS, 50.0, loss=0.2, shape=20.0)
+    assert -lost / (2e-7 * 50.0) == pytest.approx(0.2 * math.exp(-1), rel=0.03)
 
 
 @pytest.mark.parametrize(("speed", "sign"), [(200.0, 1), (-200.0, -1)])

@@ -110,7 +110,7 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     return Discovery(
         name=search.base.name,
         verdict=verdict,
-        answer=_without_name(search, data, found, elsewhere, change) if verdict == "unknown" else "",
+        reason=_without_name(search, data, found, elsewhere, change) if verdict == "unknown" else "",
         steps=tuple(members),
         base=_with_fit(model, before),
         model=_with_fit(final, after),

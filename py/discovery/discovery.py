@@ -9,6 +9,8 @@ import numpy as np
 
 from hydrotwin.models.language.model import Model
 
+from .words import said
+
 VERDICTS = ("named", "class", "none", "unknown")
 FATES = ("named", "in class", "rejected", "not refitted", "not testable", "cannot be added", "implausible")
 
@@ -224,11 +226,11 @@ class Discovery:
     fit_before, fit_after : the `Fit` of each on all fit recordings.
     outputs : per role ("train", "validate") the pooled OutputGap of every output.
     screened : how many candidates were looked at, each an effect at a place.
+    reason : why there is no name, where more is known than the verdict says.
     """
 
     name: str
     verdict: str
-    answer: str
     steps: tuple[Step, ...]
     base: Model
     model: Model
@@ -251,3 +253,9 @@ class Discovery:
     seconds: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)
+    reason: str = ""
+
+    @property
+    def answer(self) -> str:
+        """The result in a sentence."""
+        return said(self.verdict, self.steps, self.reason)

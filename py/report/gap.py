@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.discovery.discovery import Discovery, Step
+from hydrotwin.discovery.words import certainty, joined, lowered, percent, placed
 
 from .fit import parameter_rows, parameter_table
 from .format import number_text
@@ -36,16 +37,14 @@ from .gap_tables import (
     untestable_table,
     waterfall_table,
 )
-from .gap_text import capital, certainty, joined, lowered, percent, sentence
+from .gap_text import capital, sentence
 from .gap_words import (
-    answer,
     chose,
     class_sentence,
     display_units,
     experiment_sentence,
     facts,
     notices,
-    placed,
     results,
     tried_last,
     untestable,
@@ -88,7 +87,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
     return Page(
         title=f"{discovery.name}: {TITLES[discovery.verdict]}",
         eyebrow=_eyebrow(discovery, date),
-        answer=answer(discovery),
+        answer=discovery.answer,
         results=results(discovery),
         facts=facts(discovery, shown),
         notices=notices(discovery, shown),

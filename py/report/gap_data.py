@@ -8,8 +8,6 @@ from dataclasses import asdict
 from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
 
-from .gap_words import answer
-
 
 def gap_data(discovery: Discovery) -> dict:
     """The content of gap.json, only what JSON knows: numbers that do not exist are null.
@@ -19,7 +17,7 @@ def gap_data(discovery: Discovery) -> dict:
     content = {
         "model": discovery.name,
         "verdict": discovery.verdict,
-        "answer": answer(discovery),
+        "answer": discovery.answer,
         "steps": [_step(s) for s in discovery.steps],
         "noise": dict(discovery.noise),
         "train": _outputs(discovery.outputs.get("train", ())),

@@ -9,11 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
+from hydrotwin.discovery.words import percent, placed
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, number_text, shown_unit, to_shown
-from .gap_text import capital, largest, percent, unit_label
-from .gap_words import ROLES, placed
+from .gap_text import capital, largest, unit_label
+from .gap_words import ROLES
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
 FAINT = "#c3c9cf"

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from hydrotwin.discovery.discovery import EffectParameter
 
 from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
-
-ALMOST_ALL = 0.9999  # told as "over 99.9 %"
-NAMES = ("Coulomb", "Stribeck", "Dahl", "Maxwell", "Bingham", "Karnopp")  # keep their capital in a sentence
 
 
 def parameter_unit(p: EffectParameter) -> str:
@@ -68,52 +64,10 @@ def typical_remark(p: EffectParameter) -> str:
     return "above its typical range" if low > p.typical[1] else ""
 
 
-def percent(share: float) -> str:
-    r"""A share as percent: whole numbers, a decimal from 99 on, never rounded up to all or down to nothing.
-
-    >>> percent(0.873), percent(0.9934), percent(0.99996), percent(1e-4), percent(float("nan"))
-    ('87\xa0%', '99.3\xa0%', 'over 99.9\xa0%', 'under 1\xa0%', '–')
-    """
-    if not math.isfinite(share):
-        return NONE
-    if 0.9995 <= share < 1.0:
-        return "over 99.9\u00a0%"
-    if 0.0 < share < 0.005:
-        return "under 1\u00a0%"
-    text = f"{100.0 * share:.{1 if 0.99 <= share < 1.0 else 0}f}".replace("-", "−")
-    return f"{'0' if text in ('−0', '0') else text}\u00a0%"
-
-
-def certainty(probability: float) -> str:
-    r"""A probability as percent: nothing that is inferred is certain.
-
-    >>> certainty(1.0), certainty(0.62)
-    ('over 99.9\xa0%', '62\xa0%')
-    """
-    return percent(min(probability, ALMOST_ALL))
-
-
-def joined(words: Sequence[str]) -> str:
-    """a, b and c."""
-    words = list(words)
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
-
-
 def sentence(text: str) -> str:
     """A text as a sentence: with a full stop, without the verb in front that errors carry."""
     text = text.strip().removeprefix("gap: ").removeprefix("identify: ")
     return text if not text or text.endswith((".", "!", "?")) else f"{text}."
-
-
-def lowered(text: str) -> str:
-    """A title or sentence inside another: without its capital, unless its first word is a name or an abbreviation.
-
-    >>> lowered("Internal leakage"), lowered("Coulomb friction"), lowered("LuGre friction"), lowered("BIC is 3.")
-    ('internal leakage', 'Coulomb friction', 'LuGre friction', 'BIC is 3.')
-    """
-    first = text.split(" ", 1)[0]
-    keep = first in NAMES or not (first[1:].islower() or len(first) == 1)
-    return text if keep else text[:1].lower() + text[1:]
 
 
 def capital(text: str) -> str:

@@ -6,17 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Step
+from hydrotwin.discovery.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
 from .gap_text import (
-    ALMOST_ALL,
     capital,
-    certainty,
     interval_words,
-    joined,
     largest,
-    lowered,
-    percent,
     sentence,
     typical_remark,
     typical_text,
@@ -42,19 +38,6 @@ def unseen(discovery: Discovery) -> tuple[tuple[OutputGap, ...], bool]:
     """The outputs pooled over the recordings never used for fitting, and true; those of the fit when there are none."""
     rows = tuple(discovery.outputs.get("validate", ()))
     return (rows, True) if rows else (tuple(discovery.outputs.get("train", ())), False)
-
-
-def answer(discovery: Discovery) -> str:
-    """The result in a sentence: that of the discovery itself, else one made of its verdict."""
-    if discovery.answer.strip():
-        return discovery.answer.strip()
-    if discovery.verdict == "none":
-        return "No effect is missing: the model agrees with the recordings to within the noise of the sensors."
-    if discovery.verdict == "unknown":
-        named = f" beyond {joined([lowered(placed(s)) for s in discovery.steps])}" if discovery.steps else ""
-        return f"Something is missing{named}, and no effect of the catalogue explains it: it gets no physical name."
-    found = [_class_words(s) if len(s.members) > 1 else lowered(placed(s)) for s in discovery.steps]
-    return f"Missing in the model: {joined(found)}."
 
 
 def results(discovery: Discovery) -> tuple[str, ...]:
@@ -211,7 +194,7 @@ def _over_noise(o: OutputGap, times: float, shown: Mapping[str, str]) -> str:
 def class_sentence(discovery: Discovery) -> str:
     """What these recordings cannot tell apart; empty when one effect stands alone."""
     steps = [s for s in discovery.steps if len(s.members) > 1]
-    words = [_class_words(s) for s in steps]
+    words = [class_words(s) for s in steps]
     return f"These recordings cannot tell apart: {'; '.join(words)}." if words else ""
 
 
@@ -280,24 +263,6 @@ def driver_words(drivers: Sequence[tuple[str, float, float]]) -> str:
     return joined(
         [f"{n} (correlation {number_text(c, 2)}{f' after {number_text(t, 2)} s' if t else ''})" for n, c, t in drivers]
     )
-
-
-def placed(step: Step | Ranked) -> str:
-    """Title and site in words."""
-    title = step.title or step.effect
-    return f"{title} at {step.site}" if step.site else title
-
-
-def _class_words(step: Step) -> str:
-    known = {(r.effect, r.site): r for r in step.ranked}
-    words = []
-    for effect, site in step.members:
-        row = known.get((effect, site))
-        name = lowered(placed(row)) if row else f"{effect} at {site}"
-        words.append(f"{name} ({certainty(row.probability)})" if row and math.isfinite(row.probability) else name)
-    if len(words) > 2 * TOLD:
-        words[2 * TOLD :] = [f"one of {len(words) - 2 * TOLD} others"]
-    return " or ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
 def _follows(drivers) -> str:

@@ -192,7 +192,6 @@ def discovery(verdict, steps=(), *, after=0.0, **more):
     content = {
         "name": "cehA",
         "verdict": verdict,
-        "answer": "",
         "steps": tuple(steps),
         "base": model,
         "model": model,

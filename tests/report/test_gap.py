@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.discovery import OutputGap, Rung
+from hydrotwin.discovery.words import percent, placed
 from hydrotwin.report import gap_data, gap_page, gap_text, write_gap_report
 from hydrotwin.report.gap import _title
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
-from hydrotwin.report.gap_text import interval_words, percent, typical_remark, value_text
-from hydrotwin.report.gap_words import display_units, notices, placed, results
+from hydrotwin.report.gap_text import interval_words, typical_remark, value_text
+from hydrotwin.report.gap_words import display_units, notices, results
 from tests.report.gap_discoveries import (
     ALL,
     CONDUCTANCE,
@@ -159,8 +160,8 @@ def test_an_unknown_rest_beside_a_named_effect_keeps_the_name():
 
 
 def test_the_sentence_of_the_discovery_is_the_answer():
-    assert gap_page(replace(named(), answer="Friction.")).answer == "Friction."
-    assert gap_data(replace(named(), answer="Friction."))["answer"] == "Friction."
+    assert gap_page(replace(named(), reason="Friction.")).answer == "Friction."
+    assert gap_data(replace(named(), reason="Friction."))["answer"] == "Friction."
 
 
 def test_a_recording_that_gets_worse_a_wild_value_and_a_bound_are_notices():

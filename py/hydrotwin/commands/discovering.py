@@ -232,9 +232,9 @@ def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> Non
 def print_discovery(found, folder: Path) -> None:
     """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
     from hydrotwin.report.gap_text import sentence
-    from hydrotwin.report.gap_words import answer, experiment_sentence
+    from hydrotwin.report.gap_words import experiment_sentence
 
-    out.print(f"{found.name}: {found.verdict}. {sentence(answer(found))}")
+    out.print(f"{found.name}: {found.verdict}. {sentence(found.answer)}")
     rows = effect_rows(found)
     if rows:
         out.print()
@@ -255,7 +255,8 @@ def print_discovery(found, folder: Path) -> None:
 
 def effect_rows(found) -> list[list[str]]:
     """One row for each parameter of each named effect; the members of a class below it."""
-    from hydrotwin.report.gap_text import percent, value_text, value_texts
+    from hydrotwin.discovery.words import percent
+    from hydrotwin.report.gap_text import value_text, value_texts
 
     rows = []
     for step in found.steps:
@@ -274,8 +275,8 @@ def effect_rows(found) -> list[list[str]]:
 
 def output_rows(found) -> list[list]:
     """RMSE of every output on unseen recordings in the units of the report; before and after when it changed."""
+    from hydrotwin.discovery.words import percent
     from hydrotwin.report.format import difference_to_shown, pretty_unit
-    from hydrotwin.report.gap_text import percent
     from hydrotwin.report.gap_words import display_units
 
     shown = display_units(found)

@@ -11,7 +11,7 @@ from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
 from .choose import Choice, as_good, choose, label, refines, worth_refining
-from .decide import T_NEEDED, WORTH, closed, compared
+from .decide import MEASURABLE, T_NEEDED, WORTH, closed, compared
 from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
@@ -26,6 +26,7 @@ from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 SHARPENED = 3  # times in a row
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
 TURNS = 2  # others of a class that are followed at a dead end
+PART = 0.05  # of the gap: a law that is a fifth off leaves less
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
@@ -155,16 +156,16 @@ def _forward(
         search.screened(now)  # nothing is missing; what could not have been seen is told
     while len(now.members) < most:
         explained = search.explained(now)
-        if explained and not search.refining(now):
+        finished = explained and not _part_is_left(search, now, base)
+        if finished and not search.refining(now):
             break
-        screen, ranked = search.screened(now, search.refining(now) if explained else None)
-        tried = search.singles(now, search.refinements(now, ranked) if explained else search.shortlist(ranked))
-        tried += () if explained else search.finer(now, ranked, tried)
+        screen, ranked = search.screened(now, search.refining(now) if finished else None)
+        tried = search.singles(now, search.refinements(now, ranked) if finished else search.shortlist(ranked))
+        tried += () if finished else search.finer(now, ranked, tried)
         tried = both_ends(search, now, tried)
         screens.append((screen if not screens else None, ranked, tried))
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
-            better = [t for t in tried if t.evidence and worth_refining(t.evidence)]
-            tried = [t for t in better if more_than_inexact(t, now, base, search)]
+            tried = [t for t in tried if _puts_right(search, t, now, base) or (not finished and search.spotless(t))]
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             if turning and not explained and (turned := _turned(search, base, most, steps)):
@@ -183,6 +184,18 @@ def _forward(
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = reconsidered(search, choice.best.structure)
     return Found(base if now.members else now, now, steps, tuple(screens))
+
+
+def _part_is_left(search: Search, now: Structure, base: Structure) -> bool:
+    """Whether what is left, though small beside the noise, is more of a small gap than an inexact law would leave."""
+    left = 1 - closed(now.fitted, base.fitted, search.question)
+    return bool(now.members) and left > PART and search.leaves(now, MEASURABLE)
+
+
+def _puts_right(search: Search, t: Tried, now: Structure, base: Structure) -> bool:
+    """Whether it is a finer form of a named effect that explains clearly more."""
+    finer = any(c.refines(m) for c in t.members for m in now.members)
+    return bool(finer and t.evidence and worth_refining(t.evidence) and more_than_inexact(t, now, base, search))
 
 
 def _turned(search: Search, base: Structure, most: int, steps: tuple[Step, ...]) -> Found | None:

@@ -346,8 +346,16 @@ class Search:
 
         No equation of the catalogue is exactly the machine's: what is left of it is coloured, and no further effect.
         """
+        return not self.leaves(now, CLEARLY if now.members else MEASURABLE)
+
+    def leaves(self, now: Structure, more: float) -> bool:
+        """Whether some output leaves ``more`` than the noise squared, and not white."""
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
-        return not has_gap(residuals, self.question.noise, CLEARLY if now.members else MEASURABLE).any()
+        return bool(has_gap(residuals, self.question.noise, more).any())
+
+    def spotless(self, tried: Tried) -> bool:
+        """Whether it leaves nothing that can be measured."""
+        return tried.structure is not None and not self.leaves(tried.structure, MEASURABLE)
 
     def near_noise(self, now: Structure) -> bool:
         """Whether every output leaves little more than noise."""

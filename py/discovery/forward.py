@@ -15,7 +15,7 @@ from .decide import MEASURABLE, T_NEEDED, WORTH, closed, compared
 from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
-from .refinements import more_than_inexact, with_refinements
+from .refinements import more_than_inexact, one_for_two, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
 from .roles import fairly_split
@@ -41,8 +41,8 @@ def searched(search: Search, base: Structure, most: int) -> Found:
     """Forward steps while something passes; pairs from the base when that does not explain most of the gap.
 
     When not even a pair does, candidates take part in the identification of the base. Of several effects each is
-    looked for again beside the others; where another stands then, the search goes on from there. At last the finer
-    forms of what is named that may as well be it are put beside it.
+    looked for again beside the others; where another stands then, the search goes on from there. At last a finer form
+    that does the work of two takes their place, and those that may as well be what is named are put beside it.
     """
     found = _pruned(search, _best_of_singles_and_pairs(search, base, most))
     found, replaced = revised(search, found)
@@ -51,7 +51,7 @@ def searched(search: Search, base: Structure, most: int) -> Found:
         last = reconsidered(search, found.last)
         further = _forward(search, found.base, last, most, found.steps, turning=False)
         found = _pruned(search, dataclasses.replace(further, screens=(*found.screens, *further.screens)))
-    return with_refinements(search, found)
+    return with_refinements(search, one_for_two(search, found))
 
 
 def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Found:

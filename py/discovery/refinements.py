@@ -11,12 +11,40 @@ import dataclasses
 from collections.abc import Sequence
 
 from .answering import Found, Step
-from .choose import worth_refining
-from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, share_closed
+from .choose import Choice, label, worth_refining
+from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, compared, share_closed
 from .search import Search
 from .structure import Structure, Tried
 
 MATERIAL = 0.1  # of a parameter that both have: what the refinement's own part takes over when it is more than a trifle
+
+
+def one_for_two(search: Search, found: Found) -> Found:
+    """What was found, with a finer form of one of two effects in their place where it does the work of both.
+
+    A bias and an overlap are an overlap that differs by direction: which was named first is chance. Finer forms with
+    more parameters than both are no simpler.
+    """
+    last, base = found.last, found.base
+    if len(last.members) != 2:
+        return found
+    values, size = last.fitted.values, sum(len(m.free) for m in last.members)
+    finer = [(c, m) for c in search.candidates for m in last.members if c.refines(m) and len(c.free) <= size]
+    starts = [[{**values, **c.neutral, **c.containing(m, values)}] for c, m in finer]
+    tried = search.refitted(base, [((c,), start) for (c, _), start in zip(finer, starts, strict=True)])
+    alone = [t for t in tried if t.structure and not t.implausible and _as_well(t, last, search)]
+    if not alone:
+        return found
+    best, first = min(alone, key=lambda t: t.structure.fitted.likelihood), found.steps[0]
+    others = tuple(t for t in first.tried if label(t) != label(best))
+    step = Step(Choice(best, (best,), {label(best): 1.0}), first.ranked, (best, *others), base)
+    return dataclasses.replace(found, last=best.structure, steps=(step,))
+
+
+def _as_well(tried: Tried, now: Structure, search: Search) -> bool:
+    """Whether it passes alone, and ``now`` explains no more."""
+    over = compared(now.fitted, tried.structure.fitted, search.question)
+    return tried.evidence.passes(len(search.candidates)) and over.bic_gain < TOGETHER and not over.paired_t > T_NEEDED
 
 
 def with_refinements(search: Search, found: Found) -> Found:

@@ -1,13 +1,17 @@
-"""Forward: when a search goes on, and what it may name then."""
+"""Forward: when a search goes on, what it may name then, and one effect for two."""
 
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.answering import Found, Step
+from hydrotwin.discovery.choose import Choice, label
 from hydrotwin.discovery.forward import _part_is_left
+from hydrotwin.discovery.refinements import one_for_two
 from hydrotwin.discovery.structure import Structure, Tried
 from hydrotwin.models.language import Model
+from hydrotwin.records import Record
 
-from .slides import RATE_NOISE, Drive, drive_records, found, grown, question, searching
+from .slides import NOISE, RATE_NOISE, Drive, drive_records, found, grown, one, pushes, question, searching, slid
 
 EFFECTS = ("null_bias", "direction_asymmetry")
 
@@ -52,3 +56,34 @@ def test_where_little_is_left_only_what_leaves_nothing_may_be_named(after_one):
     both = grown(search, base, *EFFECTS)
     spotless = [search.spotless(Tried((), None, structure)) for structure in (now, both, None)]
     assert spotless == [False, True, False]
+
+
+def leaning(count: int, out: float, back: float):
+    """Recordings of the slide with dry friction that differs by direction: its mean, and half the difference back."""
+    runs = []
+    for seed in range(count):
+        time, force = pushes(seed)
+        speed = slid(force - 0.5 * (out - back), 0.5 * (out + back))
+        noise = NOISE * np.random.default_rng(3000 + seed).standard_normal(len(time))
+        runs.append(
+            Record(time, {"force": force, "speed": speed + noise}, {"force": "N", "speed": "m/s"}, f"run_{seed}")
+        )
+    return runs
+
+
+@pytest.mark.parametrize(("finer", "stays"), [("asymmetric_friction", False), ("stribeck_friction", True)])
+def test_one_effect_takes_the_place_of_two_whose_work_it_does(finer, stays):
+    search, fitted = searching(question(leaning(3, 70.0, 30.0)), ["coulomb_friction", "constant_load", finer])
+    base = Structure((), fitted)
+    steps, now = [], base
+    for name in ("coulomb_friction", "constant_load"):
+        grew = grown(search, base, *(c.id for c in now.members), name)
+        best = search.judged(Tried((one(search, name),), None, grew), now)
+        steps.append(Step(Choice(best, (best,), {label(best): 1.0}), (), (best,), now))
+        now = grew
+    answer = one_for_two(search, Found(base, now, tuple(steps), ()))
+    assert [c.id for c in answer.last.members] == (["coulomb_friction", "constant_load"] if stays else [finer])
+    assert len(answer.steps) == (2 if stays else 1)
+    if not stays:
+        assert answer.steps[0].choice.best.structure is answer.last and answer.steps[0].before is base
+        assert answer.last.fitted.values[answer.last.members[0].free[0]] == pytest.approx(70.0, rel=0.05)

@@ -249,7 +249,9 @@ class StructuralCompliance(_Joint):
     source = "H. Merritt, Hydraulic Control Systems, 1967"
     typical = {"compliance": (1e-9, 2e-7), "relaxation": (0.0, 5e-3)}
     probes = ({"compliance": 1e-8}, {"compliance": 1e-7}, {"compliance": 6e-7, "relaxation": 3e-3})
-    confused_with = ("line_compliance", "entrained_air", "dead_time", "actuator_lag", "spool_lag")
+    confused_with = (  # a softer structure swings as slowly as a heavier or longer load
+        "line_compliance", "entrained_air", "payload_error", "linkage_error", "dead_time", "actuator_lag", "spool_lag",
+    )  # fmt: skip
     experiment = "steps of force with position measured on both sides, or with pressures"
 
     compliance = Parameter(0.0, "m/N", "c", bounds=(0, 1e-6), nominal=1e-8, source="stiffness 1e7-1e9 N/m", free=True)

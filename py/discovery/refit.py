@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydrotwin.identification.answer import answer
-from hydrotwin.identification.descent import Task, descend, through_windows, whole_runs
+from hydrotwin.identification.descent import Task, descend, through_windows, undecided, whole_runs
 from hydrotwin.identification.horizon import horizons, measured_start
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
@@ -32,7 +32,7 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
-from .starts import by_cost, given, inside, undecided
+from .starts import by_cost, given, inside
 
 ROUNDS = 5
 LONGEST = 30  # iterations in all rounds together: a cost with kinks can take every one of them and gain nothing
@@ -264,10 +264,9 @@ def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -
 
 def _settled(task: Task, q: Question, found: Minimum, most: int):
     """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``."""
-    task = undecided(task)
-    size, further = np.fmax(_rmse(task, found), q.noise), max(LONGEST, 2 * most)
+    size, further = np.fmax(_rmse(undecided(task), found), q.noise), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
-        task = dataclasses.replace(task, weights=weights(size))
+        task = dataclasses.replace(undecided(task), weights=weights(size))
         shooting, _ = whole_runs(task)
         found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, further))
         further -= found.iterations
@@ -285,6 +284,7 @@ def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | N
     if recordings is None:
         return _runs(task, whole_runs(task)[0], found.q, found.z)
     runs = []
+    task = undecided(task)
     for recording in recordings:
         shooting, z = whole_runs(task, [recording])
         with contextlib.suppress(SolveError):

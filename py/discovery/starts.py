@@ -7,12 +7,11 @@ which a rod swings at every period. Such a structure gets few iterations, and no
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from hydrotwin.identification.descent import Task, whole_runs
+from hydrotwin.identification.descent import Task, undecided, whole_runs
 from hydrotwin.identification.shooting import Shooting
 from hydrotwin.models.language.flat import FlatModel
 
@@ -85,8 +84,3 @@ def inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
     """Values clipped to the parameters' bounds."""
     known = {p.name: p.bounds for p in flat.parameters}
     return {name: float(np.clip(v, *known[name])) for name, v in values.items()}
-
-
-def undecided(task: Task) -> Task:
-    """How it is integrated is decided again: what was easy at one point may be stiff at another."""
-    return task if task.flat.black_box else dataclasses.replace(task, propagator=task.propagator.undecided())

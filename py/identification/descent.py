@@ -100,6 +100,11 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
     return shooting, shooting.clip(z)
 
 
+def undecided(task: Task) -> Task:
+    """How it is integrated is decided again: what was easy at one point may be stiff at another."""
+    return task if task.flat.black_box else dataclasses.replace(task, propagator=task.propagator.undecided())
+
+
 def descend(
     task: Task,
     q: np.ndarray,
@@ -114,6 +119,7 @@ def descend(
     ``relative``: of the unexplained cost, what a free run need not gain; others as in `through_windows`.
     """
     q, states = through_windows(task, q, lengths, thorough, states)
+    task = undecided(task)
     shooting, z = whole_runs(task)
     if states is not None and not shooting.start.held:
         first = np.array([x[0, shooting.start.columns] for x in states]).reshape(z.shape) / shooting.start.nominal
@@ -134,7 +140,7 @@ def through_windows(
     ``thorough``: doubt slow windows; ``states``: trajectories where shorter windows have been gone through before.
     """
     for seconds in lengths:
-        known = states
+        task, known = undecided(task), states
         if known is None or not all(np.isfinite(x).all() for x in known):
             guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), lengths[0])
             known = guess if known is None else _filled(known, guess)

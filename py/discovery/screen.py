@@ -3,7 +3,8 @@
     M = (I - P_S) C,   min over d of ||r + S d_S + C_g d_g||^2,   d_g inside the bounds of candidate g
 
 S are the sensitivities to the base parameters and start states, C those to the candidates' parameters, all at the
-present fit with every candidate at neutral: what wrong base parameters absorb already is projected away. Candidates
+present fit with every candidate at neutral: what wrong base parameters absorb already is projected away, but for those
+that rest on a bound and absorb no more (the oil in a line is like a larger volume). Candidates
 without a useful derivative at neutral (thresholds, limits) are run at finite amplitudes instead.
 A screen never names: the best by score was the right one in four of five cases only.
 Source: C. R. Rao, Proc. Cambridge Phil. Soc. 1948 (score test).
@@ -37,6 +38,7 @@ TESTABLE = 3.0  # predicted |t| of an effect at its largest usual amplitude
 BLIND = 1e-6  # of the largest projected column: no derivative
 ABSORBED = 1e-6  # of the plain column: what the base parameters leave of it is rounding
 FARTHEST = 0.7  # in q of a base parameter: a factor of two
+PARALLEL = 0.95  # cosine: an effect that does what a parameter does
 NEUTRAL_DIVERGES = (
     "the fitted model with all candidates at neutral diverges. Look for fewer of them at once (effects or exclude), or "
     "give a smaller step."
@@ -54,6 +56,7 @@ class Screened:
     start : parameter values that the prediction suggests; column : its projected, normalised prediction (m,), (0,) for
         a fault of a sensor that was not recorded.
     beside : values of the base parameters that it suggests with them.
+    beyond : it does what a base parameter that rests on a bound would do beyond that.
     """
 
     candidate: object
@@ -64,6 +67,7 @@ class Screened:
     start: Mapping[str, float]
     column: np.ndarray
     beside: Mapping[str, float] = field(default_factory=dict)
+    beyond: bool = False
 
     @property
     def testable(self) -> bool:
@@ -105,7 +109,7 @@ class Screen:
             propagator, self.free, question.fit, tuple(horizon.cut(question.fit, np.inf)), self.task.weights, start,
             self.z, self.task.loss, 1 if big.black_box else processors(),
         )  # fmt: skip
-        self._base = [self.free.names.index(n) for n in dict.fromkeys(free)]
+        self._base = [self.free.names.index(n) for n in dict.fromkeys(free) if n not in fitted.at_bound]
         self._differentiate()
 
     def _differentiate(self) -> None:
@@ -137,6 +141,13 @@ class Screen:
         self.basis = basis[:, sizes > 1e-8 * sizes.max(initial=0.0)]
         self.jacobian = J[:, :shared]
         self.left = self.project(self.residual)
+        self._outward = [self._unit(way * self.project(J[:, k])) for k, way in self._stopped()]
+
+    def _stopped(self) -> list[tuple[int, float]]:
+        """Base parameters that rest on a bound, and the way (+1, -1) that leads beyond it."""
+        known = [(self.free.names.index(n), self.fitted.values[n]) for n in self.fitted.at_bound]
+        upper = [abs(self.free.upper[k] - value) < abs(value - self.free.lower[k]) for k, value in known]
+        return [(k, 1.0 if up else -1.0) for (k, _), up in zip(known, upper, strict=True)]
 
     def project(self, columns: np.ndarray) -> np.ndarray:
         """``(I - P_S) columns``."""
@@ -238,9 +249,14 @@ class Screen:
         gap = lambda value: float(np.nansum(np.maximum((value / noise) ** 2 - 1, 0)))  # noqa: E731
         before = gap(self.rmse(self.left))
         share = 1 - gap(rmse) / before if before > 0 else 0.0
-        norm = np.linalg.norm(change)
-        unit = change / norm if norm > 0 else change
-        return Screened(candidate, gain, evidence, float(np.clip(share, 0, 1)), visible, start, unit, beside)
+        unit = self._unit(change)
+        beyond = any(unit @ outward > PARALLEL for outward in self._outward)
+        return Screened(candidate, gain, evidence, float(np.clip(share, 0, 1)), visible, start, unit, beside, beyond)
+
+    @staticmethod
+    def _unit(column: np.ndarray) -> np.ndarray:
+        norm = np.linalg.norm(column)
+        return column / norm if norm > 0 else column
 
     def _gains(self, rmse: np.ndarray) -> tuple[float, float]:
         """Drop of L to an RMSE per output, plain and with effective sample sizes."""

@@ -182,8 +182,8 @@ class Search:
         chosen: list[Screened] = []
         least = max(LEAST_EVIDENCE, LEAST_OF_BEST * max((s.evidence for s in ranked), default=0.0))
         most = max((s.gain for s in ranked), default=0.0)
-        by_gain = sorted(ranked, key=lambda s: -s.gain)
-        promising = [s for s in by_gain if s.gain > LARGE_GAIN * most][: SHORTLIST // 2]
+        by_gain = sorted(ranked, key=lambda s: (not s.beyond, -s.gain))
+        promising = [s for s in by_gain if s.beyond or s.gain > LARGE_GAIN * most][: SHORTLIST // 2]
         for s in (*promising, *(s for s in ranked if s.evidence > least)):
             same = 0 if s in promising else sum(k.candidate.id == s.candidate.id for k in chosen)
             if s not in chosen and same < PER_EFFECT and len(chosen) < SHORTLIST:

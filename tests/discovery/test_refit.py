@@ -12,10 +12,11 @@ from hydrotwin.discovery.decide import bic_gain, correlation_times
 from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
 from hydrotwin.discovery.resume import key_of
-from hydrotwin.identification.descent import whole_runs
+from hydrotwin.identification.descent import descend, whole_runs
 from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Model
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 from tests.discovery.slides import (
     DAMPING,
@@ -282,3 +283,19 @@ def test_an_interrupted_measurement_is_bridged(plain):
     found = refit(RefitJob(slide().flat, FREE, asked, coarse=True))
     assert found.values["mass.mass"] == pytest.approx(MASS, rel=5e-3)
     assert np.isnan(found.residuals_fit[0][100:250]).all() and asked.counts[0] == plain.counts[0] - 150
+
+
+def test_where_a_fit_comes_to_a_stiff_place_it_is_integrated_as_that_asks():
+    """Explicit steps of 5 ms follow a lag of 50 ms, where the fit begins, and explode at one of 1 ms."""
+    model = Model(Drive()).with_settings({"time_constant": {"value": 0.05, "bounds": (1e-4, 10.0)}})
+    asked = dataclasses.replace(question(driven(3), model, {"rate": RATE_NOISE}), step=5e-3)
+    task = MODULE._weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
+    easy, z = _first_point(task)[1:]
+    assert np.isfinite(whole_runs(task)[0].residuals(0, easy, z[0])).all() and task.propagator.method == "explicit"
+    stiff = task.free.scaled(np.array([10.0, 1e-3]))
+    with pytest.raises(SolveError, match="every run diverges"):
+        minimise(whole_runs(task)[0], stiff, z)
+    for lengths in ([], [1.0]):
+        assert np.isfinite(descend(task, stiff, lengths, 2, thorough=False).cost)
+    there = dataclasses.replace(minimise(*_first_point(task), most=1), q=stiff)
+    assert np.isfinite(MODULE.residuals_of(task, there, asked.select)[0]).all()

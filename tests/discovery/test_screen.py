@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.discovery.screen import TESTABLE, Screen
 from hydrotwin.discovery.structure import Structure
 from hydrotwin.models.language import Model
-from tests.discovery.slides import NOISE, Drive, drive_records, question, records, searching
+from tests.discovery.slides import NOISE, Drive, drive_records, question, records, searching, slide
 
 SMOOTH = ("coulomb_friction", "viscous_friction", "null_bias", "drift", "direction_asymmetry", "constant_load")
 
@@ -111,3 +111,20 @@ def test_a_gain_is_looked_for_beside_what_differs_by_direction_where_it_shows(qu
 def test_nothing_is_promised_where_nothing_is_missing():
     _, _, ranked = screened(records(3), SMOOTH)
     assert max(s.evidence for s in ranked.values()) < 5.0
+
+
+def test_what_a_base_parameter_on_its_bound_cannot_do_any_more_is_seen_and_refitted():
+    held = slide().with_settings({"mass.damping": {"bounds": (1.0, 160.0)}})  # 200 in truth
+    search, fitted = searching(question(records(3)), ["viscous_friction", "dead_time"], held)
+    assert fitted.at_bound == ("mass.damping",)
+    _, ranked = search.screened(Structure((), fitted))
+    seen = {s.candidate.id: s for s in ranked}
+    assert seen["viscous_friction"].beyond and not seen["dead_time"].beyond
+    assert seen["viscous_friction"].gain > 100.0 and search.shortlist(ranked)[0] is seen["viscous_friction"]
+
+
+def test_what_a_base_parameter_can_do_by_itself_is_not_seen():
+    search, fitted = searching(question(records(3)), ["viscous_friction", "dead_time"])
+    _, ranked = search.screened(Structure((), fitted))
+    seen = {s.candidate.id: s for s in ranked}
+    assert not seen["viscous_friction"].beyond and not seen["viscous_friction"].gain > 0

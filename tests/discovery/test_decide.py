@@ -307,3 +307,12 @@ def test_what_leaves_but_noise_where_it_was_fitted_may_miss_the_rest_by_more(fit
     step = SimpleNamespace(choices=lambda: [SimpleNamespace(members=())])
     search = SimpleNamespace(question=asked())
     assert verdict_of(search, SimpleNamespace(base=base, last=last, steps=(step,))) == verdict
+
+
+def test_an_output_with_hardly_a_gap_says_nothing_of_a_five_hundredth():
+    """One output falls from eighty times the noise to twice and then once; the other rises from 1.02 to 1.03."""
+    falls = [structure([white(seed) * factors]) for seed, factors in enumerate(([80, 1.02], [2, 1.03], [1, 1]))]
+    base, now, best = falls
+    assert 1 - share_closed(base, now, best, asked()) == pytest.approx(3 / 6399, rel=0.2)
+    faint = [structure([white(seed) * k]) for seed, k in enumerate((1.04, 1.02, 1.0))]
+    assert 0 < share_closed(*faint, asked()) < 1, "where no gap is clear, all that can be measured count"

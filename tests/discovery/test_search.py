@@ -376,3 +376,10 @@ def test_a_structure_that_costs_many_times_the_base_is_followed_from_one_start(m
     assert search._job(now, members, [{}]).follow > 1
     monkeypatch.setattr("hydrotwin.discovery.search.HEAVY", 0.5)
     assert search._job(now, members, [{}]).follow == 1
+
+
+def test_what_a_named_effect_refines_is_not_looked_for_again_at_its_place():
+    search, base = searching(question(records(3, dry=60.0)), ["coulomb_friction", "stribeck_friction", "dead_time"])
+    rough, fine = (grown(search, Structure((), base), name) for name in ("coulomb_friction", "stribeck_friction"))
+    assert {s.candidate.id for s in search.screened(fine)[1]} == {"dead_time"}
+    assert {s.candidate.id for s in search.screened(rough)[1]} == {"stribeck_friction", "dead_time"}

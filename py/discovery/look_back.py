@@ -112,7 +112,7 @@ def _confusable(search: Search, now: Structure, tried: Sequence[Tried], best: Tr
     same = set() if _at_bound(now, best) else absorbed
     alike = [
         c for c in search.candidates
-        if c.label not in known | same and not c.refines(chosen)
+        if c.label not in known | same and not c.refines(chosen) and not now.holds(c)
         and (c.id in chosen.effect.confused_with or chosen.id in c.effect.confused_with)
         and not _seen_beyond(search, now, best.structure, c)
     ][:CONFUSABLE]  # fmt: skip

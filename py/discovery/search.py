@@ -137,8 +137,7 @@ class Search:
         Nor is what a member refines: of a finer form it is a part.
         """
         _ = self.big
-        others = [c for c in (self.candidates if among is None else among) if c.label not in now.key]
-        rest = {c.label: c for c in others if not any(m.refines(c) for m in now.members)}
+        rest = {c.label: c for c in (self.candidates if among is None else among) if not now.holds(c)}
         if self._seen[:2] != (now, self.question) or not rest.keys() <= self._seen[2]:
             beside = None if among is None else [*now.members, *rest.values()]
             self._seen = (now, self.question, rest.keys(), *self._screened(now, list(rest.values()), beside))

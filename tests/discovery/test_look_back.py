@@ -252,3 +252,19 @@ def test_what_begins_anew_begins_where_the_base_did(rubbing):
     from_the_beginning(weighed, base)
     coarse = [job for job in asked if job.coarse]
     assert coarse and all(job.size is weighed.first_size for job in coarse)
+
+
+def test_what_a_named_effect_is_a_finer_form_of_is_no_rival_beside_it():
+    """Friction that depends on the position is easily confused with dry friction, and contains it."""
+    effects = ["coulomb_friction", "position_dependent_friction", "command_deadband"]
+    search, base = searching(question(records(3, dry=60.0)), effects)
+    now, deadband = grown(search, Structure((), base), "position_dependent_friction"), one(search, "command_deadband")
+    best = search.judged(
+        Tried((deadband,), None, grown(search, Structure((), base), "position_dependent_friction", deadband.id)), now
+    )
+    assert "coulomb_friction" in deadband.effect.confused_with
+    assert look_back._confusable(search, now, [best], best) == []
+    alike = look_back._confusable(
+        search, Structure((), dataclasses.replace(base, at_bound=("mass.damping",))), [best], best
+    )
+    assert "coulomb_friction" in [t.members[0].id for t in alike], "where nothing contains it"

@@ -82,7 +82,8 @@ class RefitJob:
     states : start states by name per fit recording, where known.
     size : (ny,) what a residual may cost at first, SI; None: a few percent of the spread of each output.
     coarse : lead the first start through short windows first; ``led``: where the first of them have led it.
-    valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods.
+    valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods; unless it
+        is stiff there.
     threads : over recordings and windows; the answer does not depend on it.
     """
 
@@ -180,7 +181,7 @@ def _refit(job: RefitJob) -> Refitted:
         task = _weighed(job, q.noise)
         found, iterations = _from_starts(task, job)
     best = _settled(task, q, found, iterations)
-    if job.valley:
+    if job.valley and best[0].propagator.method != "rosenbrock":  # a look costs a hundred runs, of a stiff one minutes
         lower = along_the_valleys(best[0], best[1], rounds=1, averaged=[job.valley])[0][0]
         best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[-1])
     return _answer(q, *best)

@@ -299,3 +299,15 @@ def test_where_a_fit_comes_to_a_stiff_place_it_is_integrated_as_that_asks():
         assert np.isfinite(descend(task, stiff, lengths, 2, thorough=False).cost)
     there = dataclasses.replace(minimise(*_first_point(task), most=1), q=stiff)
     assert np.isfinite(MODULE.residuals_of(task, there, asked.select)[0]).all()
+
+
+def test_a_stiff_structure_is_not_looked_along_its_valleys(monkeypatch):
+    """A lag that explicit steps of 5 ms follow at 50 ms, and at a twentieth of a millisecond no eighth of them does."""
+    looks = []
+    monkeypatch.setattr(MODULE, "along_the_valleys", lambda task, found, **k: looks.append(0) or ([found], True))
+    for value in (0.05, 5e-5):
+        settings = {"time_constant": {"value": value, "bounds": (0.9 * value, 1.1 * value)}}
+        model = Model(Drive()).with_settings(settings)
+        asked = dataclasses.replace(question(driven(3), model, {"rate": RATE_NOISE}), step=5e-3)
+        refit(RefitJob(model.flat, ("gain", "time_constant"), asked, valley=2.0, iterations=2))
+        assert len(looks) == 1

@@ -93,3 +93,5 @@ def _stop_if_not_finite(block: Block, time, x, y, upto: int) -> None:
         float(time[k]),
         states[0] if states else None,
     )
+
+

@@ -23,6 +23,7 @@ RIVALS = 6  # fitted once more in the hollow of the most likely
 ROUNDS = 2  # of it, when another has become the most likely
 CONFUSABLE = 8  # candidates that the screen passed over
 ALMOST_ALIKE = 0.05  # of the gap: how much less than the best a contender closes
+PROMISED = 0.9  # of the drop of L that the screen expected of the best
 SMALL = 0.3  # of its largest probe
 LOOK_BACK = 3.0  # of L: what a second fit of the same structure must gain to count
 
@@ -153,11 +154,23 @@ def _seen_beyond(search: Search, now: Structure, best: Structure, candidate: Can
 
 
 def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bool) -> list[Tried]:
-    """The best, then those of its class or that explain almost as much, near the noise all that pass."""
+    """The best, then those of its class or that explain almost as much, near the noise all that pass.
+
+    There, too, those of which the screen expected almost as much as of the best: where the base has taken most of a
+    late sensor, which of them finds a way out of its hollow is chance.
+    """
     best = choice.best
     least = best.evidence.closed - ALMOST_ALIKE
     others = [t for t in _passing(search, tried) if near or t in choice.members or t.evidence.closed > least]
+    if near:
+        hidden = (t for t in tried if t.structure and _promised(t) > PROMISED * _promised(best))
+        others += [t for t in hidden if t not in others]
     return [best, *(t for t in others if t is not best)][: 1 + CONTENDERS]
+
+
+def _promised(t: Tried) -> float:
+    """What the screen expected of it, by L."""
+    return t.screened.gain if t.screened else 0.0
 
 
 def _from_first(search: Search, structure: Structure, effect: Mapping[str, float] = MappingProxyType({})) -> RefitJob:

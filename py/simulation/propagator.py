@@ -21,7 +21,7 @@ from .recent import Recent
 from .source import c_source
 
 METHODS = ("auto", "explicit", "rosenbrock", "vm")
-FINER = (1, 2, 4, 8)  # by how much "auto" may divide the step before it turns to the implicit method
+FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
 
 
 class Diverged(SolveError):
@@ -46,7 +46,8 @@ def prepare(
 
     step : longest substep [s]; the model's own by default.
     method : "explicit" (RK4), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto": explicit,
-        with the step halved up to three times if the eigenvalues along the first run ask for it, else rosenbrock.
+        with the step halved if the eigenvalues along the first run ask for it, down to an eighth, of a model of more
+        than eight states to one part in so many; else rosenbrock.
     few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
     zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
         while they are have none, which makes a model of many parts at rest several times faster.
@@ -207,15 +208,17 @@ class Propagator:
     def _decide(self, time, u, p, x0):
         """Settle "auto" by a first explicit run, whose steps must do for the eigenvalues met along it.
 
-        Steps down to an eighth are tried: they cost less than the implicit method. Returns the run, as an engine
-        does, when explicit steps will do, else None.
+        Finer steps are tried while they cost less than the implicit method: one of its steps takes a system of as
+        many equations as there are states, with a derivative to every parameter. Returns the run, as an engine does,
+        when explicit steps will do, else None.
         """
         if self.method != "auto":
             return None
         with self._deciding:
             if self.method != "auto":
                 return None
-            for step in self.step / np.array(FINER):
+            halvings = int(np.log2(max(FINEST, len(self.flat.states))))
+            for step in self.step / 2.0 ** np.arange(halvings + 1):
                 answer = self._engines[False].propagate(time, u, p, step, x0)
                 if stiffness.explicit_will_do(self.flat, step, time, u, p, x0, answer[-1]):
                     self.step, self.method = float(step), "explicit"

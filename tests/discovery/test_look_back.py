@@ -75,6 +75,19 @@ def test_of_nine_that_do_alike_every_one_is_fitted_again(rubbing):
     assert len(_contenders(search, [coulomb, *alike], choice, near=True)) == 9
 
 
+@pytest.mark.parametrize(("promise", "near", "again"), [(1.0, True, True), (1.0, False, False), (0.8, True, False)])
+def test_near_the_noise_what_promised_as_much_as_the_best_begins_anew(rubbing, promise, near, again):
+    """It may rest in the hollow of the base: the lag of a late sensor that a stiff friction has taken."""
+    search, base, _, ranked = rubbing
+    by = {s.candidate.id: s for s in ranked}
+    coulomb, bias = search.singles(base, [by["coulomb_friction"], by["null_bias"]])
+    assert not bias.evidence.passes(5)
+    promised = dataclasses.replace(bias.screened, gain=promise * coulomb.screened.gain)
+    bias = dataclasses.replace(bias, screened=promised)
+    found = _contenders(search, [coulomb, bias], choose([coulomb, bias], 5, search.question), near=near)
+    assert (bias in found) == again
+
+
 def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):
     search, base, *_ = rubbing
     tried = from_the_beginning(search, base)

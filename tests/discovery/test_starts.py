@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -75,6 +77,28 @@ def test_candidates_that_are_together_not_neutral_are_refused_with_what_to_do():
     fitted = refit(RefitJob(Model(Follower()).flat, ("rate", "hold"), question, ({"hold": 0.2},)))
     with pytest.raises(SolveError, match=r"at neutral diverges\. Look for fewer of them at once"):
         Screen(Model(Runaway()).flat, ("rate", "hold"), (), fitted, question)
+
+
+class Gripped(Follower):
+    """Held back only while there is a command."""
+
+    def equations(self):
+        yield der(self.x) == self.rate * (self.command - self.x) - self.hold * self.command**2 * self.x
+        yield self.followed == self.x
+
+
+def test_a_screen_that_is_stiff_in_another_recording_than_the_first_is_run_implicitly():
+    time = np.arange(0.0, 20.0, 0.05)
+    units, swing = {"command": "1", "followed": "1"}, 1e-3 * np.sin(time)
+    runs = [Record(time, {"command": u + swing, "followed": swing}, units, f"at {u}") for u in (0.0, 1.0)]
+    data = split(Model(Gripped()).flat, runs, [], noise={"followed": NOISE})
+    question = Question((*data.fit, *data.select), (), data.noise, initial_states="fixed")
+    fitted = refit(RefitJob(Model(Gripped()).flat, ("rate", "hold"), question, ({"hold": 0.0},), iterations=1))
+    strong = dataclasses.replace(fitted, values={"rate": 1.0, "hold": 1e6})
+    screen = Screen(Model(Gripped()).flat, ("rate", "hold"), (), strong, question)
+    assert screen.task.propagator.method == "rosenbrock"
+    followed = screen.residual[len(time) + 2 :] * screen.size + swing[2:]
+    assert followed == pytest.approx(1e-6, rel=0.01), "where rate and grip balance"
 
 
 def test_each_cost_is_a_start_once_in_order():

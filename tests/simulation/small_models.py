@@ -59,13 +59,18 @@ def integrator(interpolation="hold", dead_time=None, step=1e-3):
     )
 
 
-def stiff_pair(fast=1e5):
-    """A fast state that follows a slow oscillator: x' = -fast (x - cos t) - sin t, so x = cos t from x(0) = 1."""
+def stiff_pair(fast=1e5, idle=0):
+    """A fast state that follows a slow oscillator: x' = -fast (x - cos t) - sin t, so x = cos t from x(0) = 1.
+
+    ``idle``: so many states beside it that do nothing.
+    """
 
     def equations(t, x, u, p):
-        return -p[0] * (x[0] - ca.cos(p[1] * t)) - p[1] * ca.sin(p[1] * t), x
+        fast = -p[0] * (x[0] - ca.cos(p[1] * t)) - p[1] * ca.sin(p[1] * t)
+        return ca.vertcat(fast, *[-x[k] for k in range(1, 1 + idle)]), x
 
-    return small_model("stiff", ["x"], {"fast": fast, "w": 1.0}, equations, start=[1.0])
+    names = ["x", *(f"idle{k}" for k in range(idle))]
+    return small_model("stiff", names, {"fast": fast, "w": 1.0}, equations, start=[1.0] + [0.0] * idle)
 
 
 def explosion():

@@ -96,6 +96,17 @@ def test_auto_weighs_eigenvalues_against_the_step():
     }
 
 
+@pytest.mark.parametrize(("states", "chosen"), [(1, ("rosenbrock", 2e-2)), (32, ("explicit", 2e-2 / 16))])
+def test_the_more_states_the_finer_steps_are_tried(states, chosen):
+    """A step of the implicit method takes a system of as many equations."""
+    model, time = stiff_pair(fast=2000.0, idle=states - 1), np.linspace(0, 0.5, 11)
+    propagator = prepare(model, step=2e-2)
+    start = model.start_given(())(0, model.parameter_vector(), []).full().ravel()
+    y, _ = propagator.run(time, np.empty((11, 0)), model.parameter_vector(), start)
+    assert y[:, 0] == pytest.approx(np.cos(time), abs=1e-6)
+    assert (propagator.method, propagator.step) == chosen
+
+
 def test_growth_of_the_step_is_that_of_its_test_equation():
     model = oscillator(frequency=100.0)
     h = 0.02

@@ -50,7 +50,7 @@ def choose(tried: Sequence[Tried], library: int, q: Question) -> Choice | None:
         return None
     best = _best_and_simplest(passing, q)
     likely = max(passing, key=lambda t: _score(t, q))  # the best, unless held-out recordings say otherwise
-    told = [t for t in passing if t is best or not _idly_refined(t, best, passing, q)]
+    told = [t for t in passing if t is best or not (t.reason or _idly_refined(t, best, passing, q))]
     weight = {label(t): _weight(t, best, q) for t in told}
     total = sum(weight.values())
     probability = {name: w / total for name, w in weight.items()}

@@ -32,6 +32,7 @@ T_NEEDED = 2.0
 WORTH = 0.05  # of the gap that is left: what an effect must close to be worth a name
 TOGETHER = 10.0  # BIC within which two structures are as good
 INEXACT = 0.002  # of the gap: what the equation of the right effect may leave, its friction's sign being smooth
+PART = 0.05  # of the gap: a law that is a fifth off leaves less
 MEASURABLE = 1.02  # MSE over noise^2
 HUGE = 1e6  # times the noise: a run that diverged
 DIVERGED = 700.0  # logarithm of the error of a run that diverged

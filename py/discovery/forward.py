@@ -11,11 +11,11 @@ from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
 from .choose import Choice, as_good, choose, label, refines, worth_refining
-from .decide import MEASURABLE, T_NEEDED, WORTH, closed, compared
+from .decide import MEASURABLE, PART, T_NEEDED, WORTH, closed, compared
 from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
 from .recordings import quanta
-from .refinements import more_than_inexact, one_for_two, with_refinements
+from .refinements import more_of_the_same, more_than_inexact, one_for_two, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
 from .roles import fairly_split
@@ -26,7 +26,6 @@ from .twin import TwinJob, floor_of, smoothed_signs, with_floor
 SHARPENED = 3  # times in a row
 SHARPER = 0.9  # of the noise: what the residuals must show to be believed instead
 TURNS = 2  # others of a class that are followed at a dead end
-PART = 0.05  # of the gap: a law that is a fifth off leaves less
 PAIR_WORTH = 0.5  # of what single steps leave: what a search from a pair must close to be preferred
 
 
@@ -162,12 +161,12 @@ def _forward(
         screen, ranked = search.screened(now, search.refining(now) if finished else None)
         tried = search.singles(now, search.refinements(now, ranked) if finished else search.shortlist(ranked))
         tried += () if finished else search.finer(now, ranked, tried)
-        tried = both_ends(search, now, tried)
+        tried = more_of_the_same(search, now, base, both_ends(search, now, tried))
         screens.append((screen if not screens else None, ranked, tried))
         if explained:  # what is left asks for no reason, but the form of a named effect may be put right
             tried = [t for t in tried if _puts_right(search, t, now, base) or (not finished and search.spotless(t))]
         choice = choose(tried, len(search.candidates), search.question)
-        if choice is None:
+        if choice is None or choice.best.reason:
             if turning and not explained and (turned := _turned(search, base, most, steps)):
                 return dataclasses.replace(turned, screens=(*screens, *turned.screens))
             break
@@ -178,9 +177,12 @@ def _forward(
                 again = search.forget()
                 continue
         again = False
+        tried = more_of_the_same(search, now, base, tried)
         choice = choose(tried, len(search.candidates), search.question)
         if choice is None:
             continue
+        if choice.best.reason:
+            break
         steps = (*steps, Step(choice, tuple(ranked), tuple(tried), now))
         now = reconsidered(search, choice.best.structure)
     return Found(base if now.members else now, now, steps, tuple(screens))

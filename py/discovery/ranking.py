@@ -122,6 +122,8 @@ def _fate(t: Tried, choice: Choice | None, members: Sequence[Tried]) -> tuple[st
         return "in class", "explains the recordings as well"
     if t.implausible:
         return "implausible", t.implausible
+    if t.reason:
+        return "rejected", t.reason
     e = t.evidence
     if choice is not None and label(t) in choice.probability:
         return "rejected", "passes alone, but another explains more, or the same more simply"

@@ -10,9 +10,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 
+from hydrotwin.models.effects import Candidate
+
 from .answering import Found, Step
 from .choose import Choice, label, worth_refining
-from .decide import INEXACT, T_NEEDED, TOGETHER, Evidence, compared, share_closed
+from .decide import INEXACT, PART, T_NEEDED, TOGETHER, Evidence, closed, compared, share_closed
 from .search import Search
 from .structure import Structure, Tried
 
@@ -45,6 +47,44 @@ def _as_well(tried: Tried, now: Structure, search: Search) -> bool:
     """Whether it passes alone, and ``now`` explains no more."""
     over = compared(now.fitted, tried.structure.fitted, search.question)
     return tried.evidence.passes(len(search.candidates)) and over.bic_gain < TOGETHER and not over.paired_t > T_NEEDED
+
+
+def more_of_the_same(search: Search, now: Structure, base: Structure, tried: Sequence[Tried]) -> list[Tried]:
+    """``tried`` with the simple effects beside those that add to a named effect what it holds already.
+
+    Friction that rises along the way holds dry friction. Another one beside it, that depends on the direction by
+    hardly anything, is a second dry friction. One that is after a small part of the gap of ``base`` and leaves some of
+    it is but the form of the first, and told so: where nothing explains more, there is no further effect.
+    """
+    pairs = [(t, s) for t in tried if (s := _held_already(search, now, t)) is not None]
+    simple = search.refitted(now, [((s,), [_as_simple(t, s)]) for t, s in pairs])
+    small, told, found = 1 - closed(now.fitted, base.fitted, search.question) < PART, {}, {}
+    for (t, s), again in zip(pairs, simple, strict=True):
+        if again.structure is None:
+            continue
+        if not small or search.explained(again.structure):
+            found[label(again)] = again
+        elif not worth_refining(compared(t.structure.fitted, again.structure.fitted, search.question)):
+            told[id(t)] = f"no more than {s.effect.title} a second time: the form of what is named, no further effect"
+    known = [dataclasses.replace(t, reason=told.get(id(t), t.reason)) for t in tried if label(t) not in found]
+    return [*known, *found.values()]
+
+
+def _held_already(search: Search, now: Structure, t: Tried) -> Candidate | None:
+    """The simple effect that what passes beside ``now`` refines at the place of a member that refines it, too."""
+    if len(t.members) != 1 or not t.evidence or not t.evidence.passes(len(search.candidates)):
+        return None
+    simple = (s for s in search.candidates if t.members[0].refines(s) and s not in now.members)
+    return next((s for s in simple if now.holds(s)), None)
+
+
+def _as_simple(t: Tried, simple: Candidate) -> dict[str, float]:
+    """Where the simple effect in the place of its refinement begins: with the largest of what stands for it there."""
+    values, (finer,) = t.structure.fitted.values, t.members
+    own = {f"{simple.name}.{theirs}": [] for theirs in finer.effect.refines[simple.id].values()}
+    for ours, theirs in finer.effect.refines[simple.id].items():
+        own[f"{simple.name}.{theirs}"].append(values[f"{finer.name}.{ours}"])
+    return {**values, **{name: max(found, key=abs) for name, found in own.items()}}
 
 
 def with_refinements(search: Search, found: Found) -> Found:

@@ -32,7 +32,10 @@ class Structure:
 
 @dataclass(frozen=True, eq=False)
 class Tried:
-    """One candidate (or pair) in one step: screen, refit and evidence against the structure before."""
+    """One candidate (or pair) in one step: screen, refit and evidence against the structure before.
+
+    reason : why it could not be fitted or, with evidence, why it is nothing to be named.
+    """
 
     members: tuple[Candidate, ...]
     screened: Screened | None

@@ -1,17 +1,37 @@
 """Forward: when a search goes on, what it may name then, and one effect for two."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
+from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.forward import _part_is_left
-from hydrotwin.discovery.refinements import one_for_two
+from hydrotwin.discovery.refinements import more_of_the_same, one_for_two
 from hydrotwin.discovery.structure import Structure, Tried
 from hydrotwin.models.language import Model
 from hydrotwin.records import Record
 
-from .slides import NOISE, RATE_NOISE, Drive, drive_records, found, grown, one, pushes, question, searching, slid
+from .slides import (
+    DAMPING,
+    MASS,
+    NOISE,
+    PERIOD,
+    RATE_NOISE,
+    Drive,
+    Inline,
+    drive_records,
+    found,
+    grown,
+    one,
+    pushes,
+    question,
+    searching,
+    slid,
+    slide,
+)
 
 EFFECTS = ("null_bias", "direction_asymmetry")
 
@@ -87,3 +107,49 @@ def test_one_effect_takes_the_place_of_two_whose_work_it_does(finer, stays):
     if not stays:
         assert answer.steps[0].choice.best.structure is answer.last and answer.steps[0].before is base
         assert answer.last.fitted.values[answer.last.members[0].free[0]] == pytest.approx(70.0, rel=0.05)
+
+
+def worn(count: int, first: int = 0):
+    """Recordings of the slide with 15 N of dry friction and more before 0.67 m: 15 N + max(40 N - 60 N/m s, 0)."""
+    runs, fine = [], PERIOD / 20
+    for seed in range(first, first + count):
+        time, force = pushes(seed)
+        speed, v, s = np.zeros(len(time)), 0.0, 0.0
+        for k, push in enumerate(force[:-1]):
+            for _ in range(20):
+                free = v + fine * (push - DAMPING * v) / MASS
+                v = np.sign(free) * max(abs(free) - fine * (15.0 + max(40.0 - 60.0 * s, 0.0)) / MASS, 0.0)
+                s += fine * v
+            speed[k + 1] = v
+        speed += NOISE * np.random.default_rng(4000 + seed).standard_normal(len(time))
+        runs.append(Record(time, {"force": force, "speed": speed}, {"force": "N", "speed": "m/s"}, f"run_{seed}"))
+    return runs
+
+
+FRICTIONS = ("coulomb_friction", "position_dependent_friction", "asymmetric_friction")
+
+
+def test_a_second_dry_friction_that_explains_all_that_is_left_is_named_as_what_it_is():
+    told = discover(slide(), worn(3), validate=worn(1, 7), effects=FRICTIONS, executor=Inline())
+    assert [s.effect for s in told.steps] == ["position_dependent_friction", "coulomb_friction"]
+    values = [p.value for s in told.steps for p in s.parameters]
+    assert values == pytest.approx([40.0, -60.0, 15.0], rel=0.03)
+
+
+@pytest.mark.parametrize("explained", [True, False])
+def test_a_second_dry_friction_that_leaves_some_of_little_is_the_form_of_the_first(explained, monkeypatch):
+    search, fitted = searching(dataclasses.replace(question(worn(3)), step=1e-3), FRICTIONS)
+    base = Structure((), fitted)
+    now = grown(search, base, "position_dependent_friction")
+    first = {"position_dependent_friction.force": 40.0, "position_dependent_friction.slope": -60.0}
+    starts = [{**first, **{f"asymmetric_friction.{way}": 15.0 for way in ("out", "back")}}]
+    (tried,) = search.refitted(now, [((one(search, "asymmetric_friction"),), starts)])
+    assert tried.evidence.passes(3), "the trap is set"
+    monkeypatch.setattr("hydrotwin.discovery.refinements.closed", lambda *fits: 0.99)
+    monkeypatch.setattr(search, "explained", lambda structure: explained)
+    again = more_of_the_same(search, now, base, [tried])
+    assert [label(t) for t in again if not t.reason] == [
+        "asymmetric_friction at mass.flange",
+        "coulomb_friction at mass.flange",
+    ][: 2 * explained]
+    assert explained or "no more than Coulomb friction a second time" in again[0].reason

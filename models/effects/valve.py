@@ -205,7 +205,7 @@ class FlowSaturation(Effect):
     u = Input("signal", "opening")
     y = Output("signal", "opening that would pass the same flow without the fixed passage")
     ratio = Parameter(0.0, "1", "ratio c at full opening", bounds=(0, 50), nominal=0.2, source=MERRITT, free=True)
-    sharpness = Parameter(2.0, "1", "n", bounds=(2, 12), nominal=1.0, source=MERRITT, free=True)
+    sharpness = Parameter(2.0, "1", "n", bounds=(2, 50), nominal=1.0, source=MERRITT, free=True)
     full = Parameter(1.0, "signal", "full opening u_0", bounds=(1e-6, 1e6), source="nominal of the signal")
 
     sites = staticmethod(valve_signals)

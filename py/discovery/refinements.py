@@ -14,7 +14,7 @@ from hydrotwin.models.effects import Candidate
 
 from .answering import Found, Step
 from .choose import Choice, label, worth_refining
-from .decide import INEXACT, PART, T_NEEDED, TOGETHER, Evidence, closed, compared, share_closed
+from .decide import CLEARLY, INEXACT, PART, T_NEEDED, TOGETHER, Evidence, closed, compared, share_closed
 from .search import Search
 from .structure import Structure, Tried
 
@@ -54,7 +54,8 @@ def more_of_the_same(search: Search, now: Structure, base: Structure, tried: Seq
 
     Friction that rises along the way holds dry friction. Another one beside it, that depends on the direction by
     hardly anything, is a second dry friction. One that is after a small part of the gap of ``base`` and leaves some of
-    it is but the form of the first, and told so: where nothing explains more, there is no further effect.
+    it, of which the sensors would see, is but the form of the first, and told so: where nothing explains more, there is
+    no further effect.
     """
     pairs = [(t, s) for t in tried if (s := _held_already(search, now, t)) is not None]
     simple = search.refitted(now, [((s,), [_as_simple(t, s)]) for t, s in pairs])
@@ -62,7 +63,7 @@ def more_of_the_same(search: Search, now: Structure, base: Structure, tried: Seq
     for (t, s), again in zip(pairs, simple, strict=True):
         if again.structure is None:
             continue
-        if not small or search.explained(again.structure):
+        if not small or not search.leaves(again.structure, CLEARLY, search.sensors):
             found[label(again)] = again
         elif not worth_refining(compared(t.structure.fitted, again.structure.fitted, search.question)):
             told[id(t)] = f"no more than {s.effect.title} a second time: the form of what is named, no further effect"

@@ -351,10 +351,10 @@ class Search:
         """
         return not self.leaves(now, CLEARLY if now.members else MEASURABLE)
 
-    def leaves(self, now: Structure, more: float) -> bool:
-        """Whether some output leaves ``more`` than the noise squared, and not white."""
+    def leaves(self, now: Structure, more: float, noise: np.ndarray | None = None) -> bool:
+        """Whether some output leaves ``more`` than the noise (ny,) squared (the question's if None), and not white."""
         residuals = (*now.fitted.residuals_fit, *now.fitted.residuals_select)
-        return bool(has_gap(residuals, self.question.noise, more).any())
+        return bool(has_gap(residuals, self.question.noise if noise is None else noise, more).any())
 
     def spotless(self, tried: Tried) -> bool:
         """Whether it leaves nothing that can be measured."""

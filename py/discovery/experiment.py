@@ -96,7 +96,7 @@ def next_experiment(
     separation, before = (float(np.sqrt(np.mean(np.square(v)))) for v in ([p[0] for p in pairs], now.apart))
     if not separation > before:
         return None
-    told = _sentence(best, [m.label for m in runners], pairs, now.apart, flat_inputs[j].name, question)
+    told = _sentence(best, [m.label for m in runners], pairs, now, flat_inputs[j].name)
     if not any(row[0] <= OUTSIDE for row in tried):
         told += "; outputs then leave the range seen so far, so watch the stops"
     signal = flat_inputs[j]
@@ -260,10 +260,11 @@ class _Member:
 
 
 class _Now:
-    """The present recordings: how far apart the pairs are there, and what is known of each member's parameters."""
+    """The present recordings: how far apart the pairs are there, what both leave, what is known of their parameters."""
 
     def __init__(self, runners: Sequence[_Member], recordings: Sequence[Recording]):
         noise = runners[0].question.noise
+        measured = [r.y / noise for r in recordings]
         outputs: list[list[np.ndarray]] = []
         self.information = []
         for m in runners:
@@ -279,9 +280,19 @@ class _Now:
                 known += _left_of(dy / noise[:, None], seen, len(m.free))
             outputs.append(runs)
             self.information.append(known)
-        self.apart = []
-        for a, b in combinations(outputs, 2):
-            self.apart.append(_rms(np.concatenate([y - x for x, y in zip(a, b, strict=True)]))[0])
+        self.apart = [_apart(a, b) for a, b in combinations(outputs, 2)]
+        self.left = [min(_apart(a, measured), _apart(b, measured)) for a, b in combinations(outputs, 2)]
+
+    def words(self, pair: int) -> str:
+        """How far a pair differs there, and whether that is less than what neither of the two explains."""
+        apart, left = self.apart[pair], self.left[pair]
+        hidden = f" beside {left:.2g} that neither explains" if left > apart >= CLEAR else ""
+        return f"(now {apart:.2g}{hidden})"
+
+
+def _apart(some: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> float:
+    """Root mean square difference over recordings of the output that differs most."""
+    return _rms(np.concatenate([y - x for x, y in zip(some, others, strict=True)]))[0]
 
 
 def _left_of(columns: np.ndarray, seen: np.ndarray, shared: int) -> np.ndarray:
@@ -365,16 +376,16 @@ def _finalists(rows: Sequence[tuple]) -> list[tuple]:
     return [*first, *rest][:FINALISTS]
 
 
-def _sentence(best: Candidate, labels, pairs, now, name: str, question: Question) -> str:
+def _sentence(best: Candidate, labels, pairs, now: _Now, name: str) -> str:
     names = [f"{labels[a]} and {labels[b]}" for a, b in combinations(range(len(labels)), 2)]
     told = [
-        f"{who} then differ by {pair[0]:.2g} times the noise (now {before:.2g})"
-        for who, pair, before in zip(names, pairs, now, strict=True)
+        f"{who} then differ by {pair[0]:.2g} times the noise {now.words(k)}"
+        for k, (who, pair) in enumerate(zip(names, pairs, strict=True))
         if pair[0] >= CLEAR
     ]
     alike = [who for who, pair in zip(names, pairs, strict=True) if pair[0] < CLEAR]
     if not told:
         k = int(np.argmax([p[0] for p in pairs]))
-        told, alike = [f"{names[k]} then differ by only {pairs[k][0]:.2g} times the noise (now {now[k]:.2g})"], []
+        told, alike = [f"{names[k]} then differ by only {pairs[k][0]:.2g} times the noise {now.words(k)}"], []
     words = "; ".join(told[:3]) + (f"; {', '.join(alike[:3])} stay alike" if alike else "")
     return f"drive {name} with {best.words}: {words}"

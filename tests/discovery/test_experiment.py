@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from types import SimpleNamespace
 
@@ -103,6 +104,18 @@ def test_the_sentence_names_the_input_the_members_and_the_figures(split):
     assert said, found.sentence
     assert float(said[2]) == pytest.approx(found.separation, rel=0.05)
     assert float(said[3]) == pytest.approx(found.now, rel=0.06)
+
+
+@pytest.mark.parametrize(("disturbed", "told"), [(40.0, True), (0.0, False)])
+def test_what_neither_explains_is_told_where_it_hides_how_they_differ(split, disturbed, told):
+    (deadband_, larger), recordings = split.members, split.recordings
+    name, flat, values, states = larger
+    apart = (name, flat, {**values, "width": values["width"] * 1.1}, states)
+    shaken = [dataclasses.replace(r, y=r.y + disturbed * NOISE * np.sin(7 * r.time)[:, None]) for r in recordings]
+    found = proposed(split, members=[deadband_, apart], recordings=shaken)
+    hidden = re.search(r"\(now ([\d.]+) beside ([\d.]+) that neither explains\)", found.sentence)
+    assert bool(hidden) == told, found.sentence
+    assert not told or 3.0 <= float(hidden[1]) < float(hidden[2]) == pytest.approx(40.0 / np.sqrt(2), rel=0.1)
 
 
 def test_the_wrong_member_fails_as_predicted_when_the_experiment_is_made(split):

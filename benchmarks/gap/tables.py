@@ -55,8 +55,9 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
         _share("confidently wrong", "<= 2 %", done, lambda r: r["confidently_wrong"], 0.02, most=True),
         _quantile("gap closed when named, median", ">= 0.99", _column(found, "gap_closed"), 0.5, 0.99),
         _quantile("held-out RMSE / oracle, 90th %", "<= 1.05", _column(seen, "over_oracle"), 0.9, 1.05, most=True),
-        _share("pairs, both named", ">= 80 %", pairs, _inside, 0.8),
-        _share("the same where the true structure, refitted, needs both", "(%)", _both_needed(pairs), _inside),
+        _share("pairs, each of the two seen: both named", ">= 80 %", _each_seen(pairs), _inside, 0.8),
+        _share("pairs, one swallowed: the other named, and no more", "(%)", _one_swallowed(pairs), _seen_one_alone),
+        _share("all pairs: both named", "(%)", pairs, _inside),
         _quantile("parameter error, median", "<= 5 %", _column(parameters, "error"), 0.5, 0.05, most=True),
         _coverage(parameters),
         _mean("Brier score of named effects", _column(done, "brier")),
@@ -87,9 +88,23 @@ def _closable(rows):
     return [r for r in rows if r["oracle"] is None or r["oracle"] ** 2 - 1 < 0.5 * (r["before"] ** 2 - 1)]
 
 
-def _both_needed(rows):
-    """Pairs of which each effect, left out of the true structure and refitted, leaves a gap that can be seen."""
-    return [r for r in rows if r.get("lacking") and min(r["lacking"]) ** 2 - r["oracle"] ** 2 >= VISIBLE**2]
+def _shown(r) -> list[bool]:
+    """Of every effect of a pair, whether the true structure refitted without it leaves a gap that can be seen."""
+    return [k**2 - r["oracle"] ** 2 >= VISIBLE**2 for k in r.get("lacking") or ()]
+
+
+def _each_seen(rows):
+    """Pairs without those of which the rest of the truth and the base do the work of one: no method finds that."""
+    return [r for r in rows if all(_shown(r))]
+
+
+def _one_swallowed(rows):
+    return [r for r in rows if not all(_shown(r))]
+
+
+def _seen_one_alone(r) -> bool:
+    """Whether what leaves a trace is named, if any does, and nothing that was not hidden."""
+    return not r["extra"] and all(told for told, seen in zip(r["in_class"], _shown(r), strict=True) if seen)
 
 
 def _named(rows):

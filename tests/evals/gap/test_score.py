@@ -103,14 +103,26 @@ def test_pairs_want_both_names():
     assert row(named("dead_time", "current"), truth=truth)["in_class"] == [False, True]
 
 
-@pytest.mark.parametrize(("lacking", "cases"), [((1.5, 3.0), 1), ((1.02, 3.0), 0), ((), 0)])
-def test_pairs_of_which_one_is_not_needed_are_told_apart(lacking, cases):
+@pytest.mark.parametrize(
+    ("lacking", "said", "seen", "swallowed"),
+    [
+        ((1.5, 3.0), ("coulomb_friction", "dead_time"), 1.0, None),
+        ((1.5, 3.0), ("dead_time",), 0.0, None),
+        ((), ("dead_time",), 0.0, None),
+        ((1.02, 3.0), ("dead_time",), None, 1.0),
+        ((1.02, 3.0), ("coulomb_friction",), None, 0.0),
+        ((1.02, 3.0), ("dead_time", "null_bias"), None, 0.0),
+    ],
+)
+def test_pairs_of_which_one_leaves_no_trace_are_told_apart(lacking, said, seen, swallowed):
     truth = made("pairs", (("coulomb_friction", {"force": 1.0}), ("dead_time", {"seconds": 0.02})))
     without = [{name: k * sigma for name, sigma in NOISE.items()} for k in lacking]
-    said = answer(named("dead_time", "current"), named("coulomb_friction"))
-    r = row_of(truth, said, method="discover", oracle=dict(NOISE), lacking=without)
-    (figure,) = [f for f in figures([r]) if "needs both" in f.what]
-    assert figure.cases == cases and (not cases or figure.value == 1.0)
+    names = [named(name, *([] if name == "coulomb_friction" else ["current"])) for name in said]
+    r = row_of(truth, answer(*names), method="discover", oracle=dict(NOISE), lacking=without)
+    by = {f.what: (f.value if f.cases else None) for f in figures([r])}
+    assert by["pairs, each of the two seen: both named"] == seen
+    assert by["pairs, one swallowed: the other named, and no more"] == swallowed
+    assert by["all pairs: both named"] == float(len(said) == 2 and "null_bias" not in said)
 
 
 @pytest.mark.parametrize(("left", "amiss"), [(1.01, 0.0), (1.2, 1.0), (None, 1.0)])
@@ -174,7 +186,8 @@ def test_the_table_counts_what_the_rows_say():
     assert by["false alarm on `none`"].value == 0
     assert by["confidently wrong"].value == pytest.approx(1 / 24)
     assert by["confidently wrong"].met is False
-    assert by["pairs, both named"].cases == 0 and by["pairs, both named"].met is None
+    pairs = by["pairs, each of the two seen: both named"]
+    assert pairs.cases == 0 and pairs.met is None
     text = markdown([*rows, {"case": "a/b", "method": "discover", "unreachable": "too small"}])
     assert "| 20 |" in text and "1 misses" in text and "a/b: too small" in text
     json.dumps(rows, allow_nan=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import threading
 from collections import OrderedDict
 from collections.abc import Callable
 
@@ -16,16 +17,23 @@ class Recent:
 
     def __init__(self):
         self._answers: OrderedDict[bytes, tuple[np.ndarray, ...]] = OrderedDict()
+        self._size, self._changing = 0, threading.Lock()
 
     def answer(self, work: Callable[..., tuple[np.ndarray, ...]], *asked) -> tuple[np.ndarray, ...]:
         """What ``work`` gives, or gave before, of the same contiguous arrays, numbers and words."""
         key, answers = _digest(asked), self._answers
-        found = answers.pop(key, None)
+        found = answers.get(key)
         found = work(*asked) if found is None else found
-        answers[key] = found
-        while len(answers) > 1 and sum(a.size for kept in list(answers.values()) for a in kept) > MOST:
-            answers.popitem(last=False)
+        with self._changing:
+            self._size += _size(found) - _size(answers.pop(key, ()))
+            answers[key] = found
+            while len(answers) > 1 and self._size > MOST:
+                self._size -= _size(answers.popitem(last=False)[1])
         return found
+
+
+def _size(arrays: tuple[np.ndarray, ...]) -> int:
+    return sum(a.size for a in arrays)
 
 
 def _digest(asked) -> bytes:

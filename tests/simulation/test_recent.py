@@ -46,3 +46,14 @@ def test_the_oldest_make_room_and_the_newest_always_stays(monkeypatch):
     kept.answer(work, 1.0, large)
     kept.answer(work, 1.0, large)
     assert len(asked) == 6
+
+
+def test_what_is_kept_is_counted_as_it_comes_and_goes(monkeypatch):
+    """Summed anew at every answer, twenty thousand small ones took 6 ms each."""
+    monkeypatch.setattr(recent, "MOST", 50)
+    kept = Recent()
+    for k in (0, 1, 2, 1, 3, 4, 0, 4):
+        kept.answer(lambda step, x: (x[: 2 + int(x[0])],), 1.0, np.full(20, float(k)))
+        assert kept._size == sum(a.size for answer in kept._answers.values() for a in answer)
+    kept.answer(lambda x: (x,), np.ones(60))
+    assert kept._size == 60 and len(kept._answers) == 1

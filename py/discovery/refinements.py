@@ -53,9 +53,9 @@ def more_of_the_same(search: Search, now: Structure, base: Structure, tried: Seq
     """``tried`` with the simple effects beside those that add to a named effect what it holds already.
 
     Friction that rises along the way holds dry friction. Another one beside it, that depends on the direction by
-    hardly anything, is a second dry friction. One that is after a small part of the gap of ``base`` and leaves some of
-    it, of which the sensors would see, is but the form of the first, and told so: where nothing explains more, there is
-    no further effect.
+    hardly anything, is a second dry friction. One that is after a small part of the gap of ``base`` and leaves some
+    that the sensors see is but the form of the first, and told so: where nothing explains more, there is no further
+    effect.
     """
     pairs = [(t, s) for t in tried if (s := _held_already(search, now, t)) is not None]
     simple = search.refitted(now, [((s,), [_as_simple(t, s)]) for t, s in pairs])

@@ -214,20 +214,20 @@ def mapped(
     """
     futures = [executor.submit(function, job) for job in jobs]
     index = {future: k for k, future in enumerate(futures)}
-    waiting, told = set(futures), 0
+    waiting, results, given = set(futures), {}, 0
     try:
         for _ in meanwhile:
             if all(future.done() for future in futures):
                 break
-        while told < len(futures):
-            done, waiting = wait(waiting, return_when=FIRST_COMPLETED) if waiting else (set(), waiting)
+        while waiting:
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in sorted(done, key=index.__getitem__):
-                result = future.result()
+                results[index[future]] = result = future.result()
                 if on_done:
                     on_done(index[future], result)
-            while told < len(futures) and futures[told].done():
-                yield futures[told].result()
-                told += 1
+            while given in results:  # not what ended since: it was not told yet
+                yield results.pop(given)
+                given += 1
     except BrokenExecutor as error:
         raise SolveError(
             f"executor: a worker process died ({error}). It was killed or ran out of memory. "

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 import warnings
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -95,6 +95,32 @@ def test_the_command_line_which_opens_the_executor_itself_shares_cores_as_well(m
 def test_results_come_in_the_order_of_the_jobs_whichever_ends_first():
     with executor_for("threads", workers=3) as executor:
         assert list(mapped(executor, slept, [0.2, 0.0, 0.1])) == [0.2, 0.0, 0.1]
+
+
+class FirstAtOnce:
+    """An executor whose first job ends at once, the others when the test says so."""
+
+    def __init__(self):
+        self.futures = []
+
+    def submit(self, function, job):
+        future = Future()
+        if not self.futures:
+            future.set_result(function(job))
+        self.futures.append(future)
+        return future
+
+
+def test_an_answer_is_told_before_it_is_given_even_if_it_comes_while_another_is_told():
+    executor, told = FirstAtOnce(), []
+
+    def on_done(index, answer):
+        told.append(index)
+        if index == 0:  # the last job ends here, after the wait for the first and before its answer is given
+            executor.futures[1].set_result(1)
+
+    answers = mapped(executor, abs, [-7, -1], on_done)
+    assert [(answer, list(told)) for answer in answers] == [(7, [0]), (1, [0, 1])]
 
 
 def test_what_is_useful_meanwhile_is_done_here_while_others_work_and_left_when_they_are_done():

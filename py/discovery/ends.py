@@ -25,18 +25,21 @@ def both_ends(search: Search, now: Structure, tried: Sequence[Tried]) -> list[Tr
     jobs = [(t, job) for t in tried if (job := _other_end(search, t)) is not None]
     if not jobs:
         return list(tried)
-    better: dict[int, Tried] = {}
     starts = []
     for (t, job), runs in zip(jobs, search.run(probe, [job for _, job in jobs], "probe"), strict=True):
         costs = [cost_of(r, search.question) for r in runs]
         cost, values = min(zip(costs, job.amplitudes, strict=True), key=lambda pair: pair[0])
         if cost < likelihood(t.structure.fitted.rmse, search.question):
-            starts.append((t, search.refit_of(t.structure, values)))
+            again = [search.refit_of(t.structure, values, coarse=coarse) for coarse in (False, True)]
+            starts += [(t, job) for job in again]  # the base may have bent as far as whole recordings lead back
+    better: dict[int, Structure] = {}
     for (t, _), found in zip(starts, search.run(refit, [job for _, job in starts], "refit"), strict=True):
-        if not isinstance(found, str) and found.likelihood < t.structure.fitted.likelihood:
-            structure = search.keep(Structure(t.structure.members, found))
-            better[id(t)] = search.judged(dataclasses.replace(t, structure=structure), now)
-    return [better.get(id(t), t) for t in tried]
+        known = better.get(id(t), t.structure)
+        if not isinstance(found, str) and found.likelihood < known.fitted.likelihood:
+            better[id(t)] = search.keep(Structure(known.members, found))
+    return [
+        search.judged(dataclasses.replace(t, structure=better[id(t)]), now) if id(t) in better else t for t in tried
+    ]
 
 
 def without_idle_ends(search: Search, now: Structure) -> Structure:

@@ -75,7 +75,9 @@ def _best_of_singles_and_pairs(search: Search, base: Structure, most: int) -> Fo
     other = _forward(search, base, reconsidered(search, choice.best.structure), most, (step,))
     over = compared(other.last.fitted, found.last.fitted, search.question)
     clearly = over.bic_gain > 0 and over.paired_t > T_NEEDED and over.closed > PAIR_WORTH
-    return other if clearly or (not found.steps and other.steps) else found
+    if clearly or (not found.steps and other.steps):
+        return dataclasses.replace(other, screens=(*found.screens, *other.screens))
+    return found
 
 
 def _beside_a_near_miss(search: Search, base: Structure, tried: Sequence[Tried]) -> list[Tried]:
@@ -132,7 +134,8 @@ def _compared_again(search: Search, found: Found) -> Found:
     base, tried = settled(search, found.base, step.tried, step.choice)
     choice = choose(tried, len(search.candidates), search.question)
     if choice is None:
-        return dataclasses.replace(found, base=base, last=base, steps=())
+        screens = (*found.screens, (None, step.ranked, tuple(tried)))
+        return dataclasses.replace(found, base=base, last=base, steps=(), screens=screens)
     step = Step(choice, step.ranked, tuple(tried), base)
     return dataclasses.replace(found, base=base, last=choice.best.structure, steps=(step,))
 

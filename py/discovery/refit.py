@@ -10,7 +10,6 @@ Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covarianc
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydrotwin.identification.answer import answer
-from hydrotwin.identification.descent import Task, descend, through_windows, undecided, whole_runs
+from hydrotwin.identification.descent import Task, descend, held_out_run, through_windows, undecided, whole_runs
 from hydrotwin.identification.horizon import horizons, measured_start
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.loss import Loss
@@ -287,9 +286,7 @@ def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | N
     runs = []
     task = undecided(task)
     for recording in recordings:
-        shooting, z = whole_runs(task, [recording])
-        with contextlib.suppress(SolveError):
-            z = minimise(shooting, found.q, z, hold=True, most=15).z if shooting.locals else z
+        shooting, z = held_out_run(task, found.q, recording)
         runs += _runs(task, shooting, found.q, z)
     return runs
 

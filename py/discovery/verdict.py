@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .choose import label
-from .decide import CLEARLY, LARGE, SHOWN, beyond_noise, closed, gap_closed, has_gap
+from .decide import CLEARLY, LARGE, SHOWN, beyond_noise, bic_gain, closed, gap_closed, has_gap
 from .recordings import Split
 from .refit import Concluded, Refitted, pooled_rmse
 from .search import Search
@@ -98,13 +98,14 @@ def unconfirmed(search: Search, found: Found) -> str:
 
 
 def likeliest(search: Search, found: Found) -> Structure | None:
-    """What explains most of what was fitted to: as found, else of what held-out recordings kept from a name."""
-    if found.steps:
+    """What explains most of what was fitted to: as found; without a verdict, of that and what was kept from a name."""
+    if found.steps and verdict_of(search, found) != "unknown":
         return found.last
-    tried = [t for _, _, each in found.screens[:1] for t in each if t.evidence and not t.implausible]
-    likely = [t for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(len(search.candidates))]
-    best = max(likely, key=lambda t: t.evidence.bic_gain, default=None)
-    return best and best.structure
+    tried = [t for _, _, each in found.screens for t in each if t.evidence and not t.implausible]
+    library = len(search.candidates)
+    kept = [t.structure for t in tried if t.evidence.bic_gain > search.needed and not t.evidence.passes(library)]
+    known = [found.last, *kept] if found.steps else kept
+    return max(known, key=lambda s: bic_gain(s.fitted, found.base.fitted, search.question), default=None)
 
 
 def _closed_on_fit(better: Refitted, base: Refitted, noise: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +23,8 @@ from .start_states import StartStates
 INITIAL_STATES = ("auto", "free", "fixed")
 ENOUGH_WINDOWS, ENOUGH_SAMPLES, FEWEST_WINDOWS = 400, 40_000, 6  # in a stage
 WINDOW_STAGE = {"absolute": 0.3, "relative": 1e-3, "most": 10}
+BEGINNING, FEWEST_SAMPLES = 0.1, 50  # of a recording that takes no part: what tells first how it starts
+HELD = 15  # iterations for its start states
 SLOW = 7  # iterations
 SLIDES = 3
 SCATTER = 0.5  # in q
@@ -78,6 +81,25 @@ def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tup
         task.propagator, task.free, recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
         prior=task.prior,
     )  # fmt: skip
+    return shooting, z
+
+
+def held_out_run(task: Task, q: np.ndarray, recording: Recording) -> tuple[Shooting, np.ndarray]:
+    """One segment of a recording that takes no part, and its scaled start states as the recording tells them.
+
+    Bounces at a stop move with the start, and a descent from one noisy sample rests between them. The beginning, of
+    which that is not true, is asked first; where it leads to more than the sample did, the sample stands.
+    """
+    shooting, z = whole_runs(task, [recording])
+    if not shooting.locals:
+        return shooting, z
+    samples = max(FEWEST_SAMPLES, int(BEGINNING * len(recording.time)))
+    beginning = {name: getattr(recording, name)[:samples] for name in ("time", "u", "y")}
+    with contextlib.suppress(SolveError):
+        first, _ = whole_runs(task, [dataclasses.replace(recording, **beginning)])
+        z = min(z, minimise(first, q, z, hold=True, most=HELD).z, key=lambda z: shooting.cost(q, z))
+    with contextlib.suppress(SolveError):
+        z = minimise(shooting, q, z, hold=True, most=HELD).z
     return shooting, z
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from hydrotwin.discovery import forward
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
-from hydrotwin.discovery.forward import _pruned, _without
+from hydrotwin.discovery.forward import _best_of_singles_and_pairs, _pruned, _without
 from hydrotwin.discovery.revise import _keeping, revised
 from hydrotwin.discovery.structure import Structure, Tried
 from tests.discovery.slides import question, records, searching
@@ -114,3 +115,28 @@ def test_of_a_pair_of_which_one_is_idle_the_other_is_compared_with_all_that_was_
     for t in step.tried:
         assert {n for c in t.members for n in c.free} <= t.structure.fitted.values.keys(), "as the report asks"
     assert step.choice.best.evidence.closed > 0.99
+
+
+def test_what_is_left_of_a_pair_and_gets_no_name_is_still_known(monkeypatch):
+    search, fitted = searching(question(records(3, dry=30.0)), EFFECTS)
+    base, by = Structure((), fitted), {c.id: c for c in search.candidates}
+    members = (by["null_bias"], by["coulomb_friction"])
+    (pair,) = search.refitted(base, [(members, [{**members[0].probes[0], **members[1].probes[0]}])])
+    step = Step(Choice(pair, (pair,), {label(pair): 1.0}), (), (pair,), base)
+    monkeypatch.setattr(forward, "choose", lambda *_: None)  # recordings to choose by do not confirm it
+    after = _pruned(search, Found(base, pair.structure, (step,), ()))
+    assert not after.steps and after.last.members == ()
+    assert [label(t) for t in after.screens[-1][2]] == [by["coulomb_friction"].label]
+
+
+def test_what_singles_explained_is_known_after_a_pair_took_their_place(monkeypatch):
+    search, fitted = searching(question(records(3, dry=30.0)), EFFECTS)
+    base, cut = Structure((), fitted), search.candidates[0]
+    (tried,) = search.refitted(base, [((cut,), cut.probes)])
+    step = Step(Choice(tried, (tried,), {label(tried): 1.0}), (), (tried,), base)
+    alone = Found(base, base, (), ((None, (), (tried,)),))
+    both = Found(base, tried.structure, (step,), ((None, (), ()),))
+    monkeypatch.setattr(forward, "_forward", lambda s, base, now, most, steps, **_: both if steps else alone)
+    monkeypatch.setattr(forward, "choose", lambda *_: step.choice)
+    monkeypatch.setattr(search, "pairs", lambda *_: [])
+    assert _best_of_singles_and_pairs(search, base, 2).screens == (*alone.screens, *both.screens)

@@ -7,6 +7,7 @@ import pytest
 
 from hydrotwin.discovery import answering
 from hydrotwin.discovery.answering import Found, Step
+from hydrotwin.discovery.choose import Choice
 from hydrotwin.discovery.roles import exchanged, fairly_split
 from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.verdict import unconfirmed
@@ -87,9 +88,11 @@ def test_an_effect_that_the_recordings_to_choose_by_do_not_confirm_gets_no_name_
     poor = dataclasses.replace(unsure, structure=base)
     assert not unconfirmed(search, Found(base, base, (), ((None, (), [poor]),))), "it explains nothing"
     assert not unconfirmed(search, Found(base, base, (), ()))
-    taken_back = Step(None, (), (limit,), base)
+    taken_back = Step(Choice(limit, (limit,), {}), (), (limit,), base)
     assert unconfirmed(search, Found(base, limit.structure, (taken_back,), ())) == told, "named on the way"
     assert not unconfirmed(search, Found(base, base, (taken_back,), ()))
+    kept = Found(base, base, (taken_back,), ((None, (), []), (None, (), [unsure])))
+    assert unconfirmed(search, kept) == told, "looked at later, and more than what was found"
 
 
 def test_the_answer_to_a_gap_without_a_name_is_what_would_explain_it(monkeypatch):

@@ -193,6 +193,22 @@ def test_a_stop_found_at_one_end_is_looked_for_at_the_other():
     assert both_ends(search, base, [both]) == [both], "nothing is left to look for"
 
 
+@pytest.mark.parametrize("diverging", [True, False])
+def test_the_other_end_is_fitted_from_where_it_stands_and_led_through_windows(diverging):
+    """The base has bent for the end that was missing: whole recordings may rest on the way back, windows as well."""
+    search, base = stopping(moved(0, *UP), moved(1, *DOWN))
+    (stop,) = [c for c in search.candidates if c.id == "end_stop"]
+    (one_end,) = search.refitted(base, [((stop,), [{"end_stop.high": 0.302, "end_stop.low": -FAR}])])
+    one_end = dataclasses.replace(one_end, evidence=dataclasses.replace(one_end.evidence, bic_gain=1e3))
+    work = search.run
+    search.run = lambda function, jobs, stage: [
+        "it left the finite numbers" if stage == "refit" and job.coarse is diverging else answer
+        for job, answer in zip(jobs, work(function, jobs, stage), strict=True)
+    ]
+    (both,) = both_ends(search, base, [one_end])
+    assert both.structure.fitted.values["end_stop.low"] == pytest.approx(STOPS[0], abs=0.06)
+
+
 def test_an_end_that_nothing_reaches_stays_far_away():
     search, base = stopping(moved(0, *UP), moved(2, *SHORT))
     (stop,) = [c for c in search.candidates if c.id == "end_stop"]

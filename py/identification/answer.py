@@ -8,13 +8,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hydrotwin.models.language.errors import SolveError
-
-from .descent import Task, whole_runs
+from .descent import Task, held_out_run, whole_runs
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identifiability import bounds_reached, identifiability, unexplained
-from .least_squares import Minimum, minimise
-from .loss import Loss
+from .least_squares import Minimum
 from .problem import FreeParameters, Recording
 from .shooting import Shooting
 from .uncertainty import correlation, uncertainty, without_starts
@@ -209,8 +206,8 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
         records.append(_record_fit(task, shooting, recording, "train", best.z[i]))
         residuals += _output_residuals(task, shooting.residuals(i, best.q, best.z[i]), recording, "train")
     for recording in judged:
-        alone, z = _started(task, best, recording)
-        left = None if alone is None else alone.residuals(0, best.q, z[0])
+        alone, z = held_out_run(task, best.q, recording)
+        left = alone.residuals(0, best.q, z[0])
         if left is None:
             findings.append(Finding("diverged", (), (
                 f"identify: the free run over {recording.name} diverges at the fitted parameters. The recording "
@@ -220,16 +217,6 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
         records.append(_record_fit(task, alone, recording, "validate", z[0]))
         residuals += _output_residuals(task, left, recording, "validate")
     return tuple(records), tuple(residuals), [*findings, *unexplained(residuals)]
-
-
-def _started(task: Task, best: Minimum, recording: Recording) -> tuple[Shooting | None, np.ndarray]:
-    """A validation run whose start states are estimated and nothing else."""
-    fixed = dataclasses.replace(task, loss=Loss(task.loss.kind, task.loss.scale))
-    shooting, z = whole_runs(fixed, [recording])
-    try:
-        return shooting, minimise(shooting, best.q, z, most=10, hold=True).z
-    except SolveError:
-        return None, z
 
 
 def _record_fit(task: Task, shooting: Shooting, recording: Recording, role: str, z: np.ndarray) -> RecordFit:

@@ -7,10 +7,11 @@ import pytest
 from casadi import sin
 from scipy.integrate import solve_ivp
 
-from hydrotwin.identification import descent
+from hydrotwin.identification import descent, identify
 from hydrotwin.identification.loss import Loss
-from hydrotwin.identification.problem import Recording, free_parameters
+from hydrotwin.identification.problem import Recording, free_parameters, recordings
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, der
+from hydrotwin.records import Record
 from hydrotwin.simulation import prepare
 
 NOISE, START, WRONG = 0.02, 0.02, -0.06  # rad
@@ -33,14 +34,19 @@ class Stick(Component):
         yield self.angle == self.fallen
 
 
-def fallen(first: float) -> Recording:
+def measured(first: float, name: str = "fall") -> Record:
     """It falls to the side that it leans to, whatever the first sample says."""
     time = np.arange(0.0, 8.0, 0.01)
     rates = lambda t, x: [x[1], SQUARED * np.sin(x[0]) - DAMPING * x[1]]  # noqa: E731
     angle = solve_ivp(rates, (0.0, 8.0), [START, 0.0], t_eval=time, rtol=1e-9, atol=1e-12).y[0]
     angle += NOISE * np.random.default_rng(5).standard_normal(len(time))
     angle[0] = first
-    return Recording("fall", None, time, np.zeros((len(time), 1)), angle[:, None])
+    return Record(time, {"push": 0.0 * time, "angle": angle}, {"push": "rad/s2", "angle": "rad"}, name)
+
+
+def fallen(first: float) -> Recording:
+    (recording,) = recordings(Model(Stick()).flat, [measured(first)], None, "record")
+    return recording
 
 
 def asked(recording: Recording, initial_states: str) -> tuple[descent.Task, np.ndarray]:
@@ -84,3 +90,10 @@ def test_start_states_that_are_told_are_held():
     task, q = asked(fallen(first=WRONG), "fixed")
     shooting, z = descent.held_out_run(task, q, task.recordings[0])
     assert not shooting.locals and z[0, 0] == pytest.approx(WRONG / shooting.start.nominal[0])
+
+
+def test_identify_validates_from_the_start_that_the_beginning_tells():
+    judged = measured(first=WRONG, name="judged")
+    fit = identify(Model(Stick()), [measured(first=START)], validate=[judged], noise={"angle": NOISE}, starts=1)
+    (left,) = [r for r in fit.residuals if r.role == "validate"]
+    assert left.rmse == pytest.approx(NOISE, rel=0.2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from functools import cache
 from types import SimpleNamespace
 
@@ -24,7 +25,9 @@ from hydrotwin.discovery.discovery import (
     Unknown,
 )
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter
+from hydrotwin.report import gap_page, write_gap_report
 
+DATE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 NAN = float("nan")
 UNITS = {"arm_angle": "rad", "pressure_cap": "Pa", "motor_speed": "rad/s"}
 NOISE = {"arm_angle": 1.1e-4, "pressure_cap": 8.0e3, "motor_speed": 0.8}
@@ -287,3 +290,14 @@ def two_effects():
 
 
 ALL = {"named": named, "class": one_of_a_class, "none": none, "unknown": unknown, "two": two_effects}
+
+
+def written(found, folder):
+    """The report's files in a folder."""
+    return write_gap_report(found, folder, command="hydrotwin gap cehA run_1.csv", date=DATE)
+
+
+def first_screen(found):
+    """What stands above the first section, as text."""
+    page = gap_page(found, command="", date=DATE)
+    return "\n".join((page.title, page.answer, *page.results, *page.facts, *page.notices))

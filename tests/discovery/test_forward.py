@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery import forward
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.forward import _part_is_left
+from hydrotwin.discovery.ranking import ranking
 from hydrotwin.discovery.refinements import more_of_the_same, one_for_two
 from hydrotwin.discovery.structure import Structure, Tried
 from hydrotwin.models.language import Model
@@ -28,6 +30,7 @@ from .slides import (
     one,
     pushes,
     question,
+    records,
     searching,
     slid,
     slide,
@@ -153,3 +156,22 @@ def test_a_second_dry_friction_that_leaves_some_of_little_is_the_form_of_the_fir
         "coulomb_friction at mass.flange",
     ][: 2 * explained]
     assert explained or "no more than Coulomb friction a second time" in again[0].reason
+
+
+def test_what_turns_out_to_be_more_of_the_same_when_fitted_again_ends_the_search_and_the_table_says_why(monkeypatch):
+    search, fitted = searching(question(records(3, dry=30.0)), ("coulomb_friction", "null_bias"))
+    base, asked = Structure((), fitted), []
+
+    def in_the_end(search, now, base, tried):
+        asked.append([label(t) for t in tried])
+        if len(asked) == 1:
+            return list(tried)
+        rubs = "coulomb_friction at mass.flange"
+        return [dataclasses.replace(t, reason="more of the same") if label(t) == rubs else t for t in tried]
+
+    monkeypatch.setattr(forward, "more_of_the_same", in_the_end)
+    after = forward._forward(search, base, base, 2, ())
+    assert not after.steps and not after.last.members and len(asked) == 2
+    tried = in_the_end(search, base, base, after.screens[-1][2])
+    rows = ranking((), tried, None, {p.name: p for p in search.big.parameters})
+    assert {(r.fate, r.reason) for r in rows if r.effect == "coulomb_friction"} == {("rejected", "more of the same")}

@@ -155,7 +155,7 @@ class EndStop(Effect):
         f = k e_high (1 + d v) - k e_low (1 - d v),   e_high = max(s - s_high, 0), e_low = max(s_low - s, 0)
 
     Each bracket at least 0: a stop never pulls. Either end may lie where nothing comes. No data sheet tells how hard a
-    stop is. Source: Hunt and Crossley.
+    stop is; what is softer than the softest cushion is a spring that acts from somewhere on. Source: Hunt and Crossley.
     """
 
     id, title = "end_stop", "end of the stroke"
@@ -169,7 +169,7 @@ class EndStop(Effect):
     flange = Flange("what comes to the stop")
     low = Parameter(-FAR, "m", "s_low", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
     high = Parameter(FAR, "m", "s_high", bounds=(-FAR, FAR), nominal=0.1, source="no stop: far away", free=True)
-    stiffness = Parameter(2e7, "N/m", "k of the contact", bounds=(1e3, 1e10), nominal=1e7, source="stiff", free=True)
+    stiffness = Parameter(2e7, "N/m", "k of the contact", bounds=(1e5, 1e10), nominal=1e7, source="stiff", free=True)
     damping = Parameter(10.0, "s/m", "d of the contact", bounds=(0, 100), nominal=10.0, source=HUNT, free=True)
 
     sites = staticmethod(flanges)

@@ -56,12 +56,12 @@ def settled(
     *larger, smaller = search.run(refit, [*jobs, back], "look back")  # the longest first
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
-    tried = _improved(search, now, tried, again, larger)
+    tried = improved(search, now, tried, again, larger)
     for t in _passing(search, tried[len(tried) - len(alike) :]):  # it shows, whatever the screen predicted
         search.not_testable.pop(t.members[0].label, None)
     if near and (passing := _passing(search, tried)):
         looks = along_valleys(search, passing[0].structure)
-        tried = _improved(search, now, tried, [passing[0]] * len(looks), search.run(refit, looks, "look back"))
+        tried = improved(search, now, tried, [passing[0]] * len(looks), search.run(refit, looks, "look back"))
     return now, _in_one_hollow(search, now, tried, near)
 
 
@@ -87,11 +87,11 @@ def _in_one_hollow(search: Search, now: Structure, tried: tuple[Tried, ...], nea
         there, base, before = likely.structure.fitted, search.names(now.members), likely.members
         values = {n: v for n, v in there.values.items() if n in base}
         jobs = [search.refit_of(t.structure, values, states=there.states) for t in others]
-        tried = _improved(search, now, tried, others, search.run(refit, jobs, "look back"))
+        tried = improved(search, now, tried, others, search.run(refit, jobs, "look back"))
     return tried
 
 
-def _improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
+def improved(search: Search, now: Structure, tried: Sequence[Tried], again: Sequence[Tried], fits: Sequence):
     """``tried`` with those fitted ``again`` that are better for it."""
     better: dict[int, Tried] = {}
     for t, found in zip(again, fits, strict=True):
@@ -163,12 +163,12 @@ def _contenders(search: Search, tried: Sequence[Tried], choice: Choice, near: bo
     least = best.evidence.closed - ALMOST_ALIKE
     others = [t for t in _passing(search, tried) if near or t in choice.members or t.evidence.closed > least]
     if near:
-        hidden = (t for t in tried if t.structure and _promised(t) > PROMISED * _promised(best))
+        hidden = (t for t in tried if t.structure and promised(t) > PROMISED * promised(best))
         others += [t for t in hidden if t not in others]
     return [best, *(t for t in others if t is not best)][: 1 + CONTENDERS]
 
 
-def _promised(t: Tried) -> float:
+def promised(t: Tried) -> float:
     """What the screen expected of it, by L."""
     return t.screened.gain if t.screened else 0.0
 

@@ -15,7 +15,7 @@ from hydrotwin.models.effects import Candidate
 
 from .answering import Found, Step
 from .choose import Choice, choose, label
-from .look_back import settled
+from .look_back import PROMISED, RIVALS, improved, promised, settled
 from .refit import refit
 from .screen import Screened
 from .search import Search
@@ -62,12 +62,27 @@ def _chosen(search: Search, others: Structure, old: Candidate, now: Structure) -
     _, ranked = search.screened(others)
     tried = search.singles(others, search.shortlist(ranked))
     tried = _with_present([*tried, *search.finer(others, ranked, tried)], old, now, ranked)
-    tried = [search.judged(t, others) for t in tried]
+    tried = _from_the_present(search, others, [search.judged(t, others) for t in tried], old, now)
     choice = choose(tried, len(search.candidates), search.question)
     if choice and len(choice.probability) > 1:
         _, tried = settled(search, others, tried, choice)
         choice = choose(tried, len(search.candidates), search.question)
     return choice and Step(_keeping(choice, old), tuple(ranked), tuple(tried), others)
+
+
+def _from_the_present(
+    search: Search, others: Structure, tried: Sequence[Tried], old: Candidate, now: Structure
+) -> Sequence[Tried]:
+    """``tried``, those that promise as much as the present effect begun once more where the base stands beside it.
+
+    Without it the base has bent as far as it may, and only the present effect is known on the other side of that.
+    """
+    present = next(t for t in tried if t.members == (old,))
+    rivals = [t for t in tried if t is not present and t.structure and promised(t) > PROMISED * promised(present)]
+    rivals = sorted(rivals, key=promised, reverse=True)[:RIVALS]
+    base = {n: v for n, v in now.fitted.values.items() if n not in old.free}
+    jobs = [search.refit_of(t.structure, base, states=now.fitted.states) for t in rivals]
+    return improved(search, others, tried, rivals, search.run(refit, jobs, "look back")) if jobs else tried
 
 
 def _keeping(choice: Choice, old: Candidate) -> Choice:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from hydrotwin.discovery import forward
 from hydrotwin.discovery.answering import Found, Step
 from hydrotwin.discovery.choose import Choice, label
 from hydrotwin.discovery.forward import _best_of_singles_and_pairs, _pruned, _without
-from hydrotwin.discovery.revise import _keeping, revised
+from hydrotwin.discovery.revise import _from_the_present, _keeping, revised
 from hydrotwin.discovery.structure import Structure, Tried
 from tests.discovery.slides import question, records, searching
 
@@ -140,3 +142,19 @@ def test_what_singles_explained_is_known_after_a_pair_took_their_place(monkeypat
     monkeypatch.setattr(forward, "choose", lambda *_: step.choice)
     monkeypatch.setattr(search, "pairs", lambda *_: [])
     assert _best_of_singles_and_pairs(search, base, 2).screens == (*alone.screens, *both.screens)
+
+
+@pytest.mark.parametrize(("promise", "again"), [(1.0, True), (0.5, False)])
+def test_what_promises_as_much_begins_where_the_base_stands_beside_the_present_effect(promise, again):
+    """Without it the base has bent: a laminar leak rested at five times the noise beside a turbulent one at one."""
+    search, fitted = searching(question(records(3, dry=30.0)), ("coulomb_friction", "asymmetric_friction"))
+    base = Structure((), fitted)
+    ranked = {s.candidate.id: s for s in search.screened(base)[1]}
+    present, rival = search.singles(base, [ranked[name] for name in ("coulomb_friction", "asymmetric_friction")])
+    at_rest = rival.structure.fitted
+    bent = dataclasses.replace(at_rest, values={**at_rest.values, "mass.mass": 5e3}, likelihood=1e9)
+    expected = dataclasses.replace(rival.screened, gain=promise * present.screened.gain)
+    poor = dataclasses.replace(rival, screened=expected, structure=Structure(rival.members, bent))
+    _, fitted_again = _from_the_present(search, base, [present, poor], present.members[0], present.structure)
+    assert (fitted_again.structure.fitted.likelihood == pytest.approx(at_rest.likelihood, rel=1e-3)) is again
+    assert fitted_again.evidence.passes(2) or not again

@@ -8,7 +8,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .descent import Task, held_out_run, whole_runs
+from hydrotwin.models.language.errors import SolveError
+
+from .descent import Task, held_out_run, undecided, whole_runs
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
@@ -29,14 +31,16 @@ def answer(
     values = free.values(best.q)
     at_bound = _at_bound(free, best)
     shooting, _ = whole_runs(task)
-    rows = [shooting.sensitivities(i, best.q, best.z[i]) for i in range(len(shooting.segments))]
+    rows, lost = _differentiated(task, shooting, best)
     known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
+    rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
     sandwich, ambiguous = _widened(sandwich, free, minima)
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged)
     findings = [
+        *lost,
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
         *([] if ambiguous else _rough(best)),
@@ -66,6 +70,30 @@ def answer(
         seconds=time.perf_counter() - began,
         settings=dict(settings),
     )
+
+
+def _differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list, list[Finding]]:
+    """`sensitivities` of every training run at a minimum, None and told where they are lost.
+
+    Near stiffness explicit steps may carry a run and lose its derivatives, which the implicit method keeps.
+
+    Raises SolveError when all are lost.
+    """
+    rows = [shooting.sensitivities(i, best.q, best.z[i]) for i in range(len(shooting.segments))]
+    if any(row is None for row in rows) and not task.flat.black_box and task.propagator.method == "explicit":
+        implicit, _ = whole_runs(undecided(task, "rosenbrock"))
+        rows = [row or implicit.sensitivities(i, best.q, best.z[i]) for i, row in enumerate(rows)]
+    lost = [recording.name for recording, row in zip(task.recordings, rows, strict=True) if row is None]
+    if len(lost) == len(rows):
+        raise SolveError(
+            f"identify: every training run of {task.flat.name} diverges at the fitted parameters, or its derivatives "
+            "do. Start elsewhere, or free fewer parameters."
+        )
+    told = [Finding("diverged", (), (
+        f"identify: the free run over {name}, or its derivatives, diverge at the fitted parameters. The sigmas do not "
+        "count this recording. Something is missing in the model, or the start was too far off."
+    )) for name in lost]  # fmt: skip
+    return rows, told
 
 
 def explains(task: Task, found: Minimum) -> bool:
@@ -148,8 +176,10 @@ def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
 def _weighted_rows(rows, shooting: Shooting):
     """Residuals, projected Jacobians, sample numbers per recording, under the loss."""
     residuals, jacobians, samples = [], [], []
-    for (r, J, _), segment in zip(rows, shooting.segments, strict=True):
-        r, J = shooting.loss.linearised(r, J)
+    for row, segment in zip(rows, shooting.segments, strict=True):
+        if row is None:
+            continue
+        r, J = shooting.loss.linearised(*row[:2])
         measured = np.isfinite(shooting.recordings[segment.recording].y) & (shooting.weights > 0)
         residuals.append(r)
         jacobians.append(without_starts(J, len(shooting.free.names)))
@@ -204,7 +234,8 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
     records, residuals, findings = [], [], []
     for i, recording in enumerate(task.recordings):
         records.append(_record_fit(task, shooting, recording, "train", best.z[i]))
-        residuals += _output_residuals(task, shooting.residuals(i, best.q, best.z[i]), recording, "train")
+        left = shooting.residuals(i, best.q, best.z[i])
+        residuals += [] if left is None else _output_residuals(task, left, recording, "train")
     for recording in judged:
         alone, z = held_out_run(task, best.q, recording)
         left = alone.residuals(0, best.q, z[0])

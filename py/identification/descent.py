@@ -122,9 +122,9 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
     return shooting, shooting.clip(z)
 
 
-def undecided(task: Task) -> Task:
-    """How it is integrated is decided again: what was easy at one point may be stiff at another."""
-    return task if task.flat.black_box else dataclasses.replace(task, propagator=task.propagator.undecided())
+def undecided(task: Task, method: str | None = None) -> Task:
+    """How it is integrated is decided again, or told: what was easy at one point may be stiff at another."""
+    return task if task.flat.black_box else dataclasses.replace(task, propagator=task.propagator.undecided(method))
 
 
 def descend(

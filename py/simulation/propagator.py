@@ -84,10 +84,14 @@ class Propagator:
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
         self._engines, self._recents = {False: explicit}, {"explicit": Recent(), "rosenbrock": Recent()}
 
-    def undecided(self) -> Propagator:
-        """The same with step and method as they were asked for: "auto" is decided again, at other parameters."""
+    def undecided(self, method: str | None = None) -> Propagator:
+        """The same with step and method as they were asked for: "auto" is decided again, at other parameters.
+
+        method : another one, instead.
+        """
         other = copy.copy(self)
-        other.step, other.method = self._asked[0], "explicit" if self._asked[1] == "vm" else self._asked[1]
+        asked = method or self._asked[1]
+        other.step, other.method = self._asked[0], "explicit" if asked == "vm" else asked
         other._deciding, other._engines = threading.Lock(), dict(self._engines)
         return other
 

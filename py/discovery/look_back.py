@@ -50,9 +50,10 @@ def settled(
     if near or _at_bound(now, best):
         again += [t for t in alike if t.structure and t not in again]
     begun = [(t, t.members[0].probes[0] if t in alike else {}) for t in again]
-    begun += [(t, _largest(t.members[-1])) for t in again if near and _small(t)]
-    again = [t for t, _ in begun]
     jobs = [_from_first(search, t.structure, start) for t, start in begun]
+    small = [t for t in again if near and _small(t)]
+    again = [*again, *small]
+    jobs += [_held(search, t) for t in small]
     *larger, smaller = search.run(refit, [*jobs, back], "look back")  # the longest first
     if not isinstance(smaller, str) and smaller.likelihood < now.fitted.likelihood - LOOK_BACK:
         now = search.keep(Structure(now.members, smaller))
@@ -177,6 +178,26 @@ def _from_first(search: Search, structure: Structure, effect: Mapping[str, float
     """A structure's fit again, its base parameters from where the identification began, an effect's from others."""
     again = {"states": (), "size": search.first_size, "coarse": True, "iterations": 40}
     return search.refit_of(structure, {**search.first, **effect}, **again)
+
+
+def _held(search: Search, t: Tried) -> RefitJob:
+    """Its fit from the beginning with a large effect, which stays until the base has given back what it took of it.
+
+    Better too large than too small: a base that is far too quick beside it follows as soon as the effect is free, one
+    that still stands in for the half of it takes it all back.
+    """
+    added = t.members[-1]
+    job = _from_first(search, t.structure, _much(added))
+    return dataclasses.replace(job, held=added.free)
+
+
+def _much(candidate: Candidate) -> Mapping[str, float]:
+    """The largest probe, each of its parameters as far from where the effect is absent as the catalogue calls usual."""
+    found = {}
+    for n, v in _largest(candidate).items():
+        absent, usual = candidate.neutral[n], candidate.typical.get(n, (v, v))[v > candidate.neutral[n]]
+        found[n] = max(v, usual, key=lambda value: abs(value - absent)) if v != absent else v
+    return found
 
 
 def along_valleys(search: Search, structure: Structure) -> list[RefitJob]:

@@ -84,6 +84,7 @@ class RefitJob:
     valley : look along the valleys of the minimum for a lower one, residuals averaged over so many periods; unless it
         is stiff there.
     threads : over recordings and windows; the answer does not depend on it.
+    held : of ``free``, those that stay at the first start until the others have come to rest beside them.
     """
 
     flat: FlatModel
@@ -99,6 +100,7 @@ class RefitJob:
     valley: float | None = None
     threads: int = 1
     led: Led | None = None
+    held: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +172,7 @@ def lead(job: RefitJob) -> Led | str:
 
 
 def _refit(job: RefitJob) -> Refitted:
+    job = _beside_the_held(job) if job.held else job
     q, iterations = job.question, job.iterations
     if job.coarse:
         task, lengths = _coarse(job)
@@ -184,6 +187,14 @@ def _refit(job: RefitJob) -> Refitted:
         lower = along_the_valleys(best[0], best[1], rounds=1, averaged=[job.valley])[0][0]
         best = min(best, _settled(best[0], q, lower, iterations), key=lambda answer: answer[-1])
     return _answer(q, *best)
+
+
+def _beside_the_held(job: RefitJob) -> RefitJob:
+    """The job from where the others come to rest while the held ones stay."""
+    (start, *_), free = job.starts, tuple(n for n in job.free if n not in job.held)
+    others = _refit(dataclasses.replace(job, free=free, held=()))
+    starts = ({**start, **others.values},)
+    return dataclasses.replace(job, held=(), coarse=False, starts=starts, states=others.states, size=others.size)
 
 
 def _coarse(job: RefitJob) -> tuple[Task, list[float]]:

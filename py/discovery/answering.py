@@ -158,7 +158,7 @@ def _concluded(search: Search, data: Split, base: Structure, last: Structure, ri
     """Structures fitted to all training recordings and run on those to report on: base, last, and rivals by label."""
     q = dataclasses.replace(search.question, fit=data.train, select=data.report)
     needed = [base] if last is base else [base, last]
-    jobs = [_job(search, q, structure) for structure in (*needed, *rivals.values())]
+    jobs = [final_job(search, q, structure) for structure in (*needed, *rivals.values())]
     answers = search.run(conclude, jobs, "final fit")
     for one in answers[: len(needed)]:
         if isinstance(one, str):
@@ -167,7 +167,8 @@ def _concluded(search: Search, data: Split, base: Structure, last: Structure, ri
     return answers[0], answers[len(needed) - 1], {name: one for name, one in others if not isinstance(one, str)}
 
 
-def _job(search: Search, q: Question, structure: Structure) -> RefitJob:
+def final_job(search: Search, q: Question, structure: Structure) -> RefitJob:
+    """Its fit to the recordings of ``q``, from where it stands in those of the search."""
     known = dict(zip((r.name for r in search.question.fit), structure.fitted.states, strict=True))
     states = tuple(known.get(r.name, {}) for r in q.fit)
     return dataclasses.replace(search.refit_of(structure, states=states), question=q)

@@ -16,6 +16,7 @@ from hydrotwin.models.language.units import compatible
 
 from .answering import answer
 from .base import identified
+from .confirm import confirmed
 from .discovery import Discovery
 from .executor import Starts, cores_of, executor_for
 from .forward import begun, searched
@@ -104,6 +105,7 @@ def discover(
         base = _or_refused(identified(search, search.models_ahead()))
         found = searched(search, begun(search, Structure((), base)), max_effects)
         search, found = explained_together(search, data, found, max_effects)
+        found = confirmed(search, data, found)
         return answer(search, data, found, model, began)
 
 

@@ -99,8 +99,11 @@ def _beside_a_near_miss(search: Search, base: Structure, tried: Sequence[Tried])
 def _pruned(search: Search, found: Found) -> Found:
     """What was found without the steps, and without the members of a pair, that have become idle."""
     last = without_idle_ends(search, pruned(search, found.last, found.base))
-    if last is found.last:
-        return found
+    return found if last is found.last else reduced(search, found, last)
+
+
+def reduced(search: Search, found: Found, last: Structure) -> Found:
+    """What was found with ``last``, which has lost some of its effects, for its end."""
     gone = {c.label for step in found.steps for c in step.choice.best.members} - set(last.key)
     steps = [s for s in found.steps if any(c in last.members for c in s.choice.best.members)]
     steps = [dataclasses.replace(_without(s, gone), revised={}) for s in steps]  # made with the others in place

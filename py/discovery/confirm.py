@@ -19,8 +19,7 @@ from .refinements import with_refinements
 from .refit import refit
 from .search import Search
 from .structure import Structure
-
-AGAINST = "the recordings that judge are explained better without it"
+from .verdict import AGAINST
 
 
 def confirmed(search: Search, data: Split, found: Found) -> Found:

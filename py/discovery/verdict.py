@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
 FURTHER = 0.1  # of the range that was fitted: beyond it a model is not what was tested
+AGAINST = "the recordings that judge are explained better without it"
 NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
 
 
@@ -137,6 +138,12 @@ def findings_of(search: Search, found: Found, verdict: str, shown: float, changi
                 f"gap: the smoothed sign of the friction leaves {np.sqrt(noise**2 - sensor**2) / sensor:.2g} times the "
                 f"noise in {name} by itself (found on a twin that truly sticks). No effect was looked for below that."
             )
+    refuted = [t for _, _, tried in found.screens for t in tried if t.reason == AGAINST and len(t.members) == 1]
+    said += [
+        f"gap: {label(t)} would explain a part of what is left where the model was fitted, but {AGAINST}. It was taken "
+        "back; the law of what is named may be the cause."
+        for t in refuted
+    ]
     if verdict in ("named", "class") and not search.question.held_out:
         said.append(
             "gap: what some recordings show the others do not, so none was kept to choose by: all were fitted to. The "

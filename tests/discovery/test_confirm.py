@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hydrotwin.discovery.confirm import AGAINST
+from hydrotwin.discovery.verdict import AGAINST
 from tests.discovery.slides import NOISE, PERIOD, found, records
 
 EFFECTS = ("coulomb_friction", "dead_time")
@@ -28,11 +28,14 @@ def test_what_the_recordings_that_judge_are_explained_better_without_is_taken_ba
     assert "dead_time" not in {p.name.split(".")[0] for p in answer.model.flat.parameters}
     (row,) = [r for r in answer.last_ranked if r.effect == "dead_time"]
     assert (row.fate, row.reason) == ("rejected", AGAINST)
+    (note,) = [f for f in answer.findings if AGAINST in f]
+    assert note.startswith("gap: dead_time at force would explain a part")
 
 
 def test_what_they_confirm_stays():
     answer = told(records(2, first=7, dry=DRY, late=LATE))
     assert values(answer) == pytest.approx({"coulomb_friction": DRY, "dead_time": LATE * PERIOD}, rel=0.05)
+    assert not [f for f in answer.findings if AGAINST in f]
 
 
 def test_without_such_recordings_nothing_speaks_against_it():

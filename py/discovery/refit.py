@@ -36,7 +36,6 @@ from .starts import by_cost, given, inside
 ROUNDS = 5
 LONGEST = 30  # iterations in all rounds together: a cost with kinks can take every one of them and gain nothing
 FAR = 2.0  # times the noise: beyond it what may be left weighs a first fit, too
-LOST = 100.0  # times what is left in the fit recordings: an arm that has fallen over
 FEWEST = 3  # iterations of the slowest structures
 LEADING = 2  # lengths of windows that tell which of several starts lead elsewhere
 IMPLICIT = 10  # times an explicit run: an implicit one
@@ -119,8 +118,7 @@ class Refitted:
     values : free parameters by path; states : start states by name per fit recording; size (ny,) as in L.
     residuals_fit, residuals_select : (n, ny) per recording, simulated minus measured, SI, nan where not measured.
     likelihood : L, with its constant chosen so that a structure that leaves s_j = noise_j everywhere has n/2, and what
-        unusual base parameters cost; n more where it is lost on recordings that select, as if it left e times as much:
-        of several minima the lowest is no machine if it falls over in the next recording.
+        unusual base parameters cost.
     """
 
     values: Mapping[str, float]
@@ -352,27 +350,18 @@ def _answer(q: Question, task: Task, found: Minimum, left: Sequence[np.ndarray],
     near = np.where(np.isfinite(near), near, 0.0)
     low = values <= free.lower + np.minimum(near, 1e-6 * np.abs(free.unit))
     high = values >= free.upper - np.minimum(near, 1e-6 * np.abs(free.unit))
-    select = tuple(residuals_of(task, found, q.select)) if q.select else ()
     return Refitted(
         values=dict(zip(free.names, values.tolist(), strict=True)),
         states=tuple(dict(zip(names, (z * shooting.start.nominal).tolist(), strict=True)) for z in found.z),
         size=_sizes(left, q),
         residuals_fit=tuple(left),
-        residuals_select=select,
-        likelihood=value + (float(q.counts.sum()) if runs_away(left, select, q.noise) else 0.0),
+        residuals_select=tuple(residuals_of(task, found, q.select)) if q.select else (),
+        likelihood=value,
         parameters=len(free.names),
         at_bound=tuple(n for n, at in zip(free.names, low | high, strict=True) if at),
         converged=found.converged,
         iterations=found.iterations,
     )
-
-
-def runs_away(left: Sequence[np.ndarray], select: Sequence[np.ndarray], noise: np.ndarray) -> bool:
-    """Whether what follows the fit recordings (residuals n, ny, SI) is lost on those that select, in some output."""
-    if not select:
-        return False
-    with np.errstate(invalid="ignore"):
-        return bool(np.any(pooled_rmse(select) > LOST * np.fmax(pooled_rmse(left), noise)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -109,16 +109,6 @@ def test_a_sensor_that_the_model_cannot_follow_loses_its_weight_and_the_good_one
     assert found.values["time_constant"] == pytest.approx(0.3, rel=5e-3)
 
 
-def test_a_fit_that_is_lost_on_a_recording_that_selects_is_worse_than_any_that_is_not(plain, fitted):
-    """It falls over there: as if it left e times as much. What leaves a lot there is no machine that is lost."""
-    (recording,) = plain.select[:1]
-    for off, lost in ((50 * NOISE, False), (500 * NOISE, True)):
-        moved = dataclasses.replace(plain, select=(dataclasses.replace(recording, y=recording.y + off),))
-        again = refit(RefitJob(slide().flat, FREE, moved, coarse=True))
-        assert again.values == fitted.values
-        assert again.likelihood - fitted.likelihood == pytest.approx(plain.counts.sum() if lost else 0.0)
-
-
 def test_a_useless_parameter_costs_the_logarithm_of_the_worth_of_the_samples(plain, fitted):
     from hydrotwin.models.effects import candidates
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.gap import baselines
+from benchmarks.gap import baselines, refits
 from benchmarks.gap.baselines import bic_alone, gaussian_process, residuals
 from benchmarks.gap.cases import Case, make
 from benchmarks.gap.refits import Bench, at_truth, oracle
@@ -68,3 +68,18 @@ def test_sparse_regression_says_a_term(bench):
     answer = sparse_regression(bench)
     assert answer.notes["term"] in (*FAMILY, None)
     assert answer.rmse_after is None
+
+
+def test_where_short_windows_lead_to_runs_that_diverge_the_base_is_fitted_without(bench, monkeypatch):
+    """The true structure went without a fit to compare with, and the case without an oracle."""
+    asked, fitted = [], object()
+
+    def refit(job):
+        asked.append(job.coarse)
+        return "every run diverges" if job.coarse else fitted
+
+    monkeypatch.setattr(refits, "refit", refit)
+    assert Bench(bench.made).base is fitted and asked == [True, False]
+    monkeypatch.setattr(refits, "refit", lambda job: "every run diverges")
+    with pytest.raises(RuntimeError, match="every run diverges"):
+        _ = Bench(bench.made).base

@@ -54,7 +54,7 @@ def _less(now: Structure, member: Candidate) -> Structure:
 
 
 def _without(search: Search, found: Found, refuted: Candidate) -> Found | None:
-    """What was found without this effect, the reason beside it in the table of what was tried."""
+    """What was found without this effect, the reason beside it in the table of what was tried; None when it stays."""
     (fitted,) = search.run(refit, [search.refit_of(_less(found.last, refuted))], "look back")
     step = next((s for s in found.steps if refuted in s.choice.best.members), None)
     if step is None or isinstance(fitted, str):
@@ -62,4 +62,6 @@ def _without(search: Search, found: Found, refuted: Candidate) -> Found | None:
     told = tuple(dataclasses.replace(t, reason=AGAINST) if refuted in t.members else t for t in step.tried)
     last = search.keep(Structure(_less(found.last, refuted).members, fitted))
     less = reduced(search, found, last)
+    if refuted in less.last.members:  # of a pair: alone it was better than the other, and nothing is gained
+        return None
     return dataclasses.replace(less, screens=(*less.screens, (None, step.ranked, told)))

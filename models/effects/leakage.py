@@ -231,7 +231,7 @@ class DisplacementError(Effect):
     @classmethod
     def sites(cls, places):
         for p in places.model.flat.parameters:
-            turns = compatible(p.unit, "m3") and ("rad" in p.unit or "rev" in p.unit)
+            turns = compatible(p.unit, "m3/rad")
             added = any(p.name.startswith(f"{a.name}.") for a in places.model.additions if a.part is not None)
             if (turns or compatible(p.unit, "m3/(s.sqrt(Pa))")) and not (p.free or added) and p.value:
                 yield Site(p.name, frees=p.name, unit=p.unit, nominal=p.nominal)

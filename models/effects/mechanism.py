@@ -141,7 +141,7 @@ class GravityTilt(Effect):
         states = {s.path: s.unit for s in places.states}
         for part in places.parts:
             angles = [s for s in part.states if states[s] == "rad"]
-            speeds = [s for s in part.states if compatible(states[s], "rad/s") and states[s] != "1/s"]
+            speeds = [s for s in part.states if compatible(states[s], "rad/s")]
             if len(angles) == len(speeds) == 1:
                 yield Site(part.path, reads={"angle": angles[0]}, through=f"der({speeds[0]})")
 

@@ -8,47 +8,20 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 
 import numpy as np
 
-from .errors import UnitError, nearest
+from .errors import UnitError
+from .unit_symbols import right_symbol, symbol_table
 
 BASE_UNITS = ("m", "kg", "s", "A", "K", "mol", "cd")
 _BASE_NAMES = ("length", "mass", "time", "current", "temperature", "substance", "luminosity")
 
-# symbol -> (name known to pint, SI form). The SI form keeps derived units (Pa stays Pa) and angles (rad stays rad).
-_SI_SYMBOLS = {
-    "m": "meter", "kg": "kilogram", "s": "second", "A": "ampere", "K": "kelvin", "mol": "mole", "cd": "candela",
-    "rad": "radian", "N": "newton", "Pa": "pascal", "J": "joule", "W": "watt", "V": "volt", "ohm": "ohm",
-    "F": "farad", "H": "henry", "Hz": "hertz", "C": "coulomb", "T": "tesla", "Wb": "weber", "S": "siemens",
-}  # fmt: skip
-_PREFIXES = {
-    "G": "giga", "M": "mega", "k": "kilo", "h": "hecto", "d": "deci", "c": "centi", "m": "milli", "u": "micro",
-"μ": "micro", "n": "nano", "p": "pico",
-}  # fmt: skip
-_OTHER_SYMBOLS = {
-    "g": ("gram", "kg"), "t": ("tonne", "kg"), "lb": ("pound", "kg"),
-    "min": ("minute", "s"), "h": ("hour", "s"), "d": ("day", "s"),
-    "in": ("inch", "m"), "ft": ("foot", "m"), "L": ("liter", "m3"), "l": ("liter", "m3"), "cc": ("cm**3", "m3"),
-    "gal": ("gallon", "m3"), "lpm": ("liter/minute", "m3/s"), "LPM": ("liter/minute", "m3/s"),
-    "gpm": ("gallon/minute", "m3/s"), "GPM": ("gallon/minute", "m3/s"),
-    "bar": ("bar", "Pa"), "mbar": ("millibar", "Pa"), "psi": ("psi", "Pa"), "atm": ("atmosphere", "Pa"),
-    "lbf": ("pound_force", "N"), "kgf": ("kilogram_force", "N"), "Nm": ("newton*meter", "N.m"),
-    "P": ("poise", "Pa.s"), "cP": ("centipoise", "Pa.s"), "St": ("stokes", "m2/s"), "cSt": ("centistokes", "m2/s"),
-    "deg": ("degree", "rad"), "°": ("degree", "rad"), "rev": ("turn", "rad"), "mdeg": ("millidegree", "rad"),
-    "rpm": ("turn/minute", "rad/s"), "RPM": ("turn/minute", "rad/s"),
-    "Wh": ("watt*hour", "J"), "Ah": ("ampere*hour", "C"), "eV": ("electron_volt", "J"), "hp": ("horsepower", "W"),
-    "degC": ("kelvin", "K"), "°C": ("kelvin", "K"), "degF": ("degR", "K"), "°F": ("degR", "K"),
-    "%": ("percent", "1"), "ppm": ("ppm", "1"), "‰": ("permille", "1"),
-    "count": ("dimensionless", "1"), "counts": ("dimensionless", "1"),
-    "Ω": ("ohm", "ohm"), "Ohm": ("ohm", "ohm"),
-}  # fmt: skip
-_TAKES_PREFIX = (
-    "m", "g", "s", "A", "N", "Pa", "J", "W", "V", "ohm", "Ohm", "Ω", "F", "H", "Hz", "rad", "L", "l", "T", "Nm", "eV",
-)  # fmt: skip
+_PER_MINUTE = {"min": Fraction(-1)}  # DIN and Modelica libraries count revolutions so; a rate is in 1/s
 _ZERO_POINT = {"degC": 273.15, "°C": 273.15, "degF": 459.67 / 1.8, "°F": 459.67 / 1.8}  # K at 0 of a bare temperature
 
 _DISPLAY = {
@@ -85,6 +58,10 @@ def parse_unit(unit: str) -> Unit:
     'm3/s'
     """
     powers = _Reader(unit).read()
+    return _unit(unit, {"rpm": Fraction(1)} if powers == _PER_MINUTE else powers)
+
+
+def _unit(unit: str, powers: Mapping[str, Fraction]) -> Unit:
     factor, dimension = 1.0, (Fraction(0),) * 7
     si_powers: dict[str, Fraction] = {}
     for symbol, power in powers.items():
@@ -119,14 +96,19 @@ def from_si(values, unit: str):
 
 
 def convert(values, from_: str, to: str):
-    """Values in ``from_`` expressed in ``to``; `UnitError` when the two are not of one dimension."""
-    if not compatible(from_, to):
-        raise UnitError(
-            f"unit '{from_}': cannot become '{to}' (got {describe(from_)}, not {describe(to)}). {_way(from_)}"
-        )
+    """Values in ``from_`` expressed in ``to``; `UnitError` when the two are not `compatible`.
+
+    >>> convert(60.0, "1/min", "rev/s"), convert(60.0, "1/min", "1/s")
+    (1.0, 1.0)
+    """
     if from_ == to:
         return _scaled(values, 1.0, 0.0)
-    return from_si(to_si(values, from_)[0], to)
+    if not compatible(from_, to):
+        kinds = describe(from_), describe(to)
+        got = f"got {kinds[0]}, not {kinds[1]}" if kinds[0] != kinds[1] else "only one of them holds an angle"
+        raise UnitError(f"unit '{from_}': cannot become '{to}' ({got}). {way_out(from_, to)}")
+    one = _meant(from_, to)
+    return from_si(_scaled(values, one.factor, one.offset), to)
 
 
 def si_unit(unit: str) -> str:
@@ -143,15 +125,14 @@ def dimension(unit: str) -> tuple[Fraction, ...]:
     return parse_unit(unit).dimension
 
 
-def compatible(a: str, b: str) -> bool:
-    """Whether values in ``a`` can be expressed in ``b``.
+def compatible(from_: str, to: str) -> bool:
+    """Whether values in ``from_`` can be expressed in ``to``.
 
-    Same dimension; and cycles (Hz) never silently become angles (rad/s), which differ by 2 pi.
+    They need one dimension, and the angle must not be left out where that could hide a factor of 2 pi: 1/s and Hz are
+    no angular speed, m3 is no displacement per angle. 1/min is revolutions per minute where ``to`` holds an angle.
     """
-    one, two = parse_unit(a), parse_unit(b)
-    if one.dimension != two.dimension:
-        return False
-    return not ({"Hz", "rad"} == _cycle_symbols(one.si) | _cycle_symbols(two.si) and one.si != two.si)
+    one, two = _meant(from_, to), parse_unit(to)
+    return one.dimension == two.dimension and not _hides_turns(one, two)
 
 
 def describe(unit: str) -> str:
@@ -182,7 +163,7 @@ def modelica_unit(unit: str) -> str:
 
 def known_symbols() -> tuple[str, ...]:
     """Every symbol a unit string may contain."""
-    return tuple(_symbol_table())
+    return tuple(symbol_table())
 
 
 def _scaled(values, factor: float, offset: float):
@@ -192,24 +173,43 @@ def _scaled(values, factor: float, offset: float):
     return values * factor + offset if offset else values * factor
 
 
-def _cycle_symbols(si: str) -> set[str]:
-    return set(re.findall(r"Hz|rad", si))
-
-
-def _way(unit: str) -> str:
-    if "Hz" in unit:
-        return "A frequency in Hz is not an angular speed: write rad/s, rpm or rev/s."
-    return f"Units of that dimension: {', '.join(dict.fromkeys((si_unit(unit), *display_units(unit))))}."
+@cache
+def _meant(from_: str, to: str) -> Unit:
+    """``from_`` understood for a conversion to ``to``: a bare 1/min counts turns, unless ``to`` holds no angle."""
+    unit = parse_unit(from_)
+    rate = not _power("rad", parse_unit(to).si) and _Reader(from_).read() == _PER_MINUTE
+    return _unit(from_, _PER_MINUTE) if rate else unit
 
 
 @cache
-def _symbol_table() -> dict[str, tuple[str, str]]:
-    table = {symbol: (name, symbol) for symbol, name in _SI_SYMBOLS.items()} | _OTHER_SYMBOLS
-    for symbol in _TAKES_PREFIX:
-        name, si_form = table[symbol]
-        for prefix, word in _PREFIXES.items():
-            table.setdefault(prefix + symbol, (word + name, si_form))
-    return table
+def _hides_turns(one: Unit, two: Unit) -> bool:
+    """Whether one of two units of one dimension leaves an angle out, so that it may count turns or radians.
+
+    An arc is a length (m.rad/s is m/s), and mechanics leaves "per radian" out (N.m/rad is N.m, V.s/rad is N.m/A), as
+    long as time is in seconds.
+    """
+    angles = _power("rad", one.si), _power("rad", two.si)
+    if angles[0] == angles[1]:
+        return False
+    with_angle, without = (one, two) if angles[0] else (two, one)
+    if max(angles) > 0:
+        return not _power("m", with_angle.si)
+    return not with_angle.dimension[1] or not {"min", "h"}.isdisjoint(_Reader(without.text).read())
+
+
+def _power(symbol: str, si: str) -> Fraction:
+    return _Reader(si).read().get(symbol, Fraction(0))
+
+
+def way_out(unit: str, needed: str) -> str:
+    """What to write instead of a unit that is not the one needed."""
+    if dimension(unit) != dimension(needed):
+        return f"Units of that dimension: {', '.join(dict.fromkeys((si_unit(unit), *display_units(unit))))}."
+    if _power("rad", parse_unit(needed).si) and dimension(needed) == dimension("1/s"):
+        return f"'{unit}' does not say whether it counts radians or turns: write rad/s, rpm or rev/s."
+    if _power("rad", parse_unit(needed).si):
+        return f"'{unit}' leaves the angle out: write rad, deg or rev into it, as in '{needed}'."
+    return f"'{needed}' holds no angle: write a unit without rad, deg or rev (for a rate 1/s or Hz)."
 
 
 @cache
@@ -222,7 +222,7 @@ def _registry():
 @cache
 def _symbol(symbol: str) -> tuple[float, tuple[Fraction, ...], dict[str, Fraction]]:
     """Factor to SI, base exponents and SI form of one symbol."""
-    pint_name, si_form = _symbol_table()[symbol]
+    pint_name, si_form = symbol_table()[symbol]
     quantity = _registry().Quantity(1.0, pint_name).to_base_units()
     exponents = {str(name): power for name, power in dict(quantity.unit_items()).items()}
     base = ("meter", "kilogram", "second", "ampere", "kelvin", "mole", "candela")
@@ -249,6 +249,11 @@ def _factor(symbol: str, power: Fraction) -> str:
     return f"{symbol}^({power})"
 
 
+def _plain(unit: str) -> str:
+    """The text with one character for each meaning: superscripts as digits, one micro sign, one minus."""
+    return unicodedata.normalize("NFKC", unit).strip().replace("\N{MINUS SIGN}", "-")
+
+
 class _Reader:
     """Recursive descent over one unit string."""
 
@@ -256,8 +261,8 @@ class _Reader:
         self.unit = unit
         if not isinstance(unit, str):
             raise UnitError(f"unit: not text (got {unit!r}). Write a string such as 'bar' or 'm3/s', '1' for none.")
-        plain = unicodedata.normalize("NFKC", unit).strip().replace("\N{MINUS SIGN}", "-")
-        text = re.sub(r"\s*([/.*·⋅()])\s*", r"\1", plain) or "1"
+        text = re.sub(r"\s*([/.*·⋅()])\s*", r"\1", _plain(unit)) or "1"
+        text = f"1{text}" if text.startswith("/") else text
         self.tokens = self._split("1" if text == "-" else text)
         self.place = 0
 
@@ -303,9 +308,11 @@ class _Reader:
         if kind == "number" and text == "1":
             return {}
         if kind == "symbol":
-            if text not in _symbol_table():
+            if text not in symbol_table():
                 whole = "" if text == self.unit else f" in '{self.unit}'"
-                raise UnitError(f"unit '{text}'{whole}: not known. {nearest(text, _symbol_table())}")
+                raise UnitError(f"unit '{text}'{whole}: not known. {right_symbol(text)}")
+            if re.search("[*/]", symbol_table()[text][0]) and self._peek() in ("number", "power"):
+                self._fail(f"an exponent behind the product '{text}' is ambiguous")
             return {text: self._exponent()}
         if kind in ("open", "sqrt"):
             inner = self._product()

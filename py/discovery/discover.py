@@ -121,7 +121,7 @@ def _bounded(model: Model, names: Sequence[str]) -> Model:
         if p.name in names and not p.free:
             changes[p.name] = {"free": True}
         if p.name in names and low > 0 and p.value > 0:
-            factor = NARROW if compatible(p.unit, "m3") or compatible(p.unit, "Pa") else WIDE
+            factor = NARROW if any(compatible(p.unit, unit) for unit in ("m3", "m3/rad", "Pa")) else WIDE
             changes.setdefault(p.name, {})["bounds"] = (max(low, p.value / factor), min(high, p.value * factor))
     return model.with_settings(changes, model.provenance) if changes else model
 

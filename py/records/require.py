@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible
+from hydrotwin.models.language.units import compatible, dimension, way_out
 
 from .record import Record
 
@@ -23,18 +23,14 @@ def require(record: Record, signals: Sequence[Signal], model_name: str) -> Recor
                 f"{where}: no column '{signal.name}', {model_name} needs '{signal.name} [{signal.unit}]'. "
                 f"{nearest(signal.name, record.names)}"
             )
-        if not _fits(record.units[signal.name], signal.unit):
+        if not compatible(record.units[signal.name], signal.unit):
             shown = record.display_units.get(signal.name, record.units[signal.name])
+            why = f" {way_out(shown, signal.unit)}" if dimension(shown) == dimension(signal.unit) else ""
             raise UnitError(
-                f"{where}: column '{signal.name}' is in {shown}, the model needs {signal.unit}. "
+                f"{where}: column '{signal.name}' is in {shown}, the model needs {signal.unit}.{why} "
                 f"Give a scale: --scale {signal.name}={_example(shown, signal)}."
             )
     return record.select([s.name for s in signals])
-
-
-def _fits(unit: str, needed: str) -> bool:
-    """Same dimension; and a bare number or a ratio is not an angle, though both are dimensionless."""
-    return compatible(unit, needed) and {unit, needed} != {"1", "rad"}
 
 
 def _example(shown: str, signal: Signal) -> str:

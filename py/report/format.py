@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import UnitError
-from hydrotwin.models.language.units import compatible, from_si
+from hydrotwin.models.language.units import compatible, convert
 
 _SHOWN = {
     "Pa": "bar",
@@ -44,7 +44,7 @@ def shown_unit(unit: str, *, preferred: str | None = None, peak: float = 0.0) ->
 def to_shown(values, unit: str, shown: str) -> np.ndarray:
     """Values in SI in the shown unit."""
     values = np.asarray(values, float)
-    return values if shown == unit else np.asarray(from_si(values, shown), float)
+    return values if shown == unit else np.asarray(convert(values, unit, shown), float)
 
 
 def difference_to_shown(values, unit: str, shown: str) -> np.ndarray:

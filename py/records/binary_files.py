@@ -1,8 +1,10 @@
-"""Parquet and MDF4: tables of typed columns."""
+"""Parquet: a table of typed columns; and what every reader of binary files needs."""
 
 from __future__ import annotations
 
 import hashlib
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,19 +20,77 @@ def read_parquet(path: Path) -> Table:
     import pyarrow
     import pyarrow.parquet
 
-    content = _content(path)
+    content = content_of(path)
     try:
         arrow = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content)).read()
     except (pyarrow.ArrowException, OSError) as error:
         raise unreadable(path, "Parquet", error) from None
-    columns = []
-    for field, values in zip(arrow.schema, arrow.columns, strict=True):
-        name, unit = split_header(field.name)
-        unit = (field.metadata or {}).get(b"unit", b"").decode() or unit
-        if pyarrow.types.is_dictionary(field.type):
-            values = values.cast(field.type.value_type)
-        columns.append(Column(name, unit, as_numbers(values.to_numpy(), path, name)))
+    columns = [_column(path, field, values) for field, values in zip(arrow.schema, arrow.columns, strict=True)]
+    columns = _with_index(columns, arrow.schema)
     return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())
+
+
+def _column(path: Path, field, values) -> Column:
+    """A column as numbers; what has a type of time is in seconds, a date or stamp counted from the first one."""
+    from pyarrow import types
+
+    name, unit = split_header(field.name)
+    unit = (field.metadata or {}).get(b"unit", b"").decode() or unit
+    if types.is_dictionary(field.type):
+        values = values.cast(field.type.value_type)
+    if not types.is_temporal(values.type):
+        exact = types.is_integer(values.type) and name == "time"
+        return Column(name, unit, _counted(values) if exact else as_numbers(values.to_numpy(), path, name))
+    if types.is_interval(values.type) or unit not in (None, "s"):
+        wrong = f"named in [{unit}]" if unit not in (None, "s") else "of no fixed length"
+        raise DataError(
+            f"{path}: row 1, column '{name}': its type is {values.type}, {wrong}. A type of time has its own unit: "
+            f"name it '{name} [s]', or store numbers."
+        )
+    return Column(name, "s", _seconds(values))
+
+
+def _seconds(values) -> np.ndarray:
+    """Durations and times of day in seconds; dates and stamps in seconds since the first: all exact to the last bit."""
+    import pyarrow
+
+    kind = values.type
+    stamped = pyarrow.types.is_timestamp(kind) or pyarrow.types.is_date(kind)
+    if pyarrow.types.is_date(kind):
+        kind = pyarrow.timestamp("s" if pyarrow.types.is_date32(kind) else "ms")
+        values = values.cast(kind)
+    counts = values.cast(f"int{kind.bit_width}").cast("int64")
+    per_second = 10 ** (3 * ("s", "ms", "us", "ns").index(kind.unit))
+    return _counted(counts, per_second, 0 if stamped else 2**63)
+
+
+def _counted(counts, per_second: int = 1, largest: int = 2**53) -> np.ndarray:
+    """Whole numbers over ``per_second`` as floats, less the first where one exceeds ``largest``; NaN for none."""
+    absent = counts.is_null().to_numpy()
+    whole = counts.fill_null(counts.drop_null()[0] if len(counts.drop_null()) else 0).to_numpy()
+    if len(whole) and max(abs(int(whole.max())), abs(int(whole.min()))) > largest:
+        whole = (whole - whole[0]).astype(np.int64)
+    seconds, rest = np.divmod(whole, per_second)
+    return np.where(absent, np.nan, seconds + rest / per_second)
+
+
+def _with_index(columns: list[Column], schema) -> list[Column]:
+    """The columns with the index of a data frame as time where it has a type of time; an unnamed one is no signal."""
+    index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
+    named = any(c.name == "time" for c in columns)
+    found = []
+    for field, column in zip(schema, columns, strict=True):
+        if field.name in index and not named and len(index) == 1 and _is_temporal(field.type):
+            column = replace(column, name="time")
+        if not (field.name in index and re.fullmatch(r"__index_level_\d+__", column.name)):
+            found.append(column)
+    return found
+
+
+def _is_temporal(kind) -> bool:
+    from pyarrow import types
+
+    return types.is_temporal(kind)
 
 
 def write_parquet(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
@@ -42,45 +102,6 @@ def write_parquet(headers: list[str], columns: list[np.ndarray], record: Record,
     fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in split]
     table = pyarrow.Table.from_arrays([pyarrow.array(c) for c in columns], schema=pyarrow.schema(fields))
     pyarrow.parquet.write_table(table, str(path))
-
-
-def read_mdf(path: Path) -> Table:
-    """The table of an MDF 4 file: its numeric channels on the time axis of the channel with most samples.
-
-    Channels of slower rasters keep their last value (a bus signal holds until the next message).
-    """
-    mdf = _asammdf(path)
-    content = _content(path)
-    try:
-        with mdf.MDF(path) as file:
-            frame_signals = [s for s in file.iter_channels() if s.samples.ndim == 1 and s.samples.dtype.kind in "fiub"]
-    except Exception as error:  # the parser raises many kinds for a damaged file
-        raise unreadable(path, "MDF", error) from None
-    if not frame_signals:
-        raise DataError(f"{path}: row 1: no numeric channel. Check the file in a viewer.")
-    time = max((s.timestamps for s in frame_signals), key=len)
-    columns = [Column("time", "s", np.asarray(time, dtype=float))]
-    for signal in frame_signals:
-        name, unit = split_header(signal.name)
-        at = np.clip(np.searchsorted(signal.timestamps, time, side="right") - 1, 0, None)
-        same = len(signal.timestamps) == len(time) and np.array_equal(signal.timestamps, time)
-        columns.append(
-            Column(name, signal.unit or unit, np.asarray(signal.samples if same else signal.samples[at], float))
-        )
-    return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())
-
-
-def write_mdf(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
-    """Write MDF 4.10: one channel group, unit per channel, time in s."""
-    mdf = _asammdf(path)
-    names = [split_header(h) for h in headers[1:]]
-    signals = [
-        mdf.Signal(samples=c, timestamps=columns[0], name=name, unit=unit)
-        for c, (name, unit) in zip(columns[1:], names, strict=True)
-    ]
-    with mdf.MDF(version="4.10") as file:
-        file.append(signals, comment=record.name)
-        file.save(path, overwrite=True)
 
 
 def as_numbers(values: np.ndarray, path: Path, name: str) -> np.ndarray:
@@ -110,18 +131,9 @@ def unreadable(path: Path, kind: str, error: Exception) -> DataError:
     )
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
+    """The bytes of a file that is not empty."""
     content = path.read_bytes()
     if not content:
         raise DataError(f"{path}: row 1: the file is empty. Copy or export it again.")
     return content
-
-
-def _asammdf(path: Path):
-    try:
-        import asammdf
-    except ImportError:
-        raise DataError(
-            f"{path}: MDF files need the package asammdf. Install the extra: pip install 'hydrotwin[mdf]'."
-        ) from None
-    return asammdf

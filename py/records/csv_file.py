@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,21 +13,29 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
+from .decimal_sign import found_decimal, number_in, other_sign, without_groups
 from .record import Record
 from .table import Column, Table, split_header
 
 _LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
-_MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+_BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold commas: no number contains it
 
 
-def read_csv(path: Path) -> Table:
-    """The table of a CSV file. Raises `DataError` for text in numbers, ragged rows, a truncated or empty file."""
+def read_csv(path: Path, decimal: str | None = None) -> Table:
+    """The table of a CSV file; ``decimal`` states its decimal sign, which else its numbers must tell.
+
+    Raises `DataError` for text in numbers, ragged rows, a truncated or empty file, a doubtful decimal sign.
+    """
     content = path.read_bytes()
     text = _decode(content, path)
     skip, header, delimiter = _header(text, path)
     body = text.split("\n", skip)[-1].partition("\n")[2]
-    decimal_comma = delimiter != "," and "," in body[: body.find("\n") if "\n" in body else None]
-    values, row = _numbers(body, header, delimiter, decimal_comma, skip + 2, path)
+    if delimiter == "," and '"' in body and re.search(r'"[^",\n]*\d,\d', body):
+        rows = csv.reader(body.split("\n"), delimiter=delimiter, skipinitialspace=True)
+        body, delimiter = "\n".join(_BETWEEN.join(cells) for cells in rows), _BETWEEN
+    if decimal is None:
+        decimal = "." if delimiter == "," else found_decimal(body, delimiter, path, skip + 2)
+    values, row = _numbers(body, header, delimiter, decimal, skip + 2, path)
     columns = tuple(Column(*split_header(h), values[:, k]) for k, h in enumerate(header))
     return Table(str(path), columns, row, hashlib.sha256(content).hexdigest(), f"row {skip + 1}")
 
@@ -71,7 +80,7 @@ def _header(text: str, path: Path) -> tuple[int, list[str], str]:
     outside_units = "".join(part.rpartition("]")[2] if "]" in part else part for part in line.split("["))
     delimiter = max(",;\t", key=outside_units.count)
     cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-    if all(_number(cell, False) is not None for cell in cells):
+    if all(number_in(cell, ".") is not None for cell in cells):
         raise DataError(
             f"{path}: row {skip + 1}, column 1: numbers where the header belongs (got '{line.strip()[:40]}'). "
             "Write 'time [s],name [unit],...' above them."
@@ -80,18 +89,18 @@ def _header(text: str, path: Path) -> tuple[int, list[str], str]:
 
 
 def _numbers(
-    body: str, header: list[str], delimiter: str, decimal_comma: bool, first_row: int, path: Path
+    body: str, header: list[str], delimiter: str, decimal: str, first_row: int, path: Path
 ) -> tuple[np.ndarray, Callable[[int], int]]:
     if not body or body.isspace():
         return np.empty((0, len(header))), lambda k: first_row + k
-    plain = body.replace(",", ".") if decimal_comma else body
+    plain = body if (delimiter, decimal) == (",", ".") else without_groups(body, decimal)
     try:
-        values = _quick_numbers(plain, delimiter)
-        if values.shape[1] == len(header):
+        values = _quick_numbers(plain, delimiter) if plain is not None else None
+        if values is not None and values.shape[1] == len(header):
             return values, _row_finder(body, first_row)
     except (ValueError, UnicodeError):
         pass  # the careful reader below finds the cell, or takes empty ones as missing
-    return _read_carefully(body, header, delimiter, decimal_comma, first_row, path)
+    return _read_carefully(body, header, delimiter, decimal, first_row, path)
 
 
 def _quick_numbers(body: str, delimiter: str) -> np.ndarray:
@@ -123,7 +132,7 @@ def _row_finder(body: str, first_row: int) -> Callable[[int], int]:
 
 
 def _read_carefully(
-    body: str, header: list[str], delimiter: str, decimal_comma: bool, first_row: int, path: Path
+    body: str, header: list[str], delimiter: str, decimal: str, first_row: int, path: Path
 ) -> tuple[np.ndarray, Callable[[int], int]]:
     """Cell by cell: raises with row and column of the first cell that is wrong; missing ones become NaN."""
     values, rows = [], []
@@ -135,12 +144,13 @@ def _read_carefully(
         cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
         if len(cells) != len(header):
             _fail_ragged(path, first_row + k, cells, header, cut_off=k == last and len(lines) == last + 1)
-        numbers = [_number(cell, decimal_comma) for cell in cells]
+        numbers = [number_in(cell, decimal) for cell in cells]
         if None in numbers:
             column = numbers.index(None)
             raise DataError(
                 f"{path}: row {first_row + k}, column '{split_header(header[column])[0]}': not a number "
-                f"(got '{cells[column]}'). Write a decimal point, no thousands separator, no unit in the cell."
+                f"(got '{cells[column]}'). Write a number with the decimal sign '{decimal}'; '{other_sign(decimal)}' "
+                "may only part groups of three digits; no unit in the cell."
             )
         values.append(numbers)
         rows.append(first_row + k)
@@ -161,14 +171,3 @@ def _fail_ragged(path: Path, row: int, cells: list[str], header: list[str], cut_
             "It was cut off while it was written or copied: copy it again, or delete this row."
         )
     raise DataError(f"{path}: row {row}, column '{column}': the row is too short {counted}. Repair or delete this row.")
-
-
-def _number(cell: str, decimal_comma: bool) -> float | None:
-    """The number in a cell, NaN for a missing one, None for text."""
-    cell = cell.strip()
-    if cell.lower() in _MISSING_TEXTS:
-        return float("nan")
-    try:
-        return None if "_" in cell else float(cell.replace(",", ".") if decimal_comma else cell)
-    except ValueError:
-        return None

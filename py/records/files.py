@@ -10,9 +10,11 @@ from hydrotwin.models.language.errors import DataError, nearest
 from hydrotwin.models.language.units import convert
 from hydrotwin.models.language.writing import replacing
 
-from .binary_files import read_mdf, read_parquet, write_mdf, write_parquet
+from .binary_files import read_parquet, write_parquet
 from .csv_file import read_csv, write_csv
+from .decimal_sign import SIGNS
 from .mat_file import read_mat, write_mat, write_mat73
+from .mdf_file import read_mdf, write_mdf
 from .record import Record
 from .scale import Scale, scales_of
 from .table import record_from_table
@@ -32,22 +34,28 @@ def read_record(
     scale: Mapping[str, str | Scale] | Sequence[str | Scale] | str | None = None,
     units: Mapping[str, str] | None = None,
     missing: str = "error",
+    decimal: str | None = None,
 ) -> Record:
     """Read a recording (CSV, Parquet, MAT v5 or v7.3, MDF 4) and convert it to SI.
 
     scale : what one unit of a column stands for, ``"command=0.05 V/%"``.
     units : units of the columns for which the file names none.
-    missing : "error" refuses NaN and empty cells, "drop rows" leaves rows with one out, "keep" keeps them as NaN: what
-        a slower sensor lacks is no reason to lose what the others measured.
+    missing : "error" refuses NaN and empty cells (not what an MDF file itself marks as unknown), "keep" keeps them as
+        NaN: what a slower sensor lacks is no reason to lose what the others measured. "drop rows" leaves rows with one
+        out, and is refused where that would sample the other columns more slowly.
+    decimal : decimal sign of a CSV file, "." or ",", where its numbers do not tell it from that of thousands.
 
     Non-uniform time is normal; holes in it are listed in ``Record.gaps``. Raises `DataError` or `UnitError` naming the
     file, the row (as an editor counts it; binary files count samples from 1) and the column.
     """
     path = Path(path)
     read, _ = _format_of(path)
+    if decimal is not None and decimal not in SIGNS:
+        raise DataError(f"decimal: not a decimal sign (got {decimal!r}). Write '.' or ','.")
     if not path.is_file():
         raise DataError(f"{path}: {_why_absent(path)}")
-    return record_from_table(read(path), path.stem, scales_of(scale), units or {}, missing)
+    table = read(path, decimal) if read is read_csv else read(path)
+    return record_from_table(table, path.stem, scales_of(scale), units or {}, missing)
 
 
 def write_record(

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-_ROUNDING = 1e-5  # of a step: two times closer than this are the same instant
+ROUNDING = 1e-5  # of a step: two times closer than this are the same instant
 
 
 def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float] | None, name: str) -> np.ndarray:
@@ -20,10 +20,10 @@ def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float]
     if times is None:
         if not (np.isfinite(period) and period > 0):
             raise DataError(f"{name}: the period must be positive (got {period} s). Give seconds, such as 0.01.")
-        steps = int(np.floor((time[-1] - time[0]) / period * (1 + 1e-12) + _ROUNDING))
+        steps = int(np.floor((time[-1] - time[0]) / period * (1 + 1e-12) + ROUNDING))
         return np.minimum(time[0] + period * np.arange(steps + 1), time[-1])
     new_time = np.asarray(times, dtype=float)
-    slack = _ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
+    slack = ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
     if len(new_time) and (new_time.min() < time[0] - slack or new_time.max() > time[-1] + slack):
         raise DataError(
             f"{name}: times outside the record (got {new_time.min():g} s to {new_time.max():g} s). "
@@ -34,7 +34,7 @@ def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float]
 
 def hold(time: np.ndarray, values: np.ndarray, new_time: np.ndarray) -> np.ndarray:
     """The last sample at or before each new time (zero-order hold); times a rounding error early count as reached."""
-    slack = _ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
+    slack = ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
     at = np.searchsorted(time, np.asarray(new_time) + slack, side="right") - 1
     return values[np.clip(at, 0, len(values) - 1)]
 
@@ -53,7 +53,7 @@ def low_pass(time: np.ndarray, values: np.ndarray, new_time: np.ndarray) -> tupl
     steps = int(np.ceil((time[-1] - time[0]) / np.median(np.diff(time)) * (1 - 1e-9)))
     fine = np.linspace(time[0], time[-1], steps + 1)
     ratio = np.median(np.diff(new_time)) / (fine[1] - fine[0])
-    if ratio <= 1.0 + _ROUNDING:
+    if ratio <= 1.0 + ROUNDING:
         return time, values
     taps, beta = kaiserord(60.0, 0.4 / ratio)
     half = min(taps // 2, len(fine) - 1)

@@ -15,6 +15,8 @@ from .record import Record
 from .scale import Scale
 
 MISSING = ("error", "drop rows", "keep")
+SLOWER = 0.05  # share of the steps that leaving rows out may lengthen; beyond, what is left is another sampling
+FEW = 3  # steps that may always be longer: a short table with a flaw or two
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,7 @@ class Table:
     """Columns of one file.
 
     ``row`` maps a sample index to the row number a person sees in the file; ``header`` says where the names stand.
+    ``marks_unknown``: the format marks unknown samples itself, so NaN is no fault of the file.
     """
 
     path: str
@@ -38,6 +41,7 @@ class Table:
     row: Callable[[int], int]
     digest: str
     header: str = "header"
+    marks_unknown: bool = False
 
 
 def split_header(text: str) -> tuple[str, str | None]:
@@ -132,26 +136,55 @@ def _check_length(table: Table) -> None:
 
 
 def _without_missing(table: Table, missing: str) -> Table:
-    absent = np.array([np.isnan(c.values) for c in table.columns])
+    absent = np.array([np.isnan(c.values) for c in table.columns])  # the first is time
     rows = absent.any(axis=0)
-    if not rows.any() or (missing == "keep" and not absent[0].any()):  # the first is time
+    kept_unknown = missing == "keep" or (missing == "error" and table.marks_unknown)
+    if not rows.any() or (kept_unknown and not absent[0].any()):
         return table
     if missing != "drop rows":
-        k = int(np.argmax(rows if missing == "error" else absent[0]))
-        column = table.columns[int(np.argmax(absent[:, k]))].name
-        raise DataError(
-            f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} "
-            'rows have one). Repair the file, or leave these rows out: missing="drop rows"; what a sensor lacks may '
-            'stay unknown: missing="keep".'
-        )
+        _fail_missing(table, absent[:1] if kept_unknown else absent)
     kept = np.flatnonzero(~rows)
     if len(kept) < 2:
         raise DataError(
-            f"{table.path}: {len(kept)} rows are complete, column 'time' needs two or more. Drop a column instead."
+            f"{table.path}: {len(kept)} rows are complete, column 'time' needs two or more. {_keep_instead(absent)}"
         )
+    _check_rate(table, absent, kept)
     row = table.row
     columns = tuple(replace(c, values=c.values[kept]) for c in table.columns)
     return replace(table, columns=columns, row=lambda k: row(int(kept[k])))
+
+
+def _check_rate(table: Table, absent: np.ndarray, kept: np.ndarray) -> None:
+    """Refuse to leave out so many rows that every column, inputs too, would be sampled more slowly."""
+    longer = int((np.diff(kept) > 1).sum())
+    if longer <= max(FEW, SLOWER * len(kept)):
+        return
+    time, unit = table.columns[0].values, table.columns[0].unit
+    before, after = (float(np.nanmedian(np.diff(t))) for t in (time, time[kept]))
+    lacks, name = max((int(a.sum()), c.name) for a, c in zip(absent, table.columns, strict=True))
+    raise DataError(
+        f"{table.path}: column '{name}' has no value in {lacks} of {len(time)} rows. \"drop rows\" would leave "
+        f"{len(kept)} rows and sample every column, inputs too, more slowly (a row every {after:.3g} {unit}, recorded "
+        f"every {before:.3g} {unit}; {longer} steps are longer). {_keep_instead(absent)}"
+    )
+
+
+def _keep_instead(absent: np.ndarray) -> str:
+    if absent[0].any():
+        return "Time itself is missing: repair the file."
+    return 'Let the missing values stay unknown: missing="keep" (--missing keep).'
+
+
+def _fail_missing(table: Table, absent: np.ndarray) -> None:
+    """Raise for the first missing value; the remedy that loses nothing comes first."""
+    rows = absent.any(axis=0)
+    k = int(np.argmax(rows))
+    column = table.columns[int(np.argmax(absent[:, k]))].name
+    raise DataError(
+        f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} rows "
+        f"have one). {_keep_instead(absent)} "
+        'Leaving these rows out takes them from every column, inputs too: missing="drop rows".'
+    )
 
 
 def _check_finite(table: Table) -> None:

@@ -1,0 +1,106 @@
+"""Which sign is the decimal one in a text of numbers, and which one only groups thousands.
+
+``35.491`` is 35491 in a file whose decimal sign is the comma. What no cell of a file decides is not guessed.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+from hydrotwin.models.language.errors import DataError
+
+SIGNS = (".", ",")
+_SPACES = " \u00a0\u202f\u2009'\u2019"  # blanks and apostrophes: they only ever group thousands
+_MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+
+
+def other_sign(decimal: str) -> str:
+    """The sign that may group thousands beside a decimal sign."""
+    return "," if decimal == "." else "."
+
+
+def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
+    """The decimal sign of the rows ``body``, from the first cell that can be read in one way only.
+
+    Raises `DataError` where every cell with a sign may be a decimal number or one of thousands.
+    """
+    doubtful = None
+    for match in _cells_with_sign(body, delimiter):
+        decimal = _decided(match[1].strip(), bool(match[2]))
+        if decimal:
+            return decimal
+        doubtful = doubtful or match
+    if doubtful is None:
+        return "."
+    start = doubtful.start(1)
+    row = first_row + body.count("\n", 0, start)
+    column = 1 + body.count(delimiter, body.rfind("\n", 0, start) + 1, start)
+    number = doubtful[1].strip()
+    sign = "," if "," in number else "."
+    raise DataError(
+        f"{path}: row {row}, column {column}: '{number}' may be {number.replace(sign, '')} or "
+        f"{number.replace(sign, '.')}, and no number of the file tells whether '{sign}' is its decimal sign. "
+        f"State it: decimal=\"{sign}\" or decimal=\"{other_sign(sign)}\" (--decimal '{sign}')."
+    )
+
+
+def without_groups(body: str, decimal: str) -> str | None:
+    """The text with a decimal point and without groups; None where the other sign does not group thousands only."""
+    group = other_sign(decimal)
+    if group in body:
+        g, d = re.escape(group), re.escape(decimal)
+        after_decimal = "|".join(rf"{g}(?<={d}{digits}{g})" for digits in ("", r"\d", r"\d\d", r"\d\d\d"))
+        improper = rf"{g}(?!\d{{3}}(?![\deE]))|{g}(?<!\d{g})|{g}(?<=\d{{4}}{g})|{g}(?<=\b0{g})|{after_decimal}"
+        if re.search(improper, body):
+            return None
+        body = body.replace(group, "")
+    return body.replace(",", ".") if decimal == "," else body
+
+
+def number_in(cell: str, decimal: str) -> float | None:
+    """The number in a cell, NaN for a missing one, None for text and for groups that are none."""
+    cell = cell.strip()
+    if cell.lower() in _MISSING_TEXTS:
+        return float("nan")
+    if _GROUPED[decimal].fullmatch(cell):
+        cell = re.sub(f"[{other_sign(decimal)}{_SPACES}]", "", cell)
+    if "_" in cell or other_sign(decimal) in cell:
+        return None
+    try:
+        return float(cell.replace(decimal, "."))
+    except ValueError:
+        return None
+
+
+def _grouped(decimal: str) -> re.Pattern:
+    """Groups of three behind one sign, or the Indian 12,34,567; then, if any, decimals."""
+    group, d = other_sign(decimal), re.escape(decimal)
+    threes = rf"\d{{1,3}}(?P<sign>[{group}{_SPACES}])\d{{3}}(?:(?P=sign)\d{{3}})*"
+    indian = rf"\d{{1,2}}(?:{re.escape(group)}\d{{2}})+{re.escape(group)}\d{{3}}"
+    return re.compile(rf"[-+]?(?!0)(?:{threes}|{indian})(?:{d}\d*(?:[eE][-+]?\d+)?)?")
+
+
+_GROUPED = {decimal: _grouped(decimal) for decimal in SIGNS}
+
+
+def _cells_with_sign(body: str, delimiter: str) -> Iterator[re.Match]:
+    """Cells that are a number with a point or comma in it: its digits and signs, its exponent."""
+    ends = f'{re.escape(delimiter)}\n"'
+    digits = rf"\d.,{_SPACES}"
+    yield from re.finditer(
+        rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body
+    )
+
+
+def _decided(number: str, exponent: bool) -> str | None:
+    """The decimal sign that a number proves, None where it may be read in two ways."""
+    if "," in number and "." in number:
+        last = max(SIGNS, key=number.rfind)
+        return last if number.count(last) == 1 else None
+    sign = "," if "," in number else "."
+    head, *groups = number.split(sign)
+    if len(groups) > 1:
+        return other_sign(sign)
+    groups_three = re.fullmatch(r"[1-9]\d{0,2}", head) and re.fullmatch(r"\d{3}", groups[0]) and not exponent
+    return None if groups_three else sign

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal
-from hydrotwin.records import Record, require
+from hydrotwin.records import Record, require, steps_over
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
@@ -52,6 +52,7 @@ class FmuBlock:
         period = self.description.period
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
+        steps_over(np.ptp(record.time), period, self.name)
         grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
         held = [s.name for s in self.inputs if s.interpolation == "hold"]
         run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)

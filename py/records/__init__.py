@@ -5,6 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .record import Gap, Record, distinct
 from .require import require
+from .resampling import steps_over
 from .scale import Scale, parse_scale
 
 __all__ = [
@@ -19,5 +20,6 @@ __all__ = [
     "read_record",
     "require",
     "savitzky_golay",
+    "steps_over",
     "write_record",
 ]

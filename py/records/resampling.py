@@ -9,6 +9,18 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 ROUNDING = 1e-5  # of a step: two times closer than this are the same instant
+MOST_STEPS = 1e8  # of one run or one time axis: minutes of a fast model, 0.8 GB a column
+
+
+def steps_over(span: float, step: float, where: str) -> float:
+    """How many steps [s] a span [s] takes. Raises `DataError` where nobody would see their end."""
+    steps = span / step
+    if steps > MOST_STEPS:
+        raise DataError(
+            f"{where}: {span:.6g} s in steps of {step:.3g} s would be {steps:.3g} steps, at most {MOST_STEPS:.0e} are "
+            "taken. Check the unit of the time axis (a logger counts in ms or ns), or take longer steps."
+        )
+    return steps
 
 
 def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float] | None, name: str) -> np.ndarray:
@@ -20,7 +32,7 @@ def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float]
     if times is None:
         if not (np.isfinite(period) and period > 0):
             raise DataError(f"{name}: the period must be positive (got {period} s). Give seconds, such as 0.01.")
-        steps = int(np.floor((time[-1] - time[0]) / period * (1 + 1e-12) + ROUNDING))
+        steps = int(np.floor(steps_over(time[-1] - time[0], period, name) * (1 + 1e-12) + ROUNDING))
         return np.minimum(time[0] + period * np.arange(steps + 1), time[-1])
     new_time = np.asarray(times, dtype=float)
     slack = ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
@@ -50,7 +62,7 @@ def low_pass(time: np.ndarray, values: np.ndarray, new_time: np.ndarray) -> tupl
 
     if len(time) < 3 or len(new_time) < 2:
         return time, values
-    steps = int(np.ceil((time[-1] - time[0]) / np.median(np.diff(time)) * (1 - 1e-9)))
+    steps = int(np.ceil(steps_over(time[-1] - time[0], np.median(np.diff(time)), "anti-alias filter") * (1 - 1e-9)))
     fine = np.linspace(time[0], time[-1], steps + 1)
     ratio = np.median(np.diff(new_time)) / (fine[1] - fine[0])
     if ratio <= 1.0 + ROUNDING:

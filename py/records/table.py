@@ -181,8 +181,8 @@ def _fail_missing(table: Table, absent: np.ndarray) -> None:
     k = int(np.argmax(rows))
     column = table.columns[int(np.argmax(absent[:, k]))].name
     raise DataError(
-        f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} rows "
-        f"have one). {_keep_instead(absent)} "
+        f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} "
+        f"rows have one). {_keep_instead(absent)} "
         'Leaving these rows out takes them from every column, inputs too: missing="drop rows".'
     )
 

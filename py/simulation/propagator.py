@@ -12,6 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records import steps_over
 
 from . import equations, stiffness
 from .compiler import compile_library
@@ -195,6 +196,7 @@ class Propagator:
         name = flat.name
         if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time[[0, -1]]).all() and (time[1:] > time[:-1]).all()):
             raise SolveError(f"{name}: the time must be finite and rising (n,). Sort it and drop repeated samples.")
+        steps_over(time[-1] - time[0], self._longest(), name)
         u = _shaped("u", np.reshape(u, (len(time), -1)) if np.ndim(u) < 2 else u, (len(time), len(flat.inputs)), name)
         if not np.isfinite(u).all():
             k, j = np.argwhere(~np.isfinite(u))[0]

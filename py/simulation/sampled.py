@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import steps_over
 
 from . import inputs
 from .block import Block
@@ -17,7 +18,7 @@ CHUNK = 100  # samples per call of the interpreter
 
 def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
     """The block's own sample times over a recording; ``time`` itself when it already is that grid."""
-    steps = max(int(np.ceil((time[-1] - time[0]) / block.period - 1e-6)), 0)
+    steps = max(int(np.ceil(steps_over(time[-1] - time[0], block.period, block.name) - 1e-6)), 0)
     grid = time[0] + block.period * np.arange(steps + 1)
     on_grid = len(grid) == len(time) and np.abs(grid - time).max() < 1e-3 * block.period
     return time if on_grid else grid

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 
@@ -19,6 +20,7 @@ _MEANING = {
     "static": "static friction Fₛ",
     "viscous": "viscous friction Fᵥ",
     "stribeck_velocity": "Stribeck velocity vₛ",
+    "load": "constant load F₀",
 }
 
 
@@ -31,8 +33,15 @@ def write_friction_test(fit, folder: str | Path, *, recordings: Sequence[str] = 
         eyebrow=f"{len(fit.velocity)} speeds · {', '.join(recordings)} · {date:%-d %B %Y}",
         answer=f"The Stribeck curve meets the measured forces to {number_text(fit.rmse)} N.",
         headline=coefficients(fit),
-        sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit), made),
-        data={"values": fit.values, "rmse": fit.rmse, "velocity": fit.velocity, "force": fit.force},
+        sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit), *_left_out(fit), made),
+        data={
+            "values": {c.name: c.value for c in fit.told},
+            "rmse": fit.rmse,
+            "velocity": fit.velocity,
+            "force": fit.force,
+            "findings": fit.findings,
+            "dropped": [asdict(stretch) for stretch in fit.dropped],
+        },
     )
     return write_page(page, folder, stem="friction", data_name="friction.json")
 
@@ -43,9 +52,27 @@ def _findings(fit) -> tuple[Section, ...]:
     return (Section("findings", "What the test cannot say", (Note(tuple(fit.findings)),)),)
 
 
+def _left_out(fit) -> tuple[Section, ...]:
+    if not fit.dropped:
+        return ()
+    rows = Table(
+        "dropped",
+        "",
+        (
+            texts("recording", "Recording", [s.recording for s in fit.dropped]),
+            numbers("start", "From", [s.start for s in fit.dropped], "s"),
+            numbers("end", "To", [s.end for s in fit.dropped], "s"),
+            numbers("velocity", "Mean speed", [s.velocity for s in fit.dropped], "m/s", "m/s"),
+            numbers("samples", "Samples", [s.samples for s in fit.dropped]),
+            texts("reason", "Reason", [s.reason for s in fit.dropped]),
+        ),
+    )
+    return (Section("dropped", "Stretches that give no point", (rows,)),)
+
+
 def coefficients(fit) -> Table:
-    """One row a coefficient of Eq. 8, with its interval."""
-    rows = fit.coefficients
+    """One row a coefficient of the curve, with its interval."""
+    rows = fit.told
     return Table(
         "coefficients",
         "",
@@ -56,7 +83,7 @@ def coefficients(fit) -> Table:
             numbers("upper", "to", [c.interval[1] for c in rows]),
             texts("unit", "Unit", [pretty_unit(c.unit) for c in rows]),
         ),
-        note="F(v) = (Fₖ + (Fₛ − Fₖ) exp(−(v/vₛ)²)) sign(v) + Fᵥ v, Eq. 8 of the C-EHA paper",
+        note="F(v) = (Fₖ + (Fₛ − Fₖ) exp(−(v/vₛ)²)) sign(v) + Fᵥ v + F₀, Eq. 8 of the C-EHA paper and a load",
     )
 
 

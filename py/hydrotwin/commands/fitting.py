@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from datetime import datetime
 from pathlib import Path
@@ -174,7 +175,11 @@ def friction(
     records: RecordsArgument,
     velocity: Annotated[str, typer.Option(metavar="NAME", help="column of the velocity")] = "velocity",
     force: Annotated[str, typer.Option(metavar="NAME", help="column of the force")] = "force",
+    load: Annotated[
+        float | None, typer.Option(metavar="N", help="constant force beside friction, where it is known")
+    ] = None,
     output: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="write a page with the curve")] = None,
+    missing: MissingOption = "error",
     scale: ScaleOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -183,17 +188,18 @@ def friction(
 
     if output:
         check_folder(output)
-    read = read_all(records, scale)
+    read = read_all(records, scale, missing)
     require_columns(read, (velocity, force), " Name the columns with --velocity and --force.")
-    fit = friction_test(read, velocity=velocity, force=force)
+    fit = friction_test(read, velocity=velocity, force=force, load=load)
     if output:
         from hydrotwin.report.friction import write_friction_test
 
         write_friction_test(fit, output, recordings=[r.name for r in read])
     if as_json:
         keys = ("name", "value", "sigma", "interval", "unit")
-        rows = [{key: getattr(c, key) for key in keys} for c in fit.coefficients]
-        print_json({"coefficients": rows, "rmse_n": fit.rmse, "findings": fit.findings})
+        rows = [{key: getattr(c, key) for key in keys} for c in fit.told]
+        dropped = [dataclasses.asdict(stretch) for stretch in fit.dropped]
+        print_json({"coefficients": rows, "rmse_n": fit.rmse, "findings": fit.findings, "dropped": dropped})
         return
     print_friction(fit)
     if output:
@@ -202,8 +208,10 @@ def friction(
 
 def print_friction(fit) -> None:
     """The coefficients for a reader."""
-    rows = [[c.name, float(c.value), f"{c.interval[0]:.4g} ... {c.interval[1]:.4g}", c.unit] for c in fit.coefficients]
+    rows = [[c.name, float(c.value), f"{c.interval[0]:.4g} ... {c.interval[1]:.4g}", c.unit] for c in fit.told]
     title = f"Stribeck curve through {len(fit.velocity)} speeds, RMSE {fit.rmse:.3g} N"
     table(title, ["coefficient", "value", f"{fit.confidence:.0%} interval", "unit"], rows)
     for finding in fit.findings:
         mark(out, "note", str(finding))
+    for stretch in fit.dropped:
+        mark(out, "left out", str(stretch))

@@ -164,12 +164,12 @@ def fit_stribeck(
     known = force_error is not None
     error = np.broadcast_to(np.asarray(force_error if known else 1.0, dtype=float), v.shape)
     curve = _Curve(v, F, fitted, both or load is not None)
-    weight = 1 / error
+    weight, x = 1 / error, None
     for _ in range(2):
-        x = curve.descended(weight)
+        x = curve.descended(weight, x)
         slope = x[2] - 2 * (x[1] - x[0]) * np.exp(-((v / x[3]) ** 2)) * np.abs(v) / x[3] ** 2
         weight = 1 / np.hypot(error, slope * velocity_error)
-    x = curve.descended(weight)
+    x = curve.descended(weight, x)
     fit = curve.answer(x, weight, confidence, 1.0 if known else 0.0)
     findings = (*fit.findings, *_by_direction(v, F, weight, curve, x))
     return dataclasses.replace(fit, force=F + (load or 0.0), findings=findings)
@@ -194,10 +194,11 @@ class _Curve:
         columns = [(1 - bump) * np.sign(v), bump * np.sign(v), v, by_v_s * np.sign(v), np.ones_like(v)]
         return np.column_stack(columns[: self.fitted])
 
-    def descended(self, weight: np.ndarray) -> np.ndarray:
+    def descended(self, weight: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
         """The coefficients (fitted,) of least weighted squares. Friction mixed with a load may be negative."""
-        tried = (self._at_stribeck_velocity(weight, v_s) for v_s in self._grid())
-        start = min(tried, key=lambda row: row[0])[1]
+        if start is None:
+            tried = (self._at_stribeck_velocity(weight, v_s) for v_s in self._grid())
+            start = min(tried, key=lambda row: row[0])[1]
         unit = np.maximum(np.abs(start), 1e-9)
         unit[[0, 1, *range(4, self.fitted)]] = np.maximum(unit[[0, 1, *range(4, self.fitted)]], 1e-6 * self._largest())
         least = 0.0 if self.told else -np.inf

@@ -41,7 +41,7 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
     raise DataError(
         f"{path}: row {row}, column {column}: '{number}' may be {number.replace(sign, '')} or "
         f"{number.replace(sign, '.')}, and no number of the file tells whether '{sign}' is its decimal sign. "
-        f"State it: decimal=\"{sign}\" or decimal=\"{other_sign(sign)}\" (--decimal '{sign}')."
+        f'State it: decimal="{sign}" or decimal="{other_sign(sign)}" (--decimal \'{sign}\').'
     )
 
 
@@ -88,9 +88,7 @@ def _cells_with_sign(body: str, delimiter: str) -> Iterator[re.Match]:
     """Cells that are a number with a point or comma in it: its digits and signs, its exponent."""
     ends = f'{re.escape(delimiter)}\n"'
     digits = rf"\d.,{_SPACES}"
-    yield from re.finditer(
-        rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body
-    )
+    yield from re.finditer(rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body)
 
 
 def _decided(number: str, exponent: bool) -> str | None:

@@ -140,6 +140,93 @@ def test_units_of_another_dimension_do_not_convert():
     assert not compatible("bar", "m")
 
 
+PER_MINUTE = [
+    "1/min",
+    "min-1",
+    "min^-1",
+    "min⁻¹",
+    "/min",
+    "1 / min",
+    "U/min",
+    "r/min",
+    "rev/min",
+    "tr/min",
+    "RPM",
+    "Upm",
+]
+
+
+@pytest.mark.parametrize("text", PER_MINUTE)
+def test_revolutions_per_minute_are_known_in_every_spelling(text):
+    assert convert(60.0, text, "rad/s") == pytest.approx(2 * np.pi, rel=1e-15)
+    assert convert(2 * np.pi, "rad/s", text) == pytest.approx(60.0, rel=1e-15)
+    assert convert(1500.0, text, "rpm") == pytest.approx(1500.0, rel=1e-15)
+    assert to_si(60.0, text) == (pytest.approx(2 * np.pi), "rad/s")
+
+
+def test_a_rate_per_minute_is_no_speed_of_rotation():
+    assert convert(60.0, "1/min", "1/s") == pytest.approx(1.0)
+    assert convert(60.0, "1/min", "Hz") == pytest.approx(1.0)
+    for speed in ("rpm", "U/min", "rad/min", "deg/s"):
+        assert not compatible(speed, "1/s")
+    with pytest.raises(UnitError, match="'1/s' does not say whether it counts radians or turns"):
+        convert(1.0, "1/s", "1/min")  # it would be read back as revolutions
+
+
+@pytest.mark.parametrize(
+    ("text", "speed"), [("rev/s", 2 * np.pi), ("U/s", 2 * np.pi), ("°/s", np.pi / 180), ("rad/min", 1 / 60)]
+)
+def test_other_speeds_of_rotation_have_their_own_factor(text, speed):
+    assert convert(1.0, text, "rad/s") == pytest.approx(speed, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "needed"),
+    [
+        ("1/s", "rad/s"), ("s-1", "rpm"), ("kHz", "rad/s"), ("1/s2", "rad/s2"), ("1/min2", "rad/s2"), ("cm3", "m3/rad"),
+        ("mm", "m/rad"), ("1/(s.V)", "rad/(s.V)"), ("1/(min.V)", "rad/(s.V)"), ("V.min", "V.s/rad"), ("%", "rad"),
+    ],
+)  # fmt: skip
+def test_an_angle_left_out_where_turns_may_be_meant_is_refused(text, needed):
+    assert not compatible(text, needed)
+    with pytest.raises(UnitError, match="write rad"):
+        convert(1.0, text, needed)
+
+
+def test_mechanics_leaves_the_radian_out():
+    for one, two in (("N.m", "N.m/rad"), ("N.m.s", "N.m.s/rad"), ("N.m/A", "V.s/rad"), ("m.rad/s", "m/s")):
+        assert convert(3.0, one, two) == convert(3.0, two, one) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("Grad", "Write deg."), ("grad", "Write deg."), ("gon", "Write deg"), ("krad", "'rad'"), ("Mm", "'mm'"),
+        ("MPA", "'MPa' or 'mPa'"), ("Bar", "'bar'"), ("KN", "'kN'"), ("1/Min", "'min'"), ("Gs", "not known"),
+        ("Nm3/h", "ambiguous"), ("Nl/min", "norm litres"), ("sec", "Write s."), ("pt", "not known"), ("barg", "gauge"),
+    ],
+)  # fmt: skip
+def test_a_symbol_that_could_change_the_meaning_is_refused_with_the_right_one(text, says):
+    with pytest.raises(UnitError) as error:
+        parse_unit(text)
+    assert says in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "si", "factor"),
+    [
+        ("daN", "N", 10.0),
+        ("ccm/U", "m3/rad", 1e-6 / (2 * np.pi)),
+        ("mPas", "Pa.s", 1e-3),
+        ("kNm", "N.m", 1e3),
+        ("μm", "m", 1e-6),
+        ("hPa", "Pa", 100.0),
+    ],
+)
+def test_what_the_field_writes_is_known(text, si, factor):
+    assert to_si(1.0, text) == (pytest.approx(factor, rel=1e-14), si)
+
+
 def test_a_frequency_is_not_an_angular_speed():
     assert not compatible("Hz", "rad/s")
     assert not compatible("kHz", "rpm")

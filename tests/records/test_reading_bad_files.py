@@ -26,7 +26,7 @@ def changed(old: str, new: str) -> str:
 BAD_CSV = {
     "text in a number": (changed("10.5", "ten"), ["row 3", "'arm_angle'", "not a number (got 'ten')", "Write a"]),
     "a unit in the cell": (changed("21.0", "21.0 bar"), ["row 3", "'pressure_cap'", "got '21.0 bar'", "no unit in"]),
-    "a thousands separator": (changed("22.0", '"1,022.0"'), ["row 4", "'pressure_cap'", "no thousands separator"]),
+    "no thousands separator": (changed("22.0", '"1,02.0"'), ["row 4", "'pressure_cap'", "groups of three digits"]),
     "an underscore": (changed("22.0", "1_022"), ["row 4", "'pressure_cap'", "not a number"]),
     "text in time": (changed("0.02,", "12:30:01,"), ["row 4", "'time'", "not a number"]),
     "NaN": (changed("10.5", "NaN"), ["row 3", "'arm_angle'", "1 of 4 rows", 'missing="drop rows"']),

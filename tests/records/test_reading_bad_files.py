@@ -210,3 +210,21 @@ def test_mdf_without_its_package_names_the_extra(tmp_path, monkeypatch):
     path.write_bytes(b"MDF     4.10")
     with pytest.raises(DataError, match=r"a.mf4: .*asammdf.*hydrotwin\[mdf\]"):
         read_record(path)
+
+
+def test_rows_are_not_left_out_where_that_samples_the_inputs_more_slowly(tmp_path):
+    path = tmp_path / "a.csv"
+    rows = "".join(f"{k / 100},{k % 7},{k if k % 10 == 0 else ''}\n" for k in range(200))
+    path.write_text("time [s],force [N],slow [mm]\n" + rows)
+    with pytest.raises(
+        DataError, match=r'row 3, column \'slow\'.*stay unknown: missing="keep".*every column.*"drop rows"'
+    ):
+        read_record(path)
+    with pytest.raises(
+        DataError, match=r"column 'slow' has no value in 180 of 200 rows.*0.1 s, recorded every 0.01 s.*keep"
+    ):
+        read_record(path, missing="drop rows")
+    assert np.isfinite(read_record(path, missing="keep")["slow"]).sum() == 20
+    gap = "".join(f"{k / 100},{k % 7},{'' if 50 <= k < 90 else k}\n" for k in range(200))
+    path.write_text("time [s],force [N],slow [mm]\n" + gap)
+    assert len(read_record(path, missing="drop rows")) == 160

@@ -1,0 +1,84 @@
+"""MDF: every group keeps its own samples, and what is marked as invalid is unknown."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import read_record
+
+mdf = pytest.importorskip("asammdf")
+
+
+def channel(name, time, values, unit="bar", **options):
+    return mdf.Signal(samples=np.asarray(values), timestamps=np.asarray(time, float), name=name, unit=unit, **options)
+
+
+def written(tmp_path, *groups):
+    path = tmp_path / "a.mf4"
+    with mdf.MDF(version="4.10") as file:
+        for group in groups:
+            file.append(list(group))
+        file.save(path, overwrite=True)
+    return path
+
+
+def test_samples_with_the_invalidation_bit_are_unknown(tmp_path):
+    time, values = np.arange(10) * 0.01, np.arange(10.0)
+    values[3:6] = -9999
+    invalid = (values < 0).astype(bool)
+    path = written(tmp_path, [channel("p", time, values, invalidation_bits=invalid), channel("q", time, np.arange(10))])
+    record = read_record(path)
+    np.testing.assert_array_equal(np.isnan(record["p"]), invalid)
+    np.testing.assert_allclose(record["p"][~invalid], values[~invalid] * 1e5)
+    assert np.isfinite(record["q"]).all()
+    np.testing.assert_array_equal(read_record(path, missing="keep")["p"], record["p"])
+    np.testing.assert_allclose(read_record(path, missing="drop rows").time, time[~invalid])
+
+
+def test_groups_of_several_rasters_are_on_the_union_of_their_times(tmp_path):
+    fast, slow, late = np.arange(101) * 0.01, 0.005 + np.arange(10) * 0.1, 0.4 + np.arange(100) * 1e-3
+    path = written(
+        tmp_path,
+        [channel("fast", fast, fast)],
+        [channel("slow", slow, slow)],
+        [channel("triggered", late, late), channel("flag", late, (late > 0.45).astype("u1"), "1")],
+    )
+    record = read_record(path)
+    np.testing.assert_allclose(record.time, np.union1d(np.union1d(fast, slow).round(6), late.round(6)), atol=1e-9)
+    for name, axis in (("fast", fast), ("slow", slow), ("triggered", late)):
+        known = np.isfinite(record[name])
+        np.testing.assert_allclose(record.time[known], axis, atol=1e-9)
+        np.testing.assert_allclose(record[name][known], axis * 1e5)
+    assert np.isfinite(record["flag"]).sum() == 100
+
+
+def test_one_instant_of_two_groups_is_one_sample_however_it_was_rounded(tmp_path):
+    one, two = np.arange(1001) * 0.01, np.arange(101) * 0.1 * (1 + 1e-12)
+    record = read_record(written(tmp_path, [channel("a", one, one)], [channel("b", two, two)]))
+    assert len(record) == 1001
+    assert np.isfinite(record["b"]).sum() == 101
+
+
+def test_text_empty_groups_and_angles_are_left_out(tmp_path):
+    time = np.arange(5) * 0.1
+    path = tmp_path / "a.mf4"
+    with mdf.MDF(version="4.10") as file:
+        file.append([channel("p", time, time), channel("gear", time, np.array([b"one"] * 5), "", encoding="utf-8")])
+        file.append([channel("cylinder", np.arange(9.0), np.arange(9.0))])
+        file.groups[1].channels[0].sync_type = 2  # over an angle
+        file.save(path, overwrite=True)
+    record = read_record(path)
+    assert record.names == ("p",) and len(record) == 5
+
+
+def test_a_conversion_of_the_file_is_applied(tmp_path):
+    raw = channel("p", np.arange(3) * 0.1, np.array([0, 100, 200], "u2"), "bar", conversion={"a": 0.1, "b": -1.0})
+    np.testing.assert_allclose(read_record(written(tmp_path, [raw]))["p"], [-1e5, 9e5, 19e5])
+
+
+def test_a_group_whose_time_does_not_grow_is_refused(tmp_path):
+    path = written(tmp_path, [channel("a", [0, 1, 2], [0, 1, 2])], [channel("b", [0, 0.5, 0.5], [0, 1, 2])])
+    with pytest.raises(DataError, match=r"row 3 of the group of channel 'b', column 'time': time must grow"):
+        read_record(path)

@@ -22,14 +22,17 @@ _BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold com
 
 
 def read_csv(path: Path, decimal: str | None = None) -> Table:
-    """The table of a CSV file; ``decimal`` states its decimal sign, which else its numbers must tell.
+    """The table of a CSV file; ``decimal`` states its decimal sign, else a line ``# decimal=,`` or its numbers do.
 
     Raises `DataError` for text in numbers, ragged rows, a truncated or empty file, a doubtful decimal sign.
     """
     content = path.read_bytes()
     text = _decode(content, path)
     skip, header, delimiter = _header(text, path)
-    body = text.split("\n", skip)[-1].partition("\n")[2]
+    *comments, body = text.split("\n", skip)
+    body = body.partition("\n")[2]
+    stated = re.search(r"^#\s*decimal\s*=\s*([.,])\s*$", "\n".join(comments), re.MULTILINE)
+    decimal = stated[1] if stated and decimal is None else decimal
     if delimiter == "," and '"' in body and re.search(r'"[^",\n]*\d,\d', body):
         rows = csv.reader(body.split("\n"), delimiter=delimiter, skipinitialspace=True)
         body, delimiter = "\n".join(_BETWEEN.join(cells) for cells in rows), _BETWEEN

@@ -110,7 +110,7 @@ def test_what_gives_no_point_is_told_with_its_reason():
 @pytest.mark.parametrize("period", [5.0, 0.2])
 def test_ramps_alone_are_refused(period):
     recording = pushed([(v, 0.0) for v in (0.1, -0.1, 0.1, -0.1, 0.0)], ramp=period)
-    with pytest.raises(DataError, match="different speeds.*Left out: push, 0 s to .*the speed changes all along it"):
+    with pytest.raises(DataError, match=r"different speeds.*Left out: push, 0 s to .*the speed changes all along it"):
         friction_test([recording])
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal
-from hydrotwin.records import Record, require, steps_over
+from hydrotwin.records import Record, known_inputs, require, steps_over
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
@@ -88,14 +88,14 @@ class FmuBlock:
 
     def starts_of(self, record: Record) -> dict[str, float]:
         """What a run of ``record`` sets before initialization, in the FMU's own units."""
-        first = {p: float(self._to_fmu(p, record[o][:1])[0]) for p, o in self.starts.items() if o in record}
-        return {**first, **self.values}
+        known = {p: record[o][:1] for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
+        return {**{p: float(self._to_fmu(p, value)[0]) for p, value in known.items()}, **self.values}
 
     def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
             raise DataError(f"{record.name}: an FMU needs two samples or more (got {len(record)}).")
         self._check_time_axis(record)
-        require(record, self.inputs, self.name)
+        record = known_inputs(require(record, self.inputs, self.name), self.inputs, self.name)
         of = self.description.fmu_names
         columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
         job = {

@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records import known_inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +136,7 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
     time = np.asarray(record.time, dtype=float)
     if len(time) < 2 or np.any(np.diff(time) <= 0):
         raise DataError(f"{name}: time must increase over at least two samples (got {len(time)}). Sort or trim it.")
-    columns = []
+    columns, record = [], known_inputs(record, flat.inputs, flat.name)
     for signal in flat.inputs:
         if signal.name not in record.signals:
             raise DataError(

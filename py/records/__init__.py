@@ -4,7 +4,7 @@ from .files import read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .record import Gap, Record, distinct
-from .require import require
+from .require import known_inputs, require
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
@@ -14,6 +14,7 @@ __all__ = [
     "Record",
     "Scale",
     "distinct",
+    "known_inputs",
     "noise_floor",
     "one_euro",
     "parse_scale",

@@ -41,8 +41,8 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
     raise DataError(
         f"{path}: row {row}, column {column}: '{number}' may be {number.replace(sign, '')} or "
         f"{number.replace(sign, '.')}, and no number of the file tells whether '{sign}' is its decimal sign. "
-        f"State it in a line above the header, '# decimal={sign}' or '# decimal={other_sign(sign)}', or read the file with "
-        "decimal=."
+        f"State it in a line above the header, '# decimal={sign}' or '# decimal={other_sign(sign)}', or read the file "
+        "with decimal=."
     )
 
 

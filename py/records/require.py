@@ -1,14 +1,19 @@
-"""Does a record hold what a model needs?"""
+"""Does a record hold what a model needs? And its inputs at every sample."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible, dimension, way_out
 
+from . import resampling
 from .record import Record
+
+OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
 
 
 def require(record: Record, signals: Sequence[Signal], model_name: str) -> Record:
@@ -31,6 +36,33 @@ def require(record: Record, signals: Sequence[Signal], model_name: str) -> Recor
                 f"Give a scale: --scale {signal.name}={_example(shown, signal)}."
             )
     return record.select([s.name for s in signals])
+
+
+def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> Record:
+    """The record with its inputs known at every sample: a slower raster is held or linear in between.
+
+    Raises `DataError` for an input with a gap that is longer than the steps of its own raster.
+    """
+    filled = {}
+    for signal in inputs:
+        if signal.name in record and not np.isfinite(record[signal.name]).all():
+            filled[signal.name] = _between_own_samples(record, signal, model_name)
+    return record.with_signals(filled) if filled else record
+
+
+def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.ndarray:
+    column, known = record[signal.name], np.isfinite(record[signal.name])
+    own, values = record.time[known], column[known]
+    apart = np.diff(np.concatenate([record.time[:1], own, record.time[-1:]]))
+    if len(own) < 2 or apart.max() > OWN_STEP * np.median(np.diff(own)):
+        raise DataError(
+            f"{record.source or record.name}: input column '{signal.name}' has gaps (got {(~known).sum()} values that "
+            f"are not finite, the first at t = {record.time[np.argmin(known)]:g} s). {model_name} needs every "
+            "sample of its inputs. Fill them, or take the part without (Record.window)."
+        )
+    if signal.interpolation == "hold":
+        return resampling.hold(own, values, record.time)
+    return np.interp(record.time, own, values)
 
 
 def _example(shown: str, signal: Signal) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Record, require
+from hydrotwin.records import Record, known_inputs, require
 
 from . import sampled
 from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
@@ -116,16 +116,8 @@ def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
 
 def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
     """The input columns (n, nu), present, of the right dimension and without gaps."""
-    u = require(record, system.inputs, system.name).array([s.name for s in system.inputs])
-    for signal, column in zip(system.inputs, u.T, strict=True):
-        gaps = ~np.isfinite(column)
-        if gaps.any():
-            raise DataError(
-                f"{record.source or record.name}: input column '{signal.name}' has gaps (got {gaps.sum()} values that "
-                f"are not finite, the first at t = {record.time[np.argmax(gaps)]:g} s). {system.name} needs every "
-                "sample of its inputs. Fill them, or take the part without (Record.window)."
-            )
-    return u
+    record = known_inputs(require(record, system.inputs, system.name), system.inputs, system.name)
+    return record.array([s.name for s in system.inputs])
 
 
 def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:

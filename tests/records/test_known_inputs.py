@@ -38,5 +38,5 @@ def test_it_may_begin_within_a_step_after_the_others():
 def test_a_gap_in_an_input_is_refused(lost):
     for column in (TIME.copy(), SLOW.copy()):
         column[lost] = np.nan
-        with pytest.raises(DataError, match="run: input column 'u' has gaps .* the first at t = "):
+        with pytest.raises(DataError, match=r"run: input column 'u' has gaps .* the first at t = "):
             known_inputs(record(column), [Signal("u", "1")], "model")

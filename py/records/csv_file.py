@@ -152,8 +152,8 @@ def _read_carefully(
             column = numbers.index(None)
             raise DataError(
                 f"{path}: row {first_row + k}, column '{split_header(header[column])[0]}': not a number "
-                f"(got '{cells[column]}'). Write a number with the decimal sign '{decimal}'; '{other_sign(decimal)}' "
-                "may only part groups of three digits; no unit in the cell."
+                f"(got '{cells[column]}'). Write a decimal {'point' if decimal == '.' else 'comma'}; "
+                f"'{other_sign(decimal)}' may only part groups of three digits; no unit in the cell."
             )
         values.append(numbers)
         rows.append(first_row + k)

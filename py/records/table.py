@@ -171,7 +171,7 @@ def _check_rate(table: Table, absent: np.ndarray, kept: np.ndarray) -> None:
 
 def _keep_instead(absent: np.ndarray) -> str:
     if absent[0].any():
-        return "Time itself is missing: repair the file."
+        return "Time itself is missing there."
     return 'Let the missing values stay unknown: missing="keep" (--missing keep).'
 
 
@@ -183,7 +183,7 @@ def _fail_missing(table: Table, absent: np.ndarray) -> None:
     raise DataError(
         f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} "
         f"rows have one). {_keep_instead(absent)} "
-        'Leaving these rows out takes them from every column, inputs too: missing="drop rows".'
+        'Repair the file, or leave these rows out of every column, inputs too: missing="drop rows".'
     )
 
 

@@ -161,6 +161,11 @@ def fit_stribeck(
             f"friction test: {len(speeds)} different speeds in {len(v)} points cannot show the four coefficients. At "
             "least four speeds are needed, some of them below the Stribeck velocity. Record more speeds."
         )
+    if both and float(np.sign(v) @ (F - F.mean())) < 0:
+        raise DataError(
+            "friction test: the force acts against the motion (it falls from backward to forward). The pushing force "
+            "is needed, positive where it moves forward. Turn its sign: --scale force=-1."
+        )
     known = force_error is not None
     error = np.broadcast_to(np.asarray(force_error if known else 1.0, dtype=float), v.shape)
     curve = _Curve(v, F, fitted, both or load is not None)

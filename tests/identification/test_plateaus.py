@@ -141,3 +141,10 @@ def test_a_table_in_the_order_of_its_speeds_is_taken_row_by_row():
     v = np.array([sign * speed for sign in (1, -1) for speed in np.geomspace(1e-3, 0.1, 20)])
     table = Record(np.arange(40) * 1.0, {"velocity": v, "force": true_friction(v)}, {"velocity": "m/s", "force": "N"})
     assert friction_test([table]).values == pytest.approx(TRUTH, rel=1e-6)
+
+
+def test_a_force_with_the_sign_of_friction_instead_of_the_push_is_refused():
+    recording = pushed(kept(BOTH), load=80.0)
+    turned = recording.with_signals({"force": -recording["force"]})
+    with pytest.raises(DataError, match=r"acts against the motion.*--scale force=-1"):
+        friction_test([turned])

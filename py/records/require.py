@@ -66,7 +66,9 @@ def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.
 
 
 def _example(shown: str, signal: Signal) -> str:
-    """A scale that would do: full range in % is taken as the signal's nominal value."""
+    """A scale that would do: full range in % is taken as the signal's nominal value, a bare 1/s as radians."""
+    if dimension(shown) == dimension(signal.unit) == dimension("1/s"):
+        return "1 rad" if compatible(signal.unit, "rad/s") else "1 1/rev"
     if shown == "1":
         return f"{signal.nominal:g} {signal.unit}"
     over = f"({shown})" if any(c in shown for c in "./*") else shown

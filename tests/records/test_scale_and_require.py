@@ -107,3 +107,27 @@ def test_a_bare_number_is_not_an_angle():
         require(record, [ANGLE], "cehA")
     with pytest.raises(UnitError, match="'ratio' is in rad, the model needs 1"):
         require(record, [Signal("ratio", "1")], "cehA")
+
+
+@pytest.mark.parametrize("unit", ["1/s", "Hz", "s-1"])
+def test_a_bare_rate_for_a_speed_of_rotation_is_refused_with_what_to_write(unit, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],speed [{unit}]\n0,1\n1,2\n")
+    signal = Signal("speed", "rad/s", nominal=100.0)
+    with pytest.raises(UnitError, match=r"write rad/s, rpm or rev/s.*--scale speed=1 rad\.$"):
+        require(read_record(path), [signal], "rig")
+    np.testing.assert_allclose(require(read_record(path, scale="speed=1 rad"), [signal], "rig")["speed"], [1, 2])
+    turns = require(read_record(path, scale="speed=1 rev"), [signal], "rig")["speed"]
+    np.testing.assert_allclose(turns, [2 * np.pi, 4 * np.pi])
+    np.testing.assert_allclose(require(read_record(path), [Signal("speed", "1/s")], "rig")["speed"], [1, 2])
+
+
+@pytest.mark.parametrize("unit", ["1/min", "rpm"])
+def test_revolutions_for_a_rate_are_refused_with_the_scale_that_counts_them(unit, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],rate [{unit}]\n0,60\n1,120\n")
+    with pytest.raises(UnitError, match=r"'1/s' holds no angle.*--scale rate=1 1/rev\.$"):
+        require(read_record(path), [Signal("rate", "1/s")], "rig")
+    np.testing.assert_allclose(
+        require(read_record(path, scale="rate=1 1/rev"), [Signal("rate", "1/s")], "rig")["rate"], [1, 2]
+    )

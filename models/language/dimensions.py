@@ -6,18 +6,22 @@ are pure numbers.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 
 import casadi as ca
 
 from .elaboration import Equation
-from .errors import UnitError
+from .errors import DeclarationError, UnitError
 from .units import BASE_UNITS, dimension
 
 Dimension = tuple[Fraction, ...]
 NUMBER: Dimension = (Fraction(0),) * 7
+_TIME: Dimension = dimension("s")
 ANY = None  # the dimension of a literal zero
+
+_LITERAL = " A number with a unit is a Parameter(number, unit): a literal but zero is a pure number."
 
 _SAME = {ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_HYPOT}
 _COMPARE = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
@@ -64,9 +68,13 @@ def _dimension_of(expression: ca.SX, units: Mapping[int, str]) -> Dimension | No
             result = work[inputs[0]]
         elif op == ca.OP_CONST:
             value = f.instruction_constant(k)
+            if not math.isfinite(value):
+                raise DeclarationError(f"a number in it is not finite (got {value})")
             work[outputs[0]], constants[outputs[0]] = (ANY if value == 0 else NUMBER), value
         else:
             arguments = [work[i] for i in inputs]
+            if op in _COMPARE and len(arguments) == 2:
+                arguments = _in_seconds(arguments, [i in constants for i in inputs])
             exponent = constants.get(inputs[1]) if op in (ca.OP_POW, ca.OP_CONSTPOW) else None
             work[outputs[0]] = _apply(op, arguments, exponent)
             constants.pop(outputs[0], None)
@@ -109,6 +117,11 @@ def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -
     raise UnitError(f"operation {op} has no rule for units")
 
 
+def _in_seconds(arguments: list[Dimension | None], literal: list[bool]) -> list[Dimension | None]:
+    """A literal that is compared with a time is in seconds: ``time > 1``."""
+    return [ANY if own and other == _TIME else a for a, own, other in zip(arguments, literal, arguments[::-1], strict=True)]
+
+
 def _pure(arguments, role: str) -> None:
     for a in arguments:
         if a is not ANY and a != NUMBER:
@@ -123,16 +136,20 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
     UnitError : names the component, the equation and the two dimensions.
     """
     for equation in equations:
-        where = f"{model}.{equation.owner}" if equation.owner else model
+        where = f"{equation.place}{model}.{equation.owner}" if equation.owner else f"{equation.place}{model}"
         try:
             left, right = dimensions_of([equation.left, equation.right], units)
         except UnitError as error:
             raise UnitError(
                 f"{where}: units do not balance in '{equation}' (got {error}). "
-                "Check the units of the quantities that meet there."
+                f"Check the units of the quantities that meet there.{_LITERAL}"
+            ) from None
+        except DeclarationError as error:
+            raise DeclarationError(
+                f"{where}: {error}: '{equation}'. Write a finite number, and ca.sqrt, ca.log, ... for math.sqrt, math.log."
             ) from None
         if left is not ANY and right is not ANY and left != right:
             raise UnitError(
                 f"{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
-                f"{written(right)} on the right). Both sides must have the same unit."
+                f"{written(right)} on the right). Both sides must have the same unit.{_LITERAL}"
             )

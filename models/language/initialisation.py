@@ -10,8 +10,9 @@ import numpy as np
 
 from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
-from .solving import Unknown, solve_block
+from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
+from .user_code import numbers_refused, running
 
 LARGEST_LAST_STEP = 1e-6  # of nominal
 
@@ -20,7 +21,7 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     """A function that gives, for any set of given states, the start ``(u, p, z) -> x``.
 
     A given state that the initial equations would have determined drops the equation that determined it. Where Newton's
-    iteration finds no equilibrium the states it sought are NaN.
+    iteration finds no equilibrium, or they are singular, the states it sought are NaN.
     """
     name = solved.elaboration.name
     states = solved.elaboration.states
@@ -65,17 +66,21 @@ def _solved_in_order(name: str, members: list[Unknown], residuals: list[ca.SX]) 
     for block in ordered_blocks(incidence, np.arange(len(members))):
         own = [members[k] for k in block]
         left = [replace(residuals[k], found) for k in block]
-        solution, newton = solve_block(name, own, left, lambda: "the initial equations")
-        if newton:
-            converged = newton.error < LARGEST_LAST_STEP
-            solution = [ca.if_else(converged, value, np.nan) for value in solution]
+        solution, record = solve_block(name, own, left, lambda: "the initial equations")
+        if isinstance(record, NonlinearBlock):
+            solution = [ca.if_else(record.error < LARGEST_LAST_STEP, value, np.nan) for value in solution]
+        for pivot in record.pivots if isinstance(record, LinearBlock) else ():
+            solution = [ca.if_else(pivot == 0, np.nan, value) for value in solution]
         found |= {m.symbol.element_hash(): value for m, value in zip(own, solution, strict=True)}
     return found
 
 
 def _declared_start(solved: Solved, state) -> ca.SX:
     start = state.declaration.start
-    return solved.of(ca.SX(start(state.owner) if callable(start) else start))
+    if not callable(start):
+        return ca.SX(start)
+    with running(f"{solved.elaboration.name}.{state.path}"), numbers_refused():
+        return solved.of(ca.SX(start(state.owner)))
 
 
 def _followed(name: str, expression: ca.SX, known: Mapping[int, ca.SX], role: str) -> ca.SX:

@@ -154,7 +154,7 @@ def _as_it_is(model: Model, file: ModelFile) -> Model:
     A payload that is freed and found to be nil would be none that can be wrong.
     """
     own = {p.name for p in model.flat.parameters} - {row["site"] for row in file.effects} if file.effects else ()
-    known = {n: {k: s[k] for k in ("value", "bounds") if k in s} for n, s in file.settings.items() if n in own}
+    known = {n: {k: s[k] for k in ("value", "unit", "bounds") if k in s} for n, s in file.settings.items() if n in own}
     return model.with_settings(known)
 
 

@@ -274,7 +274,7 @@ def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, t
 
     Args: inputs (n, nu), times (n,): operating points, states drawn around the start.
     """
-    base, added = model.flat, model.plus([candidate.addition]).flat
+    base, added = model.flat, model.plus([candidate.addition], sought=True).flat
     order = [s.name for s in added.states]
     where = [order.index(s.name) for s in base.states]
     p, q = base.parameter_vector(), added.parameter_vector()

@@ -9,6 +9,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from .acting import refuse_idle
 from .additions import Addition
 from .component import Component
 from .declarations import finite
@@ -36,6 +37,8 @@ class Model:
     ------
     DeclarationError, TopologyError, UnitError : when `flat` is first asked for.
     """
+
+    sought = False  # its additions are looked for: they need not act
 
     def __init__(
         self,
@@ -73,6 +76,7 @@ class Model:
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions
         )
+        other.sought = self.sought
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
             other.__dict__["_functions"] = self._functions
@@ -89,19 +93,26 @@ class Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance", "additions")}
+        other.sought = self.sought
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
 
-    def plus(self, additions: Iterable[Addition]) -> Model:
-        """The same model with further parts tied in, and further parameters free or held; see `Addition`."""
+    def plus(self, additions: Iterable[Addition], *, sought: bool = False) -> Model:
+        """The same model with further parts tied in, and further parameters free or held; see `Addition`.
+
+        sought : the additions are looked for; otherwise one that changes nothing is refused when `flat` is asked for.
+        """
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.sought = True  # until what it frees or holds is independent
         other.additions = (*self.additions, *additions)
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
         wanted = {path for a in other.additions for path in a.holds}
         held = {p.name: {"value": p.value, "unit": p.unit} for p, _ in self.followers if p.name in wanted}
         settings = {path: {**held.get(path, {}), **freed.get(path, {})} for path in (*held, *freed)}
-        return other.with_settings(settings, self.provenance) if settings else other
+        final = other.with_settings(settings, self.provenance) if settings else other
+        final.sought = sought or self.sought
+        return final
 
     @cached_property
     def followers(self) -> tuple[tuple[ParameterValue, frozenset[str]], ...]:
@@ -196,6 +207,8 @@ class Model:
             step=self.step,
         )
         check_solvable(solved, flat)
+        if self.additions and not self.sought:
+            refuse_idle(solved, self.additions, flat)
         return flat
 
     def _input(self, entry) -> Signal:

@@ -12,7 +12,7 @@ from .declarations import PLACEHOLDER, Input, Output, Parameter, Port, Slot, Sta
 from .elaboration import Elaboration
 from .errors import DeclarationError, UnitError, nearest
 from .units import dimension
-from .user_code import line, place_of_code
+from .user_code import Here, place_of_code
 
 RESERVED = ("path", "parent", "changes")  # attributes of every component
 
@@ -60,27 +60,27 @@ class Component(_Declared):
         for name, value in vars(cls).items():
             if name in RESERVED or (name in words and isinstance(value, KINDS)):
                 raise DeclarationError(
-                    f"{line()}{cls.__name__}: '{name}' is a word of the language. Choose another name."
+                    f"{Here()}{cls.__name__}: '{name}' is a word of the language. Choose another name."
                 )
-            _refuse_hidden(f"{line()}{cls.__name__}.{name}", value, cls)
+            _refuse_hidden(Here(f"{cls.__name__}.{name}"), value, cls)
             if name in inherited and not isinstance(value, KINDS):
                 raise DeclarationError(
-                    f"{line()}{cls.__name__}.{name}: declared by a base class and replaced by {value!r}, which "
+                    f"{Here()}{cls.__name__}.{name}: declared by a base class and replaced by {value!r}, which "
                     f"declares nothing. Declare it anew (Parameter(.., unit, ..)) or write {cls.__name__}({name}=..)."
                 )
 
     def __init__(self, **changes):
-        declared, where = declarations(type(self)), f"{line()}{type(self).__name__}"
+        declared, where = declarations(type(self)), type(self).__name__
         for name, change in changes.items():
             if name not in declared:
-                raise DeclarationError(f"{where}: no '{name}'. {nearest(name, declared)}")
-            _check_change(f"{where}.{name}", declared[name], change)
+                raise DeclarationError(f"{Here(where)}: no '{name}'. {nearest(name, declared)}")
+            _check_change(Here(f"{where}.{name}"), declared[name], change)
         self.changes = {k: float(v) if isinstance(v, Real) else v for k, v in changes.items()}
 
     def __setattr__(self, name, value):
         if name in declarations(type(self)):
             raise DeclarationError(
-                f"{line()}{type(self).__name__}.{name}: a component does not change. Give '{name}' when it is made, "
+                f"{Here()}{type(self).__name__}.{name}: a component does not change. Give '{name}' when it is made, "
                 f"{type(self).__name__}({name}=..), or with .but({name}=..); an equation is 'yield self.{name} == ..'."
             )
         super().__setattr__(name, value)
@@ -165,7 +165,7 @@ class Component(_Declared):
         return f"{type(self).__name__}({inside})"
 
 
-def _refuse_hidden(where: str, value, owner: type, made: bool = False) -> None:
+def _refuse_hidden(where: Here | str, value, owner: type, made: bool = False) -> None:
     """A part that no path leads to: in a list, a class in place of an instance, or set on an instance.
 
     made : the value was set on an instance, after its class was declared.
@@ -177,7 +177,7 @@ def _refuse_hidden(where: str, value, owner: type, made: bool = False) -> None:
     members = value.values() if isinstance(value, Mapping) else value if isinstance(value, (list, tuple, set)) else ()
     several = any(isinstance(member, KINDS) for member in members)
     if several or (made and isinstance(value, KINDS)):
-        leaf = where.rpartition(".")[2]
+        leaf = str(where).rpartition(".")[2]
         held = f"a {type(value).__name__} of parts" if several else f"{type(value).__name__} set on an instance"
         raise DeclarationError(
             f"{where}: {held} is no part of the model: nothing in it has a name. "
@@ -185,7 +185,7 @@ def _refuse_hidden(where: str, value, owner: type, made: bool = False) -> None:
         )
 
 
-def _check_change(where: str, declaration, change) -> None:
+def _check_change(where: Here, declaration, change) -> None:
     number = isinstance(change, Real) and not isinstance(change, bool)
     if isinstance(declaration, Slot):
         good, wanted = isinstance(change, declaration.kind), f"a {declaration.kind.__name__}"
@@ -207,7 +207,7 @@ def _check_change(where: str, declaration, change) -> None:
         _check_number(where, declaration, finite(where, "the number given", change))
 
 
-def _check_number(where: str, declaration: Parameter | State, number: float) -> None:
+def _check_number(where: Here, declaration: Parameter | State, number: float) -> None:
     """A number alone is in SI, and within the bounds."""
     if declaration.written_in:
         kind = type(declaration).__name__

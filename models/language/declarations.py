@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from .errors import DeclarationError, UnitError
 from .units import Unit, parse_unit
-from .user_code import line
+from .user_code import Here
 
 Bounds = tuple[float, float]
 UNBOUNDED: Bounds = (-math.inf, math.inf)
@@ -30,7 +30,7 @@ class _Quantity:
     refused: ClassVar[str] = ""
 
     def __post_init__(self):
-        where = f"{line()}{type(self).__name__}{f' {self.description!r}' if self.description else ''}"
+        where = Here(type(self).__name__ + (f" {self.description!r}" if self.description else ""))
         known = _unit(where, self.unit)
         for name in self.points:
             value = getattr(self, name)
@@ -55,7 +55,7 @@ class _Quantity:
                 object.__setattr__(self, "written_in", self.unit)
             object.__setattr__(self, "unit", known.si)
 
-    def _settle_bounds(self, where: str, known: Unit | None) -> None:
+    def _settle_bounds(self, where: Here, known: Unit | None) -> None:
         low, high = limits(where, self.bounds)
         if known:
             low, high = (known.factor * b + known.offset for b in (low, high))
@@ -70,7 +70,7 @@ class _Quantity:
             )
 
 
-def _unit(where: str, unit: str) -> Unit | None:
+def _unit(where: Here, unit: str) -> Unit | None:
     """The unit understood; None where it waits for that of a signal."""
     if isinstance(unit, str) and PLACEHOLDER in unit:
         return None
@@ -80,7 +80,7 @@ def _unit(where: str, unit: str) -> Unit | None:
         raise UnitError(f"{where}: {error}") from None
 
 
-def finite(where: str, role: str, value) -> float:
+def finite(where: Here | str, role: str, value) -> float:
     """A number that is one, or an error that says what else it is."""
     if not isinstance(value, Real) or isinstance(value, bool):
         raise DeclarationError(f"{where}: {role} is no number (got {value!r}). Give a number.")
@@ -89,7 +89,7 @@ def finite(where: str, role: str, value) -> float:
     return float(value)
 
 
-def limits(where: str, bounds) -> Bounds:
+def limits(where: Here, bounds) -> Bounds:
     """Lower and upper bound in order; infinite ones are none."""
     try:
         low, high = bounds
@@ -168,7 +168,7 @@ class Input(_Quantity):
         super().__post_init__()
         if self.interpolation not in ("hold", "linear"):
             raise DeclarationError(
-                f"{line()}Input '{self.description}': unknown interpolation (got '{self.interpolation}'). "
+                f"{Here()}Input '{self.description}': unknown interpolation (got '{self.interpolation}'). "
                 "Use 'hold' for a command that is kept between samples or 'linear' for a measured quantity."
             )
 
@@ -242,7 +242,7 @@ class Slot:
     def __init__(self, kind: type, default):
         if not isinstance(default, kind):
             raise DeclarationError(
-                f"{line()}Slot({kind.__name__}): the default is no {kind.__name__} (got {type(default).__name__}). "
+                f"{Here()}Slot({kind.__name__}): the default is no {kind.__name__} (got {type(default).__name__}). "
                 f"Give an instance of a subclass of {kind.__name__}."
             )
         self.kind = kind

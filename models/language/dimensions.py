@@ -136,20 +136,20 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
     UnitError : names the component, the equation and the two dimensions.
     """
     for equation in equations:
-        where = f"{equation.place}{model}.{equation.owner}" if equation.owner else f"{equation.place}{model}"
+        where = f"{model}.{equation.owner}" if equation.owner else model
         try:
             left, right = dimensions_of([equation.left, equation.right], units)
         except UnitError as error:
             raise UnitError(
-                f"{where}: units do not balance in '{equation}' (got {error}). "
+                f"{equation.at}{where}: units do not balance in '{equation}' (got {error}). "
                 f"Check the units of the quantities that meet there.{_LITERAL}"
             ) from None
         except DeclarationError as error:
             raise DeclarationError(
-                f"{where}: {error}: '{equation}'. Write a finite number, and ca.sqrt, ca.log, ... for math.sqrt, math.log."
+                f"{equation.at}{where}: {error}: '{equation}'. Write a finite number, and ca.sqrt, ca.log, ... for math.sqrt, math.log."
             ) from None
         if left is not ANY and right is not ANY and left != right:
             raise UnitError(
-                f"{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
+                f"{equation.at}{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
                 f"{written(right)} on the right). Both sides must have the same unit.{_LITERAL}"
             )

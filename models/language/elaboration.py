@@ -12,7 +12,7 @@ import casadi as ca
 from .declarations import Input, Output, Parameter, Port, State, Variable
 from .errors import DeclarationError, TopologyError, UnitError
 from .units import compatible
-from .user_code import place_of, running
+from .user_code import place, place_of, running
 
 _NO_EQUATION = "Yield 'left == right' of scalar expressions, at least one of them a quantity, or connect(a, b)."
 _END = object()
@@ -59,7 +59,12 @@ class Equation:
     left: ca.SX
     right: ca.SX
     owner: str
-    place: str = ""  # file and line that state it
+    place: tuple[str, int] | None = None  # file and line that state it
+
+    @property
+    def at(self) -> str:
+        """``file: line n: ``, or nothing."""
+        return place(*self.place) if self.place else ""
 
     def __str__(self):
         text = f"{self.left} == {self.right}"
@@ -217,14 +222,14 @@ class Elaboration:
             "Yield each: 'yield left == right', 'yield connect(a, b)'."
         )
 
-    def _state(self, statement, owner: str, into: list[Equation], place: str) -> None:
-        where = f"{place}{owner or self.name}"
+    def _state(self, statement, owner: str, into: list[Equation], at: tuple[str, int] | None) -> None:
+        where = f"{place(*at) if at else ''}{owner or self.name}"
         if not isinstance(statement, ca.SX) or not statement.is_scalar():
             several = isinstance(statement, (tuple, list))
             hint = "Yield each equation by itself: yield a == b, then yield c == d." if several else _NO_EQUATION
             raise DeclarationError(f"{where}: this is no equation (got {statement!r}). {hint}")
         if statement.is_op(ca.OP_EQ):
-            into.append(Equation(statement.dep(0), statement.dep(1), owner, place))
+            into.append(Equation(statement.dep(0), statement.dep(1), owner, at))
         elif statement.is_constant() and float(statement) == 1:
             raise TopologyError(f"{where}: an equation has the same two sides. Drop it.")
         else:

@@ -192,7 +192,7 @@ def check_balance(elaboration: Elaboration, equations, unknowns) -> None:
 
 def _said(elaboration: Elaboration, equations: Sequence[Equation]) -> str:
     """Equations with the parts and the lines that state them."""
-    lines = [f" ({e.place.removesuffix(': ')})" if e.place else "" for e in equations]
+    lines = [f" ({e.at.removesuffix(': ')})" if e.place else "" for e in equations]
     return "; ".join(f"{e.owner or elaboration.name}: {e}{at}" for e, at in zip(equations, lines, strict=True))
 
 

@@ -16,10 +16,10 @@ from .flat import FlatModel
 from .flattening import Solved, replace
 from .solving import LinearBlock, NonlinearBlock
 
-POINTS = 5  # the start and points around it, up to one nominal value away
+POINTS = 5  # the declared start and points around it, up to one nominal value away
 OTHER = 0.3  # by how much parameters are moved to see how large a divisor usually is
-NEAR = 1e-9  # relative: moved by so little, a divisor stays what it is,
-ROUNDING = 0.1  # or changes by more than this, and is what rounding left of nothing
+BITS = 12  # a small divisor with so few significant bits wherever one looks is what rounding left of nothing
+SMALL = 1e-9  # what is small there
 ZERO = 1e-10  # of its usual size: a divisor is nothing
 LARGEST_LAST_STEP = 1e-8  # of nominal, of Newton's iteration at the start
 TRIES = 6  # other first guesses of a nonlinear loop
@@ -33,8 +33,10 @@ def check_solvable(solved: Solved, flat: FlatModel) -> None:
     ------
     TopologyError : names the unknowns, the equations with their lines, and what to do.
     """
+    _check_linear(solved, flat)
+    if not solved.nonlinear:
+        return
     x = flat.start_given()([i.default for i in flat.inputs], flat.parameter_vector(), []).full().ravel()
-    _check_linear(solved, flat, x)
     for block in solved.nonlinear:
         _check_newton(solved, flat, x, block)
         _check_unique(solved, flat, x, block)
@@ -48,29 +50,36 @@ def _function(solved: Solved, ends: list[ca.SX], more: ca.SX | None = None) -> C
     return ca.Function("block", [e.time, *groups, ca.SX(0, 1) if more is None else more], ends)
 
 
-def _check_linear(solved: Solved, flat: FlatModel, start: np.ndarray) -> None:
+def _check_linear(solved: Solved, flat: FlatModel) -> None:
     blocks = [(block, pivot) for block in solved.linear for pivot in block.pivots]
     if not blocks:
         return
     pivots = _function(solved, [solved.of(ca.vertcat(*(pivot for _, pivot in blocks)))])
     draw, p = np.random.default_rng(0), flat.parameter_vector()
+    starts = [s.declaration.start for s in solved.elaboration.states]
+    start = np.array([0.0 if callable(value) else value for value in starts])
     x_size, u_size = (np.array([s.nominal for s in some]) for some in (flat.states, flat.inputs))
     u_rest = np.array([i.default for i in flat.inputs])
     p_size = np.where(p == 0, [q.nominal for q in flat.parameters], np.abs(p))
-    nothing, usual = [], []
+    here, usual = [], []
     for k in range(POINTS):
-        x = np.nan_to_num(start) + (k > 0) * x_size * draw.uniform(-1, 1, len(start))
+        x = start + (k > 0) * x_size * draw.uniform(-1, 1, len(start))
         u = u_rest + (k > 0) * u_size * draw.uniform(-1, 1, len(u_rest))
-        other = p_size * draw.uniform(-1, 1, len(p))
-        here, near, far = (pivots(0, x, u, p + by * other, []).full().ravel() for by in (0.0, NEAR, OTHER))
-        usual.append(np.abs(far))
-        nothing.append((np.abs(here), np.abs(near - here) > ROUNDING * np.abs(here)))
-    size = np.nanmax(np.array(usual), axis=0, initial=0.0)
-    singular = np.all([(here <= ZERO * size) | rounded for here, rounded in nothing], axis=0)
-    always = np.median(usual, axis=0) <= ZERO
-    for (block, _), is_nothing, never in zip(blocks, singular, always, strict=True):
+        other = p + OTHER * p_size * draw.uniform(-1, 1, len(p))
+        here.append(np.abs(pivots(0, x, u, p, []).full().ravel()))
+        usual.append(np.abs(pivots(0, x, u, other, []).full().ravel()))
+    here, usual = np.array(here), np.array(usual)
+    never = _is_rounding(usual).all(axis=0)
+    singular = (here <= ZERO * np.nanmax(usual, axis=0, initial=0.0)).all(axis=0) | never
+    for (block, _), is_nothing, always in zip(blocks, singular, never, strict=True):
         if is_nothing:
-            raise TopologyError(_singular(flat, block, never))
+            raise TopologyError(_singular(flat, block, always))
+
+
+def _is_rounding(values: np.ndarray) -> np.ndarray:
+    """Zero, or so small and with so few bits as only the difference of two equal numbers has."""
+    mantissa, _ = np.frexp(values)
+    return (np.ldexp(mantissa, BITS) % 1 == 0) & (values < SMALL)
 
 
 def _singular(flat: FlatModel, block: LinearBlock, always: bool) -> str:

@@ -18,7 +18,6 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 
 import casadi as ca
 import numpy as np
@@ -28,6 +27,7 @@ from .errors import DeclarationError, HydrotwinError, nearest
 _FOREIGN = tuple(  # folders of code that no user wrote; hydrotwin's own parts count as a user's, where they are wrong
     str(Path(file).parent) for file in (__file__, ca.__file__, np.__file__)
 )
+_HYDROTWIN, _MODELS = str(Path(sys.modules["hydrotwin"].__file__).parent), str(Path(__file__).parents[1])
 _STANDARD = sysconfig.get_paths()["stdlib"]
 
 _PLACED = re.compile(r".*?: line \d+: ")
@@ -59,12 +59,17 @@ _STATEMENTS = {
 }
 
 
-def line(frame: FrameType | None = None) -> str:
-    """``file: line n: `` of the nearest caller outside the language, or of ``frame``; "" where there is none."""
-    frame = frame or sys._getframe(1)
-    while frame is not None and _is_foreign(frame.f_code.co_filename):
-        frame = frame.f_back
-    return place(frame.f_code.co_filename, frame.f_lineno) if frame else ""
+class Here:
+    """A text that begins with ``file: line n: `` of the nearest caller outside the language, once it is told."""
+
+    def __init__(self, text: str = ""):
+        self.text = text
+
+    def __str__(self) -> str:
+        frame = sys._getframe(1)
+        while frame is not None and _is_foreign(frame.f_code.co_filename):
+            frame = frame.f_back
+        return f"{place(frame.f_code.co_filename, frame.f_lineno) if frame else ''}{self.text}"
 
 
 def place(file: str, number: int) -> str:
@@ -79,17 +84,17 @@ def place_of_code(function) -> str:
     return place(code.co_filename, code.co_firstlineno) if code else ""
 
 
-def place_of(statements) -> str:
-    """Where a generator of equations stands at the moment; "" where it is none."""
+def place_of(statements) -> tuple[str, int] | None:
+    """File and line where a generator of equations stands at the moment; None where it is no generator."""
     while (inner := getattr(statements, "gi_yieldfrom", None)) is not None and hasattr(inner, "gi_frame"):
         statements = inner
     frame = getattr(statements, "gi_frame", None)
-    return place(frame.f_code.co_filename, frame.f_lineno) if frame else ""
+    return (frame.f_code.co_filename, frame.f_lineno) if frame else None
 
 
 @contextmanager
 def running(where: str) -> Iterator[None]:
-    """Run a user's code for ``where`` (a path in the model): whatever it raises names file, line and remedy.
+    """Run a user's code for ``where`` (a path in the model, or a file): what it raises names file, line and remedy.
 
     Raises
     ------
@@ -101,6 +106,8 @@ def running(where: str) -> Iterator[None]:
         if not (at := _at(error)) or _PLACED.match(str(error)):
             raise
         raise type(error)(f"{place(at.filename, at.lineno)}{error}") from None
+    except SyntaxError:
+        raise
     except (Exception, SystemExit) as error:
         raise as_sentence(error, where) from error
 
@@ -111,6 +118,8 @@ def as_sentence(error: BaseException, where: str) -> DeclarationError:
     first = str(error).strip().split("\n")[0]
     raised = f"{type(error).__name__}: {first}" if first else type(error).__name__
     text = _for_a_quantity(error, at) or f"does not run ({raised}). {_for_python(error)}"
+    if at and where.endswith(".py"):
+        return DeclarationError(f"{place(at.filename, at.lineno)}{text}")
     return DeclarationError(f"{place(at.filename, at.lineno) if at else ''}{where}: {text}")
 
 
@@ -122,7 +131,8 @@ def _at(error: BaseException) -> traceback.FrameSummary | None:
 
 def _is_foreign(file: str) -> bool:
     standard = file.startswith(_STANDARD) and "site-packages" not in file
-    return standard or file.startswith(("<", *_FOREIGN))
+    ours = file.startswith(_HYDROTWIN) and not file.startswith(_MODELS)
+    return standard or ours or file.startswith(("<", *_FOREIGN))
 
 
 _lock, _depth = threading.Lock(), 0
@@ -247,7 +257,7 @@ def _for_python(error: BaseException) -> str:
             "A declaration has a value only inside equations(), as self.NAME of a part declared in the class body; a "
             "parameter that follows others is Parameter(lambda c: 2 * c.other, ...)."
         )
-    return "Correct that line."
+    return "Correct the file."
 
 
 def unsaid(kind: type, base: type) -> Iterator[str]:

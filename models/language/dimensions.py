@@ -7,8 +7,9 @@ are pure numbers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
+from itertools import combinations, product
 
 import casadi as ca
 
@@ -22,6 +23,8 @@ _TIME: Dimension = dimension("s")
 ANY = None  # the dimension of a literal zero
 
 _LITERAL = " A number with a unit is a Parameter(number, unit): a literal but zero is a pure number."
+
+SAME_FACTOR = 1e-4  # relative: a literal is the factor of a unit
 
 _SAME = {ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_HYPOT}
 _COMPARE = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
@@ -153,3 +156,36 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
                 f"{equation.at}{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
                 f"{written(right)} on the right). Both sides must have the same unit.{_LITERAL}"
             )
+
+
+def refuse_hand_conversions(model: str, equations: Sequence[Equation], factors: Mapping[int, tuple[str, float]]) -> None:
+    """In equations every quantity is in SI, whatever unit it is declared in: a factor to that unit is one too many.
+
+    factors : hash of a symbol declared in another unit -> that unit and its factor to SI.
+
+    Raises
+    ------
+    UnitError : names the factor; that it is meant otherwise is said by declaring the quantity in SI.
+    """
+    for equation in equations:
+        for unit, factor in (factors[key] for key in equation.symbols if key in factors):
+            literals = [abs(v) for side in (equation.left, equation.right) for v in _literals(side)]
+            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(literals)):
+                raise UnitError(
+                    f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations are "
+                    f"in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
+                )
+
+
+def _literals(expression: ca.SX) -> list[float]:
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    found = [f.instruction_constant(k) for k in range(f.n_instructions()) if f.instruction_id(k) == ca.OP_CONST]
+    return [v for v in found if v not in (0.0, 1.0, -1.0)]
+
+
+def _products(literals: Sequence[float]) -> Iterator[float]:
+    """Every product of up to three of the literals and of their reciprocals."""
+    for count in range(1, min(3, len(literals)) + 1):
+        for some in combinations(literals, count):
+            for signs in product((1, -1), repeat=count):
+                yield math.prod(v**sign for v, sign in zip(some, signs, strict=True))

@@ -13,11 +13,12 @@ import casadi as ca
 
 from .additions import Addition, wire
 from .component import Component, declarations
-from .dimensions import check_units
+from .dimensions import check_units, refuse_hand_conversions
 from .elaboration import BoundPort, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError
 from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
+from .units import parse_unit
 from .user_code import numbers_refused, running, unsaid
 
 
@@ -125,6 +126,7 @@ def solve(elaboration: Elaboration) -> Solved:
     bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in elaboration.bindings.items()]
     equations = [*elaboration.equations, *connection_equations(elaboration)]
     check_units(name, [*bound, *equations, *elaboration.initial_equations], elaboration.units)
+    refuse_hand_conversions(name, [*bound, *equations], _other_units(elaboration))
     bindings = _resolved_bindings(elaboration)
     unknowns = [
         Unknown(v.path, v.symbol, v.declaration.nominal, getattr(v.declaration, "start", 0.0))
@@ -156,6 +158,13 @@ def solve(elaboration: Elaboration) -> Solved:
     expressions = {key: replace(e, delayed) for key, e in expressions.items()}
     linear, nonlinear = (tuple(b for b in blocks if isinstance(b, kind)) for kind in (LinearBlock, NonlinearBlock))
     return Solved(elaboration, bindings, {**expressions, **delayed}, linear, nonlinear, dead_times, undelayed)
+
+
+def _other_units(elaboration: Elaboration) -> dict[int, tuple[str, float]]:
+    """Quantities that are declared in another unit than SI, with that unit and its factor."""
+    groups = (elaboration.parameters, elaboration.states, elaboration.variables, elaboration.inputs)
+    entries = [(e, getattr(e.declaration, "written_in", "")) for group in groups for e in group]
+    return {e.symbol.element_hash(): (unit, parse_unit(unit).factor) for e, unit in entries if unit and parse_unit(unit).factor != 1}
 
 
 def _resolved_bindings(elaboration: Elaboration) -> dict[int, ca.SX]:

@@ -8,6 +8,8 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
+from .dimensions import check_units
+from .elaboration import Equation
 from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
 from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
@@ -79,8 +81,11 @@ def _declared_start(solved: Solved, state) -> ca.SX:
     start = state.declaration.start
     if not callable(start):
         return ca.SX(start)
-    with running(f"{solved.elaboration.name}.{state.path}"), numbers_refused():
-        return solved.of(ca.SX(start(state.owner)))
+    e = solved.elaboration
+    with running(f"{e.name}.{state.path}"), numbers_refused():
+        given = ca.SX(start(state.owner))
+    check_units(e.name, [Equation(state.symbol, given, state.path)], e.units)
+    return solved.of(given)
 
 
 def _followed(name: str, expression: ca.SX, known: Mapping[int, ca.SX], role: str) -> ca.SX:

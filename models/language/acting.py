@@ -32,8 +32,8 @@ def refuse_idle(solved: Solved, additions: Sequence[Addition], flat: FlatModel) 
         idle = [name for name in idle if name not in solved.dead_times.values() and not _moves_start(flat, name)]
         if idle:
             raise TopologyError(
-                f"{e.name}: '{addition.effect or addition.name or addition.frees}'{_place(addition)} changes nothing: no "
-                f"rate and no output depends on {', '.join(idle)}. Choose another place, or leave it out."
+                f"{e.name}: {_named(addition)} changes nothing: no rate and no output depends on {', '.join(idle)}. "
+                "Choose another place, or leave it out."
             )
 
 
@@ -44,8 +44,9 @@ def _moves_start(flat: FlatModel, name: str) -> bool:
     return ca.depends_on(start(u, p, []), p[flat.index_of(name)])
 
 
-def _place(addition: Addition) -> str:
-    return f" at '{addition.site}'" if addition.site else ""
+def _named(addition: Addition) -> str:
+    where = f" at '{addition.site}'" if addition.site else ""
+    return f"'{addition.effect or addition.name or addition.frees}'{where}"
 
 
 def _sought(solved: Solved, addition: Addition) -> Mapping[str, int]:

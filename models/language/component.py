@@ -200,9 +200,9 @@ def _check_change(where: Here, declaration, change) -> None:
     if not good:
         instance = f" Make one: {change.__name__}(..)." if isinstance(change, type) else ""
         raise DeclarationError(f"{where}: cannot be replaced by {change!r}. Give {wanted}.{instance}")
-    if isinstance(change, (Parameter, State, Input, Output, Variable)) and PLACEHOLDER not in declaration.unit:
-        if dimension(change.unit) != dimension(declaration.unit):
-            raise UnitError(f"{where}: its unit is {declaration.unit} (got {change.unit}). Give one of that dimension.")
+    measured = isinstance(change, (Parameter, State, Input, Output, Variable)) and PLACEHOLDER not in declaration.unit
+    if measured and dimension(change.unit) != dimension(declaration.unit):
+        raise UnitError(f"{where}: its unit is {declaration.unit} (got {change.unit}). Give one of that dimension.")
     if number:
         _check_number(where, declaration, finite(where, "the number given", change))
 

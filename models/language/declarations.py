@@ -95,9 +95,7 @@ def limits(where: Here, bounds) -> Bounds:
         low, high = bounds
         low, high = float(low), float(high)
     except (TypeError, ValueError):
-        raise DeclarationError(
-            f"{where}: bounds are no pair of numbers (got {bounds!r}). Write (low, high)."
-        ) from None
+        raise DeclarationError(f"{where}: bounds are no pair of numbers (got {bounds!r}). Write (low, high).") from None
     if not low <= high:
         raise DeclarationError(f"{where}: bounds are in no order (got [{low:g}, {high:g}]). Write (low, high).")
     return low, high

@@ -122,7 +122,9 @@ def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -
 
 def _in_seconds(arguments: list[Dimension | None], literal: list[bool]) -> list[Dimension | None]:
     """A literal that is compared with a time is in seconds: ``time > 1``."""
-    return [ANY if own and other == _TIME else a for a, own, other in zip(arguments, literal, arguments[::-1], strict=True)]
+    return [
+        ANY if own and other == _TIME else a for a, own, other in zip(arguments, literal, arguments[::-1], strict=True)
+    ]
 
 
 def _pure(arguments, role: str) -> None:
@@ -148,9 +150,7 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
                 f"Check the units of the quantities that meet there.{_LITERAL}"
             ) from None
         except DeclarationError as error:
-            raise DeclarationError(
-                f"{equation.at}{where}: {error}: '{equation}'. Write a finite number, and ca.sqrt, ca.log, ... for math.sqrt, math.log."
-            ) from None
+            raise DeclarationError(f"{equation.at}{where}: {error}: '{equation}'. Write a finite number.") from None
         if left is not ANY and right is not ANY and left != right:
             raise UnitError(
                 f"{equation.at}{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
@@ -158,7 +158,9 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
             )
 
 
-def refuse_hand_conversions(model: str, equations: Sequence[Equation], factors: Mapping[int, tuple[str, float]]) -> None:
+def refuse_hand_conversions(
+    model: str, equations: Sequence[Equation], factors: Mapping[int, tuple[str, float]]
+) -> None:
     """In equations every quantity is in SI, whatever unit it is declared in: a factor to that unit is one too many.
 
     factors : hash of a symbol declared in another unit -> that unit and its factor to SI.
@@ -172,8 +174,8 @@ def refuse_hand_conversions(model: str, equations: Sequence[Equation], factors: 
             literals = [abs(v) for side in (equation.left, equation.right) for v in _literals(side)]
             if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(literals)):
                 raise UnitError(
-                    f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations are "
-                    f"in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
+                    f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations "
+                    "are in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
                 )
 
 

@@ -164,7 +164,11 @@ def _other_units(elaboration: Elaboration) -> dict[int, tuple[str, float]]:
     """Quantities that are declared in another unit than SI, with that unit and its factor."""
     groups = (elaboration.parameters, elaboration.states, elaboration.variables, elaboration.inputs)
     entries = [(e, getattr(e.declaration, "written_in", "")) for group in groups for e in group]
-    return {e.symbol.element_hash(): (unit, parse_unit(unit).factor) for e, unit in entries if unit and parse_unit(unit).factor != 1}
+    return {
+        e.symbol.element_hash(): (unit, parse_unit(unit).factor)
+        for e, unit in entries
+        if unit and parse_unit(unit).factor != 1
+    }
 
 
 def _resolved_bindings(elaboration: Elaboration) -> dict[int, ca.SX]:

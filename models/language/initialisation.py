@@ -30,9 +30,7 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     symbols = [s.symbol for s in states]
     rate = solved.elaboration.derivatives
     rate_of = {rate[s.element_hash()][1].element_hash(): r for s, r in zip(symbols, rates, strict=True)}
-    residuals = [
-        solved.of(replace(solved.of(e.left - e.right), rate_of)) for e in solved.elaboration.initial_equations
-    ]
+    residuals = [solved.of(replace(solved.of(e.left - e.right), rate_of)) for e in solved.elaboration.initial_equations]
     residuals = [ca.substitute([r], [solved.elaboration.time], [ca.SX(0)])[0] for r in residuals]
     loose = [i for i, s in enumerate(states) if not s.declaration.fixed]
     determines = _assignment(name, states, loose, residuals, solved.elaboration.initial_equations)

@@ -226,8 +226,8 @@ class Model:
         alone = [key for key in ("value", "bounds", "sigma") if key in change]
         if d.written_in and alone and "unit" not in change:
             raise DeclarationError(
-                f"{self.name}.{entry.path}: declared in {d.written_in}, so {alone[0]} {change[alone[0]]} alone may mean "
-                f"{d.written_in} or {entry.unit}. Give the unit with it: {{'{alone[0]}': .., 'unit': '{d.written_in}'}}."
+                f"{self.name}.{entry.path}: declared in {d.written_in}, so {alone[0]} {change[alone[0]]} alone may "
+                f"mean {d.written_in} or {entry.unit}. Give the unit: {{'{alone[0]}': .., 'unit': '{d.written_in}'}}."
             )
         value = change.get("value", follows if callable(d.value) else d.value)
         if value is None:

@@ -1,7 +1,7 @@
 """parameters.toml: one line per parameter with value, unit, bounds, source and whether identification frees it.
 
-    [cylinder.friction]
-    viscous = { value = 741.36, unit = "N.s/m", bounds = [0, 1e6], free = true, source = "C-EHA paper, Table 1" }
+[cylinder.friction]
+viscous = { value = 741.36, unit = "N.s/m", bounds = [0, 1e6], free = true, source = "C-EHA paper, Table 1" }
 """
 
 from __future__ import annotations
@@ -18,7 +18,11 @@ from .errors import DataError, DeclarationError, HydrotwinError, nearest
 from .units import parse_unit
 
 _KEYS = ("value", "unit", "bounds", "free", "source", "sigma", "note")
-_WORDS = (("free", (bool, np.bool_), "true or false"), ("source", str, "text in quotes"), ("note", str, "text in quotes"))
+_WORDS = (
+    ("free", (bool, np.bool_), "true or false"),
+    ("source", str, "text in quotes"),
+    ("note", str, "text in quotes"),
+)
 
 
 def read_toml(path: Path | str) -> dict:
@@ -50,7 +54,7 @@ def parameter_settings(table: Mapping, where: str) -> dict[str, dict]:
             full = f"{path}.{key}" if path else key
             if not isinstance(entry, Mapping):
                 raise DataError(
-                    f"{where}: {full} is no parameter (got {entry!r}). Write {{ value = .., unit = \"..\" }}."
+                    f'{where}: {full} is no parameter (got {entry!r}). Write {{ value = .., unit = ".." }}.'
                 )
             if any(not isinstance(below, Mapping) for below in entry.values()):
                 if full in found:
@@ -67,9 +71,9 @@ def _of_file(entry: Mapping, where: str) -> dict:
     """A setting of a file, where nobody is to guess the unit."""
     setting = setting_in_si(entry, where, DataError)
     if "value" not in entry:
-        raise DataError(f"{where}: no value. Write {{ value = .., unit = \"..\" }}.")
+        raise DataError(f'{where}: no value. Write {{ value = .., unit = ".." }}.')
     if "unit" not in entry:
-        raise DataError(f"{where}: no unit. Add unit = \"..\"; a pure number has unit = \"1\".")
+        raise DataError(f'{where}: no unit. Add unit = ".."; a pure number has unit = "1".')
     return setting
 
 

@@ -85,9 +85,9 @@ def _is_rounding(values: np.ndarray) -> np.ndarray:
 def _singular(flat: FlatModel, block: LinearBlock, always: bool) -> str:
     when = "whatever the values" if always else "at the parameter values given"
     return (
-        f"{flat.name}: the equations for {', '.join(block.unknowns)} are singular {when}, they have no unique solution: "
-        f"{block.describe()}. A loop that gives back what it takes, or a mass, an area or a gain of zero, is the usual "
-        "cause. Put a lag, a mass or a volume into the loop, or correct the value."
+        f"{flat.name}: the equations for {', '.join(block.unknowns)} are singular {when}, they have no unique "
+        f"solution: {block.describe()}. A loop that gives back what it takes, or a mass, an area or a gain of zero, is "
+        "the usual cause. Put a lag, a mass or a volume into the loop, or correct the value."
     )
 
 

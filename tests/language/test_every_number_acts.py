@@ -1,4 +1,4 @@
-"""Every number that a shipped law, component, machine or effect declares changes its flat model, and so does every key."""
+"""Every number that shipped laws, components, machines and effects declare is in their flat models; so is every key."""
 
 from __future__ import annotations
 
@@ -73,7 +73,9 @@ def changes(declared) -> dict[str, object]:
     point = declared.points[0] if declared.points else None
     if point and not callable(value := getattr(declared, point)):
         low, high = getattr(declared, "bounds", (-np.inf, np.inf))
-        other = next(v for v in (1.01 * value, 0.99 * value, value + 1e-3, value - 1e-3) if v != value and low <= v <= high)
+        other = next(
+            v for v in (1.01 * value, 0.99 * value, value + 1e-3, value - 1e-3) if v != value and low <= v <= high
+        )
         found[point] = dataclasses.replace(declared, **{point: other})
         if declared.unit in OTHER_UNIT and value and np.isinf([low, high]).all():
             found["unit"] = dataclasses.replace(declared, unit=OTHER_UNIT[declared.unit])
@@ -144,7 +146,9 @@ def test_every_key_of_a_setting_is_in_the_flat_model(key):
     settings = {"k": {key: KEYS[key]}}
     assert written(Model(Every(), "every", settings=settings).flat) != written(Model(Every(), "every").flat)
     if key in ("value", "bounds", "sigma"):
-        in_mm = {"k": {key: tuple(1e3 * np.atleast_1d(KEYS[key])) if key == "bounds" else 1e3 * KEYS[key], "unit": "mm"}}
+        in_mm = {
+            "k": {key: tuple(1e3 * np.atleast_1d(KEYS[key])) if key == "bounds" else 1e3 * KEYS[key], "unit": "mm"}
+        }
         one, other = (Model(Every(), "every", settings=s).flat.parameters for s in (settings, in_mm))
         p, q = (next(p for p in some if p.name == "k") for some in (one, other))
         assert (p.value, p.sigma) == pytest.approx((q.value, q.sigma)) if p.sigma else p.value == pytest.approx(q.value)

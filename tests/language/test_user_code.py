@@ -107,9 +107,8 @@ def test_what_python_cannot_do_is_refused_with_file_line_and_remedy(tmp_path, bo
     {
         "yield self.y == (time > 1)": 1.0,
         "yield self.y == ca.if_else(time > 3, 5, self.x)": 0.25,
-        "yield self.y == self.x * ca.sin(time / self.T) + self.x * np.sin(2 * time / self.T)": 0.25 * (
-            math.sin(20) + math.sin(40)
-        ),
+        "yield self.y == self.x * ca.sin(time / self.T) + self.x * np.sin(2 * time / self.T)": 0.25
+        * (math.sin(20) + math.sin(40)),
         "yield self.y == time() / self.T": 20.0,
         "yield self.y == abs(-self.x)": 0.25,
         "yield self.y == np.where(self.x > 0, 4 * self.x, 0)": 1.0,

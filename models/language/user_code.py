@@ -30,6 +30,9 @@ _FOREIGN = tuple(  # folders of code that no user wrote; hydrotwin's own parts c
 _HYDROTWIN, _MODELS = str(Path(sys.modules["hydrotwin"].__file__).parent), str(Path(__file__).parents[1])
 _STANDARD = sysconfig.get_paths()["stdlib"]
 
+if hasattr(ca.GlobalOptions, "setNumpyMode"):
+    ca.GlobalOptions.setNumpyMode(-1)  # np.where and the like on quantities, as CasADi always understood them, unwarned
+
 _PLACED = re.compile(r".*?: line \d+: ")
 _KNOWN = "a quantity has a value only when the model runs"
 

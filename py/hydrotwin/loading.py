@@ -205,6 +205,7 @@ def _from_python(path: Path, factory: str) -> Model:
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
     with _beside(path):
+        sys.modules.setdefault(path.stem, module)  # a neighbour that imports this file gets it, and no second copy
         _ran(path, lambda: specification.loader.exec_module(module))
         functions = [n for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == name]
         make = getattr(module, factory, None)

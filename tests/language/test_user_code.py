@@ -116,7 +116,6 @@ def test_what_python_cannot_do_is_refused_with_file_line_and_remedy(tmp_path, bo
         "yield self.y == np.clip(self.x, 0, 0.125)": 0.125,
     }.items(),
 )
-@pytest.mark.filterwarnings("ignore::FutureWarning")  # of CasADi, about functions of numpy on its values
 def test_what_has_one_meaning_is_made_right(tmp_path, body, value):
     flat = model_of(tmp_path, body).flat
     assert float(flat.ode(2.0, [0.25], [0.0], flat.parameter_vector())[1]) == pytest.approx(value)

@@ -253,8 +253,8 @@ def _for_python(error: BaseException) -> str:
         return f"{type(error.obj).__name__} declares no '{error.name}'. {nearest(error.name, names)}"
     if isinstance(error, RecursionError):
         return "Something calls itself without end: break the circle."
-    if isinstance(error, ImportError) and "circular" in text:
-        return "Two files import each other: move what both need into a third file."
+    if isinstance(error, ImportError) and ("circular" in text or "hydrotwin_user_" in text):
+        return "Two files import each other, or it has no such name: move what both need into a third file."
     if any(word in text for word in ("'Parameter'", "'State'", "'Input'", "'Output'", "'Variable'", "Port'")):
         return (
             "A declaration has a value only inside equations(), as self.NAME of a part declared in the class body; a "

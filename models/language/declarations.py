@@ -119,6 +119,12 @@ class Parameter(_Quantity):
     source: str = ""
     free: bool = False
 
+    def __post_init__(self):
+        super().__post_init__()
+        if not isinstance(self.free, bool):
+            where = Here(f"Parameter '{self.description}'")
+            raise DeclarationError(f"{where}: free is neither True nor False (got {self.free!r}). Give one of them.")
+
 
 @dataclass(frozen=True)
 class State(_Quantity):

@@ -60,11 +60,15 @@ class Model:
             raise DeclarationError(f"{self.name}: the step is no time ahead (got {step:g} s). Give seconds above zero.")
         self.provenance = dict(provenance or {})
         self.additions = tuple(additions)
+        if isinstance(settings, str):
+            raise DeclarationError(f"{self.name}: settings are no text (got {settings!r}). Write {{'part.name': 1.0}}.")
         self.settings = {path: self._setting(path, change) for path, change in dict(settings).items()}
 
     def _setting(self, path: str, change) -> dict:
         """A setting in SI; a number alone is a value."""
         change = change if isinstance(change, Mapping) else {"value": change}
+        if not isinstance(path, str):
+            raise DeclarationError(f"{self.name}: a setting has no name (got {path!r}). Write {{'part.name': ..}}.")
         return setting_in_si(change, f"{self.name}.{path}")
 
     # -- other models ------------------------------------------------------------------------------------------
@@ -135,7 +139,9 @@ class Model:
             if path not in known:
                 owner, _, leaf = path.rpartition(".")
                 where = f"{self.name}.{owner}" if owner else self.name
-                raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(path, known)}")
+                start = any(path == s.path for s in elaboration.states)
+                hint = f"It is a state: give its start to the part, ..({leaf}=..)." if start else nearest(path, known)
+                raise DeclarationError(f"{where}: no parameter '{leaf}'. {hint}")
         return solve(elaboration)
 
     @cached_property

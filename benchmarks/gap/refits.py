@@ -57,7 +57,7 @@ class Bench:
         base: values of the base parameters to start from, in place of those of the base model fitted.
         own: values of the candidates' parameters to start from besides.
         """
-        model = self.model.plus([c.addition for c in chosen])
+        model = self.model.plus([c.addition for c in chosen], sought=True)
         free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
         probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
         points = [dict(own)] if own else []

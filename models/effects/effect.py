@@ -13,10 +13,11 @@ import numpy as np
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State
 from hydrotwin.models.language.additions import Addition
 from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.declarations import PLACEHOLDER
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.places import Places
 
-SIGNAL = "signal"  # stands for the unit of the signal an effect is put into, in the units of its declarations
+SIGNAL = PLACEHOLDER  # stands for the unit of the signal an effect is put into, in the units of its declarations
 
 
 @dataclass(frozen=True)
@@ -265,7 +266,7 @@ def add_effect(model: Model, effect: str, site: str | None = None, values: Mappi
     chosen = sites[site] if site else fitting[0]
     added = model.plus([chosen.addition])
     settings = {(k if "." in k else f"{chosen.name}.{k}"): float(v) for k, v in (values or {}).items()}
-    return added.with_settings(settings, model.provenance) if settings else added
+    return added.with_parameters(settings, model.provenance) if settings else added
 
 
 def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, times: np.ndarray) -> float:
@@ -273,7 +274,7 @@ def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, t
 
     Args: inputs (n, nu), times (n,): operating points, states drawn around the start.
     """
-    base, added = model.flat, model.plus([candidate.addition]).flat
+    base, added = model.flat, model.plus([candidate.addition], sought=True).flat
     order = [s.name for s in added.states]
     where = [order.index(s.name) for s in base.states]
     p, q = base.parameter_vector(), added.parameter_vector()

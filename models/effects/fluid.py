@@ -28,7 +28,8 @@ BEYOND = 1e9  # Pa, a pressure that nothing reaches
 def oil_pressures(places: Places) -> list[str]:
     """States that are the pressure of a part with hydraulic ports."""
     pressures = {s.path for s in places.states if compatible(s.unit, "Pa")}
-    return [s for part in places.parts if part.ports_of(HydraulicPort) for s in part.states if s in pressures]
+    found = [s for part in places.parts if part.ports_of(HydraulicPort) for s in part.states if s in pressures]
+    return list(dict.fromkeys(found))  # a part may hold another: one pressure, one rate
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ def moved_mass(places: Places, port: str) -> float:
     With v a function of the states x alone: d v'/dF = (dv/dx) (dx'/dF). Behind a linkage it is the mass reduced to the
     flange.
     """
-    model = places.model.plus([Addition(NAME, _Push(), ties={"flange": port})])
+    model = places.model.plus([Addition(NAME, _Push(), ties={"flange": port})], sought=True)
     flat = model.flat
     t, x, u, p = flat.ode.sx_in()
     rate, _ = flat.ode(t, x, u, p)

@@ -8,14 +8,34 @@ from collections.abc import Iterator, Mapping
 from numbers import Real
 from types import MappingProxyType
 
-from .declarations import Input, Output, Parameter, Port, Slot, State, Variable
+from .declarations import PLACEHOLDER, Input, Output, Parameter, Port, Slot, State, Variable, finite
 from .elaboration import Elaboration
-from .errors import DeclarationError, nearest
+from .errors import DeclarationError, UnitError, nearest
+from .units import dimension
+from .user_code import Here, place_of_code
 
 RESERVED = ("path", "parent", "changes")  # attributes of every component
 
 
-class Component:
+class _Declared:
+    """Mark of `Component`, which is defined in terms of what it holds."""
+
+
+KINDS = (Parameter, State, Variable, Input, Output, Port, Slot, _Declared)  # what counts as a declaration
+
+
+@functools.cache
+def declarations(kind: type) -> Mapping[str, object]:
+    """Everything a component class declares, its bases' first, in the order of the source."""
+    found: dict[str, object] = {}
+    for base in reversed(kind.__mro__):
+        for name, value in vars(base).items():
+            if isinstance(value, KINDS):
+                found[name] = value
+    return MappingProxyType(found)
+
+
+class Component(_Declared):
     """A part of a machine: class attributes declare its quantities, `equations` ties them.
 
     Subclassing extends, keyword arguments modify: a number for a parameter or a start value, a law for a slot, another
@@ -35,17 +55,35 @@ class Component:
 
     def __init_subclass__(cls, **options):
         super().__init_subclass__(**options)
-        for name in RESERVED:
-            if name in vars(cls):
-                raise DeclarationError(f"{cls.__name__}: '{name}' is a word of the language. Choose another name.")
+        words = {*RESERVED, *(word for word in vars(Component) if not word.startswith("_"))}
+        inherited = {name for base in cls.__mro__[1:] if issubclass(base, Component) for name in declarations(base)}
+        for name, value in vars(cls).items():
+            if name in RESERVED or (name in words and isinstance(value, KINDS)):
+                raise DeclarationError(
+                    f"{Here()}{cls.__name__}: '{name}' is a word of the language. Choose another name."
+                )
+            _refuse_hidden(Here(f"{cls.__name__}.{name}"), value, cls)
+            if name in inherited and not isinstance(value, KINDS):
+                raise DeclarationError(
+                    f"{Here()}{cls.__name__}.{name}: declared by a base class and replaced by {value!r}, which "
+                    f"declares nothing. Declare it anew (Parameter(.., unit, ..)) or write {cls.__name__}({name}=..)."
+                )
 
     def __init__(self, **changes):
-        declared = declarations(type(self))
+        declared, where = declarations(type(self)), type(self).__name__
         for name, change in changes.items():
             if name not in declared:
-                raise DeclarationError(f"{type(self).__name__}: no '{name}'. {nearest(name, declared)}")
-            _check_change(type(self).__name__, name, declared[name], change)
+                raise DeclarationError(f"{Here(where)}: no '{name}'. {nearest(name, declared)}")
+            _check_change(Here(f"{where}.{name}"), declared[name], change)
         self.changes = {k: float(v) if isinstance(v, Real) else v for k, v in changes.items()}
+
+    def __setattr__(self, name, value):
+        if name in declarations(type(self)):
+            raise DeclarationError(
+                f"{Here()}{type(self).__name__}.{name}: a component does not change. Give '{name}' when it is made, "
+                f"{type(self).__name__}({name}=..), or with .but({name}=..); an equation is 'yield self.{name} == ..'."
+            )
+        super().__setattr__(name, value)
 
     def equations(self) -> Iterator:
         """Yield ``left == right`` and ``connect(a, b)``."""
@@ -75,6 +113,7 @@ class Component:
 
     def bind(self, path: str, elaboration: Elaboration, parent=None) -> Component:
         """A copy whose attributes are symbols, registered with ``elaboration``; its equations are collected."""
+        self._check_made()
         bound = copy.copy(self)
         bound.path = path
         bound.parent = parent
@@ -82,6 +121,8 @@ class Component:
         followers = []
         for name in declarations(type(self)):
             declaration, full = self.declared(name), f"{path}.{name}" if path else name
+            if getattr(declaration, "refused", ""):
+                raise DeclarationError(declaration.refused)
             if isinstance(declaration, Component):
                 value = declaration  # bound below, once this component's own symbols exist
             elif isinstance(declaration, Parameter):
@@ -95,55 +136,97 @@ class Component:
                 value = elaboration.port(full, declaration)
             else:
                 value = elaboration.variable(full, declaration, bound)
-            setattr(bound, name, value)
+            vars(bound)[name] = value
         for full, function, scope in followers:
             elaboration.bindings[full] = (function, scope)
         for name in declarations(type(self)):
             part = getattr(bound, name)
             if isinstance(part, Component):
-                setattr(bound, name, part.bind(f"{path}.{name}" if path else name, elaboration, bound))
-        elaboration.collect(bound.equations(), path, elaboration.equations)
-        elaboration.collect(bound.initial_equations(), path, elaboration.initial_equations)
+                vars(bound)[name] = part.bind(f"{path}.{name}" if path else name, elaboration, bound)
+        elaboration.kinds[type(self)] = None
+        elaboration.collect(bound.equations, path, elaboration.equations)
+        elaboration.collect(bound.initial_equations, path, elaboration.initial_equations)
         return bound
+
+    def _check_made(self) -> None:
+        """Its constructor has run, and every part of it is declared in its class."""
+        kind = type(self)
+        if "changes" not in vars(self):
+            raise DeclarationError(
+                f"{place_of_code(kind.__init__)}{kind.__name__}.__init__ does not make a component. "
+                "Begin it with super().__init__(**changes)."
+            )
+        for name, value in vars(self).items():
+            if name != "changes":
+                _refuse_hidden(f"{place_of_code(kind.__init__)}{kind.__name__}.{name}", value, kind, made=True)
 
     def __repr__(self):
         inside = ", ".join(f"{k}={v!r}" for k, v in self.changes.items())
         return f"{type(self).__name__}({inside})"
 
 
-class Law(Component):
-    """A constitutive relation that fills a slot: parameters and functions, no ports."""
+def _refuse_hidden(where: Here | str, value, owner: type, made: bool = False) -> None:
+    """A part that no path leads to: in a list, a class in place of an instance, or set on an instance.
+
+    made : the value was set on an instance, after its class was declared.
+    """
+    if isinstance(value, type) and issubclass(value, KINDS) and not value.__qualname__.startswith(owner.__qualname__):
+        raise DeclarationError(
+            f"{where}: a class where a part is meant (got {value.__name__}). Make one: {value.__name__}(..)."
+        )
+    members = value.values() if isinstance(value, Mapping) else value if isinstance(value, (list, tuple, set)) else ()
+    several = any(isinstance(member, KINDS) for member in members)
+    if several or (made and isinstance(value, KINDS)):
+        leaf = str(where).rpartition(".")[2]
+        held = f"a {type(value).__name__} of parts" if several else f"{type(value).__name__} set on an instance"
+        raise DeclarationError(
+            f"{where}: {held} is no part of the model: nothing in it has a name. "
+            f"Declare each in the class body with a name of its own: {leaf}_1 = .., {leaf}_2 = ..."
+        )
 
 
-@functools.cache
-def declarations(kind: type) -> Mapping[str, object]:
-    """Everything a component class declares, its bases' first, in the order of the source."""
-    kinds = (Parameter, State, Variable, Input, Output, Port, Slot, Component)
-    found: dict[str, object] = {}
-    for base in reversed(kind.__mro__):
-        for name, value in vars(base).items():
-            if isinstance(value, kinds):
-                found[name] = value
-    return MappingProxyType(found)
-
-
-def _check_change(owner: str, name: str, declaration, change) -> None:
+def _check_change(where: Here, declaration, change) -> None:
     number = isinstance(change, Real) and not isinstance(change, bool)
     if isinstance(declaration, Slot):
         good, wanted = isinstance(change, declaration.kind), f"a {declaration.kind.__name__}"
     elif isinstance(declaration, Component):
         good, wanted = isinstance(change, Component), "a component"
     elif isinstance(declaration, Parameter):
-        good, wanted = number or callable(change) or isinstance(change, Parameter), "a number in SI units"
+        good, wanted = number or _follows(change) or isinstance(change, Parameter), "a number in SI units"
     elif isinstance(declaration, State):
-        good, wanted = number or callable(change) or isinstance(change, State), "a start value or a State"
+        good, wanted = number or _follows(change) or isinstance(change, State), "a start value or a State"
     else:
         good, wanted = isinstance(change, type(declaration)), f"another {type(declaration).__name__}"
     if not good:
-        raise DeclarationError(f"{owner}.{name}: cannot be replaced by {change!r}. Give {wanted}.")
-    if number and isinstance(declaration, Parameter) and not declaration.bounds[0] <= change <= declaration.bounds[1]:
-        low, high = declaration.bounds
+        instance = f" Make one: {change.__name__}(..)." if isinstance(change, type) else ""
+        raise DeclarationError(f"{where}: cannot be replaced by {change!r}. Give {wanted}.{instance}")
+    measured = isinstance(change, (Parameter, State, Input, Output, Variable)) and PLACEHOLDER not in declaration.unit
+    if measured and dimension(change.unit) != dimension(declaration.unit):
+        raise UnitError(f"{where}: its unit is {declaration.unit} (got {change.unit}). Give one of that dimension.")
+    if number:
+        _check_number(where, declaration, finite(where, "the number given", change))
+
+
+def _check_number(where: Here, declaration: Parameter | State, number: float) -> None:
+    """A number alone is in SI, and within the bounds."""
+    if declaration.written_in:
+        kind = type(declaration).__name__
         raise DeclarationError(
-            f"{owner}.{name}: value outside its bounds (got {change:g} {declaration.unit}). "
-            f"It must lie in [{low:g}, {high:g}]. Correct the value, or declare the parameter with other bounds."
+            f"{where}: declared in {declaration.written_in}, so {number:g} alone may mean {declaration.written_in} or "
+            f"{declaration.unit}. Give the unit with it: {kind}({number:g}, '{declaration.written_in}', ..)."
         )
+    low, high = declaration.bounds
+    if not low <= number <= high:
+        raise DeclarationError(
+            f"{where}: value outside its bounds (got {number:g} {declaration.unit}). It must lie in [{low:g}, "
+            f"{high:g}]. Correct the value, or declare the {type(declaration).__name__.lower()} with other bounds."
+        )
+
+
+def _follows(change) -> bool:
+    """A function that gives the value from others."""
+    return callable(change) and not isinstance(change, type)
+
+
+class Law(Component):
+    """A constitutive relation that fills a slot: parameters and functions, no ports."""

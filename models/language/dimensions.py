@@ -6,18 +6,25 @@ are pure numbers.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from fractions import Fraction
+from itertools import combinations, product
 
 import casadi as ca
 
 from .elaboration import Equation
-from .errors import UnitError
+from .errors import DeclarationError, UnitError
 from .units import BASE_UNITS, dimension
 
 Dimension = tuple[Fraction, ...]
 NUMBER: Dimension = (Fraction(0),) * 7
+_TIME: Dimension = dimension("s")
 ANY = None  # the dimension of a literal zero
+
+_LITERAL = " A number with a unit is a Parameter(number, unit): a literal but zero is a pure number."
+
+SAME_FACTOR = 1e-4  # relative: a literal is the factor of a unit
 
 _SAME = {ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_HYPOT}
 _COMPARE = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
@@ -64,9 +71,13 @@ def _dimension_of(expression: ca.SX, units: Mapping[int, str]) -> Dimension | No
             result = work[inputs[0]]
         elif op == ca.OP_CONST:
             value = f.instruction_constant(k)
+            if not math.isfinite(value):
+                raise DeclarationError(f"a number in it is not finite (got {value})")
             work[outputs[0]], constants[outputs[0]] = (ANY if value == 0 else NUMBER), value
         else:
             arguments = [work[i] for i in inputs]
+            if op in _COMPARE and len(arguments) == 2:
+                arguments = _in_seconds(arguments, [i in constants for i in inputs])
             exponent = constants.get(inputs[1]) if op in (ca.OP_POW, ca.OP_CONSTPOW) else None
             work[outputs[0]] = _apply(op, arguments, exponent)
             constants.pop(outputs[0], None)
@@ -109,6 +120,13 @@ def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -
     raise UnitError(f"operation {op} has no rule for units")
 
 
+def _in_seconds(arguments: list[Dimension | None], literal: list[bool]) -> list[Dimension | None]:
+    """A literal that is compared with a time is in seconds: ``time > 1``."""
+    return [
+        ANY if own and other == _TIME else a for a, own, other in zip(arguments, literal, arguments[::-1], strict=True)
+    ]
+
+
 def _pure(arguments, role: str) -> None:
     for a in arguments:
         if a is not ANY and a != NUMBER:
@@ -128,11 +146,48 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
             left, right = dimensions_of([equation.left, equation.right], units)
         except UnitError as error:
             raise UnitError(
-                f"{where}: units do not balance in '{equation}' (got {error}). "
-                "Check the units of the quantities that meet there."
+                f"{equation.at}{where}: units do not balance in '{equation}' (got {error}). "
+                f"Check the units of the quantities that meet there.{_LITERAL}"
             ) from None
+        except DeclarationError as error:
+            raise DeclarationError(f"{equation.at}{where}: {error}: '{equation}'. Write a finite number.") from None
         if left is not ANY and right is not ANY and left != right:
             raise UnitError(
-                f"{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
-                f"{written(right)} on the right). Both sides must have the same unit."
+                f"{equation.at}{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
+                f"{written(right)} on the right). Both sides must have the same unit.{_LITERAL}"
             )
+
+
+def refuse_hand_conversions(
+    model: str, equations: Sequence[Equation], factors: Mapping[int, tuple[str, float]]
+) -> None:
+    """In equations every quantity is in SI, whatever unit it is declared in: a factor to that unit is one too many.
+
+    factors : hash of a symbol declared in another unit -> that unit and its factor to SI.
+
+    Raises
+    ------
+    UnitError : names the factor; that it is meant otherwise is said by declaring the quantity in SI.
+    """
+    for equation in equations:
+        for unit, factor in (factors[key] for key in equation.symbols if key in factors):
+            literals = [abs(v) for side in (equation.left, equation.right) for v in _literals(side)]
+            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(literals)):
+                raise UnitError(
+                    f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations "
+                    "are in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
+                )
+
+
+def _literals(expression: ca.SX) -> list[float]:
+    f = ca.Function("f", ca.symvar(expression), [expression])
+    found = [f.instruction_constant(k) for k in range(f.n_instructions()) if f.instruction_id(k) == ca.OP_CONST]
+    return [v for v in found if v not in (0.0, 1.0, -1.0)]
+
+
+def _products(literals: Sequence[float]) -> Iterator[float]:
+    """Every product of up to three of the literals and of their reciprocals."""
+    for count in range(1, min(3, len(literals)) + 1):
+        for some in combinations(literals, count):
+            for signs in product((1, -1), repeat=count):
+                yield math.prod(v**sign for v, sign in zip(some, signs, strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextvars
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -11,7 +12,10 @@ import casadi as ca
 from .declarations import Input, Output, Parameter, Port, State, Variable
 from .errors import DeclarationError, TopologyError, UnitError
 from .units import compatible
+from .user_code import place, place_of, running
 
+_NO_EQUATION = "Yield 'left == right' of scalar expressions, at least one of them a quantity, or connect(a, b)."
+_END = object()
 _current: contextvars.ContextVar[Elaboration | None] = contextvars.ContextVar("elaboration", default=None)
 
 
@@ -55,6 +59,12 @@ class Equation:
     left: ca.SX
     right: ca.SX
     owner: str
+    place: tuple[str, int] | None = None  # file and line that state it
+
+    @property
+    def at(self) -> str:
+        """``file: line n: ``, or nothing."""
+        return place(*self.place) if self.place else ""
 
     def __str__(self):
         text = f"{self.left} == {self.right}"
@@ -74,7 +84,7 @@ class Equation:
         """The same equation with ``other`` where ``symbol`` stands."""
         if symbol.element_hash() not in self.symbols:
             return self
-        return Equation(*ca.substitute([self.left, self.right], [symbol], [other]), self.owner)
+        return Equation(*ca.substitute([self.left, self.right], [symbol], [other]), self.owner, self.place)
 
 
 def _symbols(expression: ca.SX) -> dict[int, ca.SX]:
@@ -116,6 +126,7 @@ class Elaboration:
     initial_equations: list[Equation] = field(default_factory=list)
     connections: list[tuple[str, Connection]] = field(default_factory=list)
     derivatives: dict[int, tuple[ca.SX, ca.SX]] = field(default_factory=dict)  # hash -> (symbol, its derivative)
+    kinds: dict[type, None] = field(default_factory=dict)  # classes of the components, each once
     delays: list[Delay] = field(default_factory=list)
     units: dict[int, str] = field(default_factory=dict)  # hash of a symbol -> unit
     signals: dict[int, str] = field(default_factory=dict)  # hash -> path of every Input and Output
@@ -186,22 +197,43 @@ class Elaboration:
         return self.derivatives[key][1]
 
     # -- equations ---------------------------------------------------------------------------------------------
-    def collect(self, statements, owner: str, into: list[Equation]) -> None:
-        for statement in statements or ():
+    def collect(self, method: Callable[[], Iterable], owner: str, into: list[Equation]) -> None:
+        """What a component's ``equations`` or ``initial_equations`` says."""
+        where = owner or self.name
+        with running(where):
+            statements = method()
+        steps = iter(self._checked(statements, where))
+        while True:
+            with running(where):
+                statement = next(steps, _END)
+            if statement is _END:
+                break
             if isinstance(statement, Connection):
                 self.connections.append((owner, statement))
-                continue
-            if not isinstance(statement, ca.SX) or not statement.is_scalar():
-                raise DeclarationError(
-                    f"{owner or self.name}: this is no equation (got {statement!r}). "
-                    "Yield 'left == right' of scalar expressions, or connect(a, b)."
-                )
-            if statement.is_op(ca.OP_EQ):
-                into.append(Equation(statement.dep(0), statement.dep(1), owner))
-            elif statement.is_constant() and float(statement) == 1:
-                raise TopologyError(f"{owner or self.name}: an equation has the same two sides. Drop it.")
             else:
-                raise DeclarationError(f"{owner or self.name}: '{statement}' is no equation. Yield 'left == right'.")
+                self._state(statement, owner, into, place_of(statements))
+
+    def _checked(self, statements, where: str) -> Iterable:
+        """Something to go through, or the reason why it is nothing of the kind."""
+        if statements is None or isinstance(statements, (list, tuple)) or hasattr(statements, "__next__"):
+            return statements or ()
+        raise DeclarationError(
+            f"{where}: equations() returns no equations (got {str(statements)[:160]}). "
+            "Yield each: 'yield left == right', 'yield connect(a, b)'."
+        )
+
+    def _state(self, statement, owner: str, into: list[Equation], at: tuple[str, int] | None) -> None:
+        where = f"{place(*at) if at else ''}{owner or self.name}"
+        if not isinstance(statement, ca.SX) or not statement.is_scalar():
+            several = isinstance(statement, (tuple, list))
+            hint = "Yield each equation by itself: yield a == b, then yield c == d." if several else _NO_EQUATION
+            raise DeclarationError(f"{where}: this is no equation (got {statement!r}). {hint}")
+        if statement.is_op(ca.OP_EQ):
+            into.append(Equation(statement.dep(0), statement.dep(1), owner, at))
+        elif statement.is_constant() and float(statement) == 1:
+            raise TopologyError(f"{where}: an equation has the same two sides. Drop it.")
+        else:
+            raise DeclarationError(f"{where}: '{statement}' is no equation. {_NO_EQUATION}")
 
 
 def current() -> Elaboration:
@@ -217,9 +249,33 @@ def der(expression: ca.SX) -> ca.SX:
     return current().derivative(ca.SX(expression))
 
 
-def time() -> ca.SX:
-    """Simulation time [s]."""
-    return current().time
+class _Time:
+    """Simulation time [s]: ``time`` in an equation, or ``time()``."""
+
+    def __call__(self) -> ca.SX:
+        return current().time
+
+    __SX__ = __call__  # how CasADi reads a foreign object
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(current().time, name)
+
+    def __repr__(self):
+        return "time"
+
+
+def _as_symbol(name: str):
+    return lambda self, *others: getattr(self(), name)(*others)
+
+
+for _name in (
+    *("add", "sub", "mul", "truediv", "pow", "floordiv", "mod", "radd", "rsub", "rmul", "rtruediv", "rpow", "rmod"),
+    *("neg", "pos", "abs", "lt", "le", "gt", "ge", "eq", "ne", "bool", "float", "hash"),
+):
+    setattr(_Time, f"__{_name}__", _as_symbol(f"__{_name}__"))
+time = _Time()
 
 
 def delay(argument: ca.SX, dead_time: ca.SX) -> ca.SX:

@@ -13,11 +13,13 @@ import casadi as ca
 
 from .additions import Addition, wire
 from .component import Component, declarations
-from .dimensions import check_units
+from .dimensions import check_units, refuse_hand_conversions
 from .elaboration import BoundPort, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError
-from .solving import NonlinearBlock, Unknown, solve_block
+from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
+from .units import parse_unit
+from .user_code import numbers_refused, running, unsaid
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class Solved:
     elaboration: Elaboration
     bindings: Mapping[int, ca.SX]  # hash of a dependent parameter -> its expression
     expressions: Mapping[int, ca.SX]  # hash of an unknown -> expression
+    linear: tuple[LinearBlock, ...]  # that divide by something
     nonlinear: tuple[NonlinearBlock, ...]
     dead_times: Mapping[str, str]  # input -> parameter that delays it
     undelayed_inputs: frozenset[str]  # inputs that rates or outputs use as they are
@@ -46,10 +49,12 @@ def elaborate(
     elaboration = Elaboration(name)
     token = _current.set(elaboration)
     try:
-        bound = root.bind("", elaboration)
-        wire(elaboration, additions, declarations(type(root)))
-        for path, (function, scope) in list(elaboration.bindings.items()):
-            elaboration.bindings[path] = ca.SX(function(scope))
+        with numbers_refused():
+            bound = root.bind("", elaboration)
+            wire(elaboration, additions, declarations(type(root)))
+            for path, (function, scope) in list(elaboration.bindings.items()):
+                with running(f"{name}.{path}"):
+                    elaboration.bindings[path] = ca.SX(function(scope))
     finally:
         _current.reset(token)
     for path in overrides:
@@ -121,6 +126,7 @@ def solve(elaboration: Elaboration) -> Solved:
     bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in elaboration.bindings.items()]
     equations = [*elaboration.equations, *connection_equations(elaboration)]
     check_units(name, [*bound, *equations, *elaboration.initial_equations], elaboration.units)
+    refuse_hand_conversions(name, [*bound, *equations], _other_units(elaboration))
     bindings = _resolved_bindings(elaboration)
     unknowns = [
         Unknown(v.path, v.symbol, v.declaration.nominal, getattr(v.declaration, "start", 0.0))
@@ -133,7 +139,7 @@ def solve(elaboration: Elaboration) -> Solved:
     check_balance(elaboration, equations, unknowns)
     waiting = {key: pair for key, pair in elaboration.derivatives.items() if key not in states}
     while True:
-        expressions, nonlinear = _solve_once(elaboration, equations, unknowns, waiting)
+        expressions, blocks = _solve_once(elaboration, equations, unknowns, waiting)
         ready = _explicit_derivatives(elaboration, expressions, waiting, states)
         if not waiting:
             break
@@ -150,7 +156,19 @@ def solve(elaboration: Elaboration) -> Solved:
     delayed, dead_times = _resolve_delays(elaboration, expressions, bindings)
     undelayed = _inputs_used(elaboration, expressions)
     expressions = {key: replace(e, delayed) for key, e in expressions.items()}
-    return Solved(elaboration, bindings, {**expressions, **delayed}, tuple(nonlinear), dead_times, undelayed)
+    linear, nonlinear = (tuple(b for b in blocks if isinstance(b, kind)) for kind in (LinearBlock, NonlinearBlock))
+    return Solved(elaboration, bindings, {**expressions, **delayed}, linear, nonlinear, dead_times, undelayed)
+
+
+def _other_units(elaboration: Elaboration) -> dict[int, tuple[str, float]]:
+    """Quantities that are declared in another unit than SI, with that unit and its factor."""
+    groups = (elaboration.parameters, elaboration.states, elaboration.variables, elaboration.inputs)
+    entries = [(e, getattr(e.declaration, "written_in", "")) for group in groups for e in group]
+    return {
+        e.symbol.element_hash(): (unit, parse_unit(unit).factor)
+        for e, unit in entries
+        if unit and parse_unit(unit).factor != 1
+    }
 
 
 def _resolved_bindings(elaboration: Elaboration) -> dict[int, ca.SX]:
@@ -179,9 +197,16 @@ def check_balance(elaboration: Elaboration, equations, unknowns) -> None:
         if unmatched:
             message += f" Nothing determines {', '.join(unknowns[j].path for j in unmatched)}."
         if surplus:
-            said = "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in surplus[:3])
-            message += f" Over-determined by {said}."
+            message += f" Over-determined by {_said(elaboration, [equations[i] for i in surplus[:3]])}."
+    if len(equations) < len(unknowns):
+        message += "".join(f" {hint}" for kind in elaboration.kinds for hint in unsaid(kind, Component))
     raise TopologyError(message)
+
+
+def _said(elaboration: Elaboration, equations: Sequence[Equation]) -> str:
+    """Equations with the parts and the lines that state them."""
+    lines = [f" ({e.at.removesuffix(': ')})" if e.place else "" for e in equations]
+    return "; ".join(f"{e.owner or elaboration.name}: {e}{at}" for e, at in zip(equations, lines, strict=True))
 
 
 def _incidence(equations, unknowns) -> list[set[int]]:
@@ -197,11 +222,11 @@ def _solve_once(elaboration, equations, unknowns, waiting):
         raise TopologyError(
             f"{elaboration.name}: structurally singular. Nothing determines "
             f"{', '.join(unknowns[j].path for j in unmatched)}; one too many for the rest is "
-            f"{'; '.join(f'{equations[i].owner or elaboration.name}: {equations[i]}' for i in surplus)}. "
+            f"{_said(elaboration, [equations[i] for i in surplus])}. "
             "Two states that a rigid connection makes one are the usual cause: merge the masses, or add a stiffness."
         )
     expressions: dict[int, ca.SX] = {}
-    nonlinear: list[NonlinearBlock] = []
+    records: list[LinearBlock | NonlinearBlock] = []
     blocks = ordered_blocks(incidence, unknown_of)
     wanted = {j for j, u in enumerate(unknowns) if u.symbol.element_hash() in waiting}
     numbers = {p.symbol.element_hash(): p.declaration.value for p in elaboration.parameters}
@@ -215,14 +240,14 @@ def _solve_once(elaboration, equations, unknowns, waiting):
         residuals = [_residual(equations[i], expressions) for i in block]
 
         def describe(block=block):
-            return "; ".join(f"{equations[i].owner or elaboration.name}: {equations[i]}" for i in block[:6])
+            return _said(elaboration, [equations[i] for i in block[:6]])
 
         solution, record = solve_block(elaboration.name, members, residuals, describe, values)
         for member, expression in zip(members, solution, strict=True):
             expressions[member.symbol.element_hash()] = expression
         if record:
-            nonlinear.append(record)
-    return expressions, nonlinear
+            records.append(record)
+    return expressions, records
 
 
 def _given_outright(equation: Equation, symbol: ca.SX) -> ca.SX | None:
@@ -296,7 +321,7 @@ def _resolve_delays(elaboration, expressions, bindings):
 
 def replace(expression: ca.SX, replacements: Mapping[int, ca.SX]) -> ca.SX:
     """``expression`` with the symbols whose hashes are in ``replacements`` replaced."""
-    if expression.is_symbolic():
+    if expression.is_scalar() and expression.is_symbolic():
         return replacements.get(expression.element_hash(), expression)
     symbols = [s for s in ca.symvar(expression) if s.element_hash() in replacements]
     if not symbols:

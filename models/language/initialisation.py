@@ -8,10 +8,13 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
+from .dimensions import check_units
+from .elaboration import Equation
 from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
-from .solving import Unknown, solve_block
+from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
+from .user_code import numbers_refused, running
 
 LARGEST_LAST_STEP = 1e-6  # of nominal
 
@@ -20,16 +23,14 @@ def initialisation(solved: Solved, u: ca.SX, p: ca.SX, rates: list[ca.SX]) -> Ca
     """A function that gives, for any set of given states, the start ``(u, p, z) -> x``.
 
     A given state that the initial equations would have determined drops the equation that determined it. Where Newton's
-    iteration finds no equilibrium the states it sought are NaN.
+    iteration finds no equilibrium, or they are singular, the states it sought are NaN.
     """
     name = solved.elaboration.name
     states = solved.elaboration.states
     symbols = [s.symbol for s in states]
     rate = solved.elaboration.derivatives
     rate_of = {rate[s.element_hash()][1].element_hash(): r for s, r in zip(symbols, rates, strict=True)}
-    residuals = [
-        solved.of(replace(solved.of(e.left - e.right), rate_of)) for e in solved.elaboration.initial_equations
-    ]
+    residuals = [solved.of(replace(solved.of(e.left - e.right), rate_of)) for e in solved.elaboration.initial_equations]
     residuals = [ca.substitute([r], [solved.elaboration.time], [ca.SX(0)])[0] for r in residuals]
     loose = [i for i, s in enumerate(states) if not s.declaration.fixed]
     determines = _assignment(name, states, loose, residuals, solved.elaboration.initial_equations)
@@ -65,17 +66,24 @@ def _solved_in_order(name: str, members: list[Unknown], residuals: list[ca.SX]) 
     for block in ordered_blocks(incidence, np.arange(len(members))):
         own = [members[k] for k in block]
         left = [replace(residuals[k], found) for k in block]
-        solution, newton = solve_block(name, own, left, lambda: "the initial equations")
-        if newton:
-            converged = newton.error < LARGEST_LAST_STEP
-            solution = [ca.if_else(converged, value, np.nan) for value in solution]
+        solution, record = solve_block(name, own, left, lambda: "the initial equations")
+        if isinstance(record, NonlinearBlock):
+            solution = [ca.if_else(record.error < LARGEST_LAST_STEP, value, np.nan) for value in solution]
+        for pivot in record.pivots if isinstance(record, LinearBlock) else ():
+            solution = [ca.if_else(pivot == 0, np.nan, value) for value in solution]
         found |= {m.symbol.element_hash(): value for m, value in zip(own, solution, strict=True)}
     return found
 
 
 def _declared_start(solved: Solved, state) -> ca.SX:
     start = state.declaration.start
-    return solved.of(ca.SX(start(state.owner) if callable(start) else start))
+    if not callable(start):
+        return ca.SX(start)
+    e = solved.elaboration
+    with running(f"{e.name}.{state.path}"), numbers_refused():
+        given = ca.SX(start(state.owner))
+    check_units(e.name, [Equation(state.symbol, given, state.path)], e.units)
+    return solved.of(given)
 
 
 def _followed(name: str, expression: ca.SX, known: Mapping[int, ca.SX], role: str) -> ca.SX:

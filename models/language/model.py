@@ -9,12 +9,16 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from .acting import refuse_idle
 from .additions import Addition
 from .component import Component
+from .declarations import finite
 from .errors import DeclarationError, SolveError, TopologyError, UnitError, nearest
 from .flat import FlatModel, ParameterValue, Signal, StateVariable
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
+from .parameter_file import setting_in_si
+from .regularity import check_solvable
 from .units import compatible
 
 
@@ -34,6 +38,8 @@ class Model:
     DeclarationError, TopologyError, UnitError : when `flat` is first asked for.
     """
 
+    sought = False  # its additions are looked for: they need not act
+
     def __init__(
         self,
         root: Component,
@@ -49,48 +55,68 @@ class Model:
         self.root = root
         kind = type(root).__name__
         self.name = name or kind[0].lower() + kind[1:]
-        self.step = step
+        self.step = finite(f"{self.name}: Model", "step", step)
+        if not self.step > 0:
+            raise DeclarationError(f"{self.name}: the step is no time ahead (got {step:g} s). Give seconds above zero.")
         self.provenance = dict(provenance or {})
         self.additions = tuple(additions)
-        self.settings = {
-            k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()
-        }
+        if isinstance(settings, str):
+            raise DeclarationError(f"{self.name}: settings are no text (got {settings!r}). Write {{'part.name': 1.0}}.")
+        self.settings = {path: self._setting(path, change) for path, change in dict(settings).items()}
+
+    def _setting(self, path: str, change) -> dict:
+        """A setting in SI; a number alone is a value."""
+        change = change if isinstance(change, Mapping) else {"value": change}
+        if not isinstance(path, str):
+            raise DeclarationError(f"{self.name}: a setting has no name (got {path!r}). Write {{'part.name': ..}}.")
+        return setting_in_si(change, f"{self.name}.{path}")
 
     # -- other models ------------------------------------------------------------------------------------------
     def with_settings(self, settings: Mapping, provenance: Mapping | None = None) -> Model:
         """The same structure with further values, bounds, sigmas or sources, by path."""
         merged = {k: dict(v) for k, v in self.settings.items()}
         for path, change in settings.items():
-            merged.setdefault(path, {}).update(change if isinstance(change, Mapping) else {"value": float(change)})
+            merged.setdefault(path, {}).update(self._setting(path, change))
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions
         )
+        other.sought = self.sought
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
             other.__dict__["_functions"] = self._functions
         return other
 
-    def with_parameters(self, values: Mapping[str, float]) -> Model:
+    def with_parameters(self, values: Mapping[str, float], provenance: Mapping | None = None) -> Model:
         """The same model with other parameter values (SI)."""
-        return self.with_settings({k: float(v) for k, v in values.items()})
+        units = {p.path: p.unit for p in self._solved.elaboration.parameters}
+        return self.with_settings(
+            {k: {"value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
+        )
 
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance", "additions")}
+        other.sought = self.sought
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
 
-    def plus(self, additions: Iterable[Addition]) -> Model:
-        """The same model with further parts tied in, and further parameters free or held; see `Addition`."""
+    def plus(self, additions: Iterable[Addition], *, sought: bool = False) -> Model:
+        """The same model with further parts tied in, and further parameters free or held; see `Addition`.
+
+        sought : the additions are looked for; otherwise one that changes nothing is refused when `flat` is asked for.
+        """
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.sought = True  # until what it frees or holds is independent
         other.additions = (*self.additions, *additions)
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
         wanted = {path for a in other.additions for path in a.holds}
-        held = {p.name: {"value": p.value} for p, _ in self.followers if p.name in wanted}
+        held = {p.name: {"value": p.value, "unit": p.unit} for p, _ in self.followers if p.name in wanted}
         settings = {path: {**held.get(path, {}), **freed.get(path, {})} for path in (*held, *freed)}
-        return other.with_settings(settings, self.provenance) if settings else other
+        final = other.with_settings(settings, self.provenance) if settings else other
+        final.sought = sought or self.sought
+        return final
 
     @cached_property
     def followers(self) -> tuple[tuple[ParameterValue, frozenset[str]], ...]:
@@ -113,7 +139,9 @@ class Model:
             if path not in known:
                 owner, _, leaf = path.rpartition(".")
                 where = f"{self.name}.{owner}" if owner else self.name
-                raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(path, known)}")
+                start = any(path == s.path for s in elaboration.states)
+                hint = f"It is a state: give its start to the part, ..({leaf}=..)." if start else nearest(path, known)
+                raise DeclarationError(f"{where}: no parameter '{leaf}'. {hint}")
         return solve(elaboration)
 
     @cached_property
@@ -184,7 +212,9 @@ class Model:
             initialisation=start,
             step=self.step,
         )
-        self._check_newton(flat)
+        check_solvable(solved, flat)
+        if self.additions and not self.sought:
+            refuse_idle(solved, self.additions, flat)
         return flat
 
     def _input(self, entry) -> Signal:
@@ -198,6 +228,12 @@ class Model:
             raise UnitError(
                 f"{self.name}.{entry.path}: the value is in {change['unit']}, the model needs {entry.unit}. "
                 "Correct the unit or the value."
+            )
+        alone = [key for key in ("value", "bounds", "sigma") if key in change]
+        if d.written_in and alone and "unit" not in change:
+            raise DeclarationError(
+                f"{self.name}.{entry.path}: declared in {d.written_in}, so {alone[0]} {change[alone[0]]} alone may "
+                f"mean {d.written_in} or {entry.unit}. Give the unit: {{'{alone[0]}': .., 'unit': '{d.written_in}'}}."
             )
         value = change.get("value", follows if callable(d.value) else d.value)
         if value is None:
@@ -221,28 +257,6 @@ class Model:
             description=d.description,
             free=bool(change.get("free", d.free)),
         )
-
-    def _check_newton(self, flat: FlatModel) -> None:
-        """Nonlinear loops must converge at the start values, or the model is refused by name."""
-        for block in self._solved.nonlinear:
-            e = self._solved.elaboration
-            arguments = [e.time, *(ca.vertcat(*(s.symbol for s in group)) for group in (e.states, e.inputs))]
-            independent = [q for q in e.parameters if q.symbol.element_hash() not in self._solved.bindings]
-            check = ca.Function(
-                "newton",
-                [*map(ca.SX, arguments), ca.SX(ca.vertcat(*(q.symbol for q in independent)))],
-                [self._solved.of(block.error)],
-            )
-            u = [i.default for i in flat.inputs]
-            p = flat.parameter_vector()
-            x = flat.start_given()(u, p, [])
-            error = float(check(0, x, u, p))
-            if not error < 1e-8:
-                raise TopologyError(
-                    f"{self.name}: the nonlinear loop of {', '.join(block.unknowns)} does not converge at the start "
-                    f"values (last Newton step {error:g} of nominal). Give its variables a better start, or break it "
-                    "with a small volume, an inertia or a lag."
-                )
 
     # -- looking inside ----------------------------------------------------------------------------------------
     def observe(self, paths: Iterable[str]) -> ca.Function:

@@ -1,7 +1,7 @@
 """parameters.toml: one line per parameter with value, unit, bounds, source and whether identification frees it.
 
-    [cylinder.friction]
-    viscous = { value = 741.36, unit = "N.s/m", bounds = [0, 1e6], free = true, source = "C-EHA paper, Table 1" }
+[cylinder.friction]
+viscous = { value = 741.36, unit = "N.s/m", bounds = [0, 1e6], free = true, source = "C-EHA paper, Table 1" }
 """
 
 from __future__ import annotations
@@ -9,12 +9,20 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 
-from .errors import DataError, HydrotwinError, nearest
-from .units import convert, si_unit
+import numpy as np
+
+from .errors import DataError, DeclarationError, HydrotwinError, nearest
+from .units import parse_unit
 
 _KEYS = ("value", "unit", "bounds", "free", "source", "sigma", "note")
+_WORDS = (
+    ("free", (bool, np.bool_), "true or false"),
+    ("source", str, "text in quotes"),
+    ("note", str, "text in quotes"),
+)
 
 
 def read_toml(path: Path | str) -> dict:
@@ -46,10 +54,12 @@ def parameter_settings(table: Mapping, where: str) -> dict[str, dict]:
             full = f"{path}.{key}" if path else key
             if not isinstance(entry, Mapping):
                 raise DataError(
-                    f"{where}: {full} is no parameter (got {entry!r}). Write {{ value = .., unit = \"..\" }}."
+                    f'{where}: {full} is no parameter (got {entry!r}). Write {{ value = .., unit = ".." }}.'
                 )
-            if "value" in entry:
-                found[full] = _setting(entry, f"{where}: {full}")
+            if any(not isinstance(below, Mapping) for below in entry.values()):
+                if full in found:
+                    raise DataError(f"{where}: {full} is written twice. Take one of the two out.")
+                found[full] = _of_file(entry, f"{where}: {full}")
             else:
                 walk(entry, full)
 
@@ -57,37 +67,67 @@ def parameter_settings(table: Mapping, where: str) -> dict[str, dict]:
     return found
 
 
-def _setting(entry: Mapping, where: str) -> dict:
-    for key in entry:
-        if key not in _KEYS:
-            raise DataError(f"{where}: unknown key '{key}'. {nearest(key, _KEYS)}")
-    for key in ("value", "sigma"):
-        if key in entry and (isinstance(entry[key], bool) or not isinstance(entry[key], (int, float))):
-            raise DataError(f"{where}: {key} is no number (got {entry[key]!r}). Give a number.")
-    for key, kind, form in (("free", bool, "true or false"), ("source", str, "text in quotes")):
-        if not isinstance(entry.get(key, kind()), kind):
-            raise DataError(f"{where}: {key} is not {form} (got {entry[key]!r}). Write {form}.")
-    if not math.isfinite(entry["value"]) or not entry.get("sigma", 0.0) >= 0.0:
-        raise DataError(f"{where}: value and sigma must be finite and sigma not negative (got {dict(entry)!r}).")
+def _of_file(entry: Mapping, where: str) -> dict:
+    """A setting of a file, where nobody is to guess the unit."""
+    setting = setting_in_si(entry, where, DataError)
+    if "value" not in entry:
+        raise DataError(f'{where}: no value. Write {{ value = .., unit = ".." }}.')
     if "unit" not in entry:
-        raise DataError(f"{where}: no unit. Add unit = \"..\"; a pure number has unit = \"1\".")
-    unit = entry["unit"]
-    try:
-        to = si_unit(unit)
-        setting = {"value": float(convert(float(entry["value"]), unit, to)), "unit": to}
-        if "bounds" in entry:
-            low, high = (float(convert(float(b), unit, to)) for b in entry["bounds"])
-            setting["bounds"] = (low, high)
-        if "sigma" in entry:
-            zero = float(convert(0.0, unit, to))
-            setting["sigma"] = float(convert(float(entry["sigma"]), unit, to)) - zero
-    except HydrotwinError as error:
-        raise type(error)(f"{where}: {error}") from None
-    except (TypeError, ValueError):
-        message = f"{where}: bounds are no pair of numbers (got {entry['bounds']!r}). Write [low, high]."
-        raise DataError(message) from None
-    for key in ("source", "free"):
-        if key in entry:
-            setting[key] = entry[key]
+        raise DataError(f'{where}: no unit. Add unit = ".."; a pure number has unit = "1".')
     return setting
 
+
+def setting_in_si(entry: Mapping, where: str, error: type[HydrotwinError] = DeclarationError) -> dict:
+    """What is said of one parameter, its numbers in SI: the one place where settings of any origin become so.
+
+    Without a unit they are in SI already.
+
+    Raises
+    ------
+    error : a key that does not exist, a number that is none, bounds in no order, a negative sigma.
+    UnitError : a unit that does not exist.
+    """
+    if unknown := [str(key) for key in entry if key not in _KEYS]:
+        said = " ".join(f"Unknown key '{key}'. {nearest(key, _KEYS)}" for key in unknown)
+        raise error(f"{where}: {said[0].lower()}{said[1:]}")
+    setting = dict(entry)
+    for key, kind, form in _WORDS:
+        if key in entry and not isinstance(entry[key], kind):
+            raise error(f"{where}: {key} is not {form} (got {entry[key]!r}). Write {form}.")
+    for key in ("value", "sigma"):
+        if key in entry and entry[key] is not None:
+            if isinstance(entry[key], bool) or not isinstance(entry[key], Real):
+                raise error(f"{where}: {key} is no number (got {entry[key]!r}). Give a number.")
+            setting[key] = float(entry[key])
+    if not math.isfinite(setting.get("value", 0.0)) or not (setting.get("sigma") or 0.0) >= 0.0:
+        raise error(f"{where}: value and sigma must be finite and sigma not negative (got {dict(entry)!r}).")
+    if "bounds" in entry:
+        setting["bounds"] = _ordered(entry["bounds"], where, error)
+    if "unit" in entry:
+        _convert(setting, where)
+    return setting
+
+
+def _ordered(bounds, where: str, error: type[HydrotwinError]) -> tuple[float, float]:
+    try:
+        low, high = (float(b) for b in bounds)
+    except (TypeError, ValueError):
+        raise error(f"{where}: bounds are no pair of numbers (got {bounds!r}). Write [low, high].") from None
+    if not low <= high:
+        raise error(f"{where}: bounds are in no order (got [{low:g}, {high:g}]). Write [low, high].")
+    return low, high
+
+
+def _convert(setting: dict, where: str) -> None:
+    """Value and bounds as points of the unit, sigma as a difference."""
+    try:
+        unit = parse_unit(setting["unit"])
+    except HydrotwinError as error:
+        raise type(error)(f"{where}: {error}") from None
+    setting["unit"] = unit.si
+    if setting.get("value") is not None:
+        setting["value"] = unit.factor * setting["value"] + unit.offset
+    if "bounds" in setting:
+        setting["bounds"] = tuple(unit.factor * b + unit.offset for b in setting["bounds"])
+    if setting.get("sigma") is not None:
+        setting["sigma"] = unit.factor * setting["sigma"]

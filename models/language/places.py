@@ -145,8 +145,19 @@ class Places:
 
     @cached_property
     def parts(self) -> tuple[Part, ...]:
-        """Components that are no laws, the root aside."""
-        return tuple(self.part(path) for path, c in self._bound.items() if path and not isinstance(c, Law))
+        """Components that are no laws, the root and mere assemblies of others aside: each place once, where it is."""
+        found = [path for path, c in self._bound.items() if path and not isinstance(c, Law)]
+        return tuple(self.part(path) for path in found if not self._is_assembly(path, found))
+
+    def _is_assembly(self, path: str, parts: list[str]) -> bool:
+        """A component whose ports and inputs are those of parts inside it: its own equations speak of none of them."""
+        if not any(inner.startswith(f"{path}.") for inner in parts):
+            return False
+        e = self._elaboration
+        own = [s for port, b in e.ports.items() if _owner(port) == path for s in (b.potential, b.flow)]
+        own += [symbol for signal, symbol in e.open_signals.items() if _owner(signal) == path]
+        said = {key for equation in e.equations if equation.owner == path for key in equation.symbols}
+        return not any(symbol.element_hash() in said for symbol in own)
 
     def part(self, path: str) -> Part | None:
         """The component at a path."""
@@ -213,6 +224,10 @@ class Places:
         owner = path.rpartition(".")[0]
         memory = any(s.path.startswith(f"{owner}.") for s in self._elaboration.states)
         return (not memory, path.count("."), path)
+
+
+def _owner(path: str) -> str:
+    return path.rpartition(".")[0]
 
 
 def _walk(component: Component):

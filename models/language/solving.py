@@ -30,10 +30,27 @@ class Unknown:
 
 @dataclass(frozen=True, eq=False)
 class NonlinearBlock:
-    """What a Newton solve left behind, so that its convergence can be checked with numbers."""
+    """What a Newton solve left behind, so that its convergence can be checked with numbers.
+
+    residual, jacobian : of the unknowns ``symbols`` and everything they depend on.
+    """
 
     unknowns: tuple[str, ...]
     error: ca.SX  # last Newton step over the nominal values
+    symbols: ca.SX
+    nominals: tuple[float, ...]
+    residual: ca.SX
+    jacobian: ca.SX
+    describe: Callable[[], str]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearBlock:
+    """What an elimination divided by: where one of its pivots is zero the equations have no unique solution."""
+
+    unknowns: tuple[str, ...]
+    pivots: tuple[ca.SX, ...]
+    describe: Callable[[], str]
 
 
 def solve_block(
@@ -42,8 +59,8 @@ def solve_block(
     residuals: Sequence[ca.SX],
     describe: Callable[[], str],
     values: Mapping[int, float] | None = None,
-) -> tuple[list[ca.SX], NonlinearBlock | None]:
-    """Expressions for ``unknowns`` that make all ``residuals`` zero, and the Newton record if one was needed.
+) -> tuple[list[ca.SX], NonlinearBlock | LinearBlock | None]:
+    """Expressions for ``unknowns`` that make all ``residuals`` zero, and what is to be checked with numbers, if any.
 
     values : numbers of known symbols by hash, at which nothing may be divided by zero.
 
@@ -56,7 +73,9 @@ def solve_block(
     jacobian = ca.simplify(ca.jacobian(residual, symbols))
     if not ca.depends_on(jacobian, symbols):
         offset = ca.substitute(residual, symbols, ca.SX.zeros(len(unknowns)))
-        return _eliminate(model, unknowns, jacobian, -offset, describe, values), None
+        solution, pivots = _eliminate(model, unknowns, jacobian, -offset, describe, values)
+        names = tuple(u.path for u in unknowns)
+        return solution, LinearBlock(names, pivots, describe) if pivots else None
     left, residuals, explicit = (
         _torn(unknowns, residuals) if len(unknowns) > LARGEST_NONLINEAR_BLOCK else (unknowns, residuals, [])
     )
@@ -102,12 +121,15 @@ def _is_given(equation: ca.SX, symbol: ca.SX) -> bool:
     return slope.is_constant() and not slope.is_zero()
 
 
-def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=None) -> list[ca.SX]:
-    """Gaussian elimination on expressions; constant pivots first, so that nothing is divided without need."""
+def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=None):
+    """Gaussian elimination on expressions; constant pivots first, so that nothing is divided without need.
+
+    Gives the solution and the pivots that are no constants.
+    """
     n = len(unknowns)
     a = [[matrix[i, j] for j in range(n)] for i in range(n)]
     b = [right[i] for i in range(n)]
-    rows, order = list(range(n)), []
+    rows, order, pivots = list(range(n)), [], []
     columns = set(range(n))
     while rows:
         row, column = _pivot(a, rows, columns, values or {})
@@ -120,6 +142,8 @@ def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=No
         rows.remove(row)
         columns.remove(column)
         order.append((row, column))
+        if not (pivot := a[row][column]).is_constant():
+            pivots.append(pivot)
         for i in rows:
             if a[i][column].is_zero():
                 continue
@@ -133,7 +157,7 @@ def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=No
     for row, column in reversed(order):
         known = sum((a[row][j] * solution[j] for j in range(n) if j != column and not a[row][j].is_zero()), ca.SX(0))
         solution[column] = (b[row] - known) / a[row][column]
-    return solution
+    return solution, tuple(pivots)
 
 
 def _pivot(a, rows, columns, values):
@@ -176,7 +200,7 @@ def _newton(model, unknowns, residual, symbols, describe):
     for _ in range(NEWTON_STEPS):
         r, j = evaluate(z, given)
         try:
-            update = ca.vertcat(*_eliminate(model, unknowns, ca.SX(j), ca.SX(r), describe))
+            update = ca.vertcat(*_eliminate(model, unknowns, ca.SX(j), ca.SX(r), describe)[0])
         except TopologyError:
             names = ", ".join(u.path for u in unknowns)
             raise TopologyError(
@@ -185,5 +209,7 @@ def _newton(model, unknowns, residual, symbols, describe):
             ) from None
         z = z - update
     nominal = ca.DM([u.nominal for u in unknowns])
-    record = NonlinearBlock(tuple(u.path for u in unknowns), ca.norm_inf(update / nominal))
+    names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)
+    error = ca.norm_inf(update / nominal)
+    record = NonlinearBlock(names, error, symbols, sizes, residual, matrix, describe)
     return [z[i] for i in range(len(unknowns))], record

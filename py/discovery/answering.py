@@ -183,7 +183,7 @@ def _with_fit(model: Model, concluded: Concluded) -> Model:
     """The model with fitted values and their sigmas."""
     settings = {}
     for p in concluded.fit.parameters:
-        settings[p.name] = {"value": float(p.value), "source": "identified", "free": True}
+        settings[p.name] = {"value": float(p.value), "unit": p.unit, "source": "identified", "free": True}
         if np.isfinite(p.sigma):
             settings[p.name]["sigma"] = float(p.sigma)
     return model.with_settings(settings, {"recordings": dict(concluded.fit.provenance)})

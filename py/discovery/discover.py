@@ -122,7 +122,8 @@ def _bounded(model: Model, names: Sequence[str]) -> Model:
             changes[p.name] = {"free": True}
         if p.name in names and low > 0 and p.value > 0:
             factor = NARROW if any(compatible(p.unit, unit) for unit in ("m3", "m3/rad", "Pa")) else WIDE
-            changes.setdefault(p.name, {})["bounds"] = (max(low, p.value / factor), min(high, p.value * factor))
+            bounds = max(low, p.value / factor), min(high, p.value * factor)
+            changes.setdefault(p.name, {}).update(bounds=bounds, unit=p.unit)
     return model.with_settings(changes, model.provenance) if changes else model
 
 

@@ -94,7 +94,7 @@ class Search:
         chosen = sorted(members, key=lambda c: order[c.label])
         key = tuple(c.label for c in chosen)
         if key not in self._models:
-            self._models[key] = self.base.plus([c.addition for c in chosen]) if chosen else self.base
+            self._models[key] = self.base.plus([c.addition for c in chosen], sought=True) if chosen else self.base
         return self._models[key]
 
     @property

@@ -35,6 +35,8 @@ class SurroundedFmu(Model):
     Its parameters are those of the FMU and of the effects. None is free by itself.
     """
 
+    sought = True  # what is put before the FMU acts inside it, where there are no equations to see that
+
     kind, modes = "fmu", ("free run",)
 
     @property

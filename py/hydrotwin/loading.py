@@ -5,16 +5,18 @@ from __future__ import annotations
 import hashlib
 import importlib
 import importlib.util
+import inspect
 import sys
-import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from hydrotwin.models.language import Model
+from hydrotwin.models.language import Component, Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
+from hydrotwin.models.language.user_code import place, place_of_code, running
 
 PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
 SHIPPED = (*PHYSICAL, "eq17")
@@ -154,7 +156,7 @@ def _as_it_is(model: Model, file: ModelFile) -> Model:
     A payload that is freed and found to be nil would be none that can be wrong.
     """
     own = {p.name for p in model.flat.parameters} - {row["site"] for row in file.effects} if file.effects else ()
-    known = {n: {k: s[k] for k in ("value", "bounds") if k in s} for n, s in file.settings.items() if n in own}
+    known = {n: {k: s[k] for k in ("value", "unit", "bounds") if k in s} for n, s in file.settings.items() if n in own}
     return model.with_settings(known)
 
 
@@ -202,30 +204,62 @@ def _from_python(path: Path, factory: str) -> Model:
     specification = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
-    sys.path.insert(0, str(path.parent.resolve()))  # so that it may import what lies beside it
-    try:
+    with _beside(path):
+        sys.modules.setdefault(path.stem, module)  # a neighbour that imports this file gets it, and no second copy
         _ran(path, lambda: specification.loader.exec_module(module))
-    finally:
-        sys.path.pop(0)
-    functions = [n for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == name]
-    if not callable(getattr(module, factory, None)):
-        raise DeclarationError(f"{path}: no function '{factory}'. {nearest(factory, functions)}")
-    model = _ran(path, getattr(module, factory))
+        functions = [n for n, f in vars(module).items() if callable(f) and getattr(f, "__module__", "") == name]
+        make = getattr(module, factory, None)
+        if not callable(make):
+            raise DeclarationError(f"{path}: no function '{factory}'. {nearest(factory, functions)}")
+        needed = _needed(make)
+        if needed:
+            raise DeclarationError(
+                f"{place_of_code(make) or f'{path}: '}{factory} needs arguments ({', '.join(needed)}), which nobody "
+                "gives. Give each a default value, or write a function without arguments that calls it."
+            )
+        model = _ran(path, make)
     if not isinstance(model, Model):
+        kind = f"the component {type(model).__name__}" if isinstance(model, Component) else type(model).__name__
         raise DeclarationError(
-            f"{path}:{factory}: returns no Model (got {type(model).__name__}). Return Model(component, 'name')."
+            f"{place_of_code(make)}{path}:{factory}: returns no Model (got {kind}). Return Model(component, 'name')."
         )
     return model
+
+
+@contextmanager
+def _beside(path: Path):
+    """A file may import what lies beside it; the next file of that name in another folder gets its own."""
+    folder = str(path.parent.resolve())
+    before = set(sys.modules)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+        for name in set(sys.modules) - before:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and Path(file).parent == Path(folder) and not name.startswith("hydrotwin_user_"):
+                del sys.modules[name]
+
+
+def _needed(function: Callable) -> list[str]:
+    """Arguments without a default."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except (TypeError, ValueError):
+        return []
+    return [p.name for p in parameters if p.default is p.empty and p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)]
 
 
 def _ran(path: Path, action: Callable):
     """What a piece of the user's file returns; anything it raises becomes a sentence with the line."""
     try:
-        return action()
-    except HydrotwinError:
-        raise
-    except (Exception, SystemExit) as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if Path(frame.filename).absolute() == path.absolute()]
-        where = f"{path}: line {lines[-1]}" if lines else str(path)
-        raise DataError(f"{where}: does not run ({type(error).__name__}: {error}). Correct the file.") from error
+        with running(str(path)):
+            return action()
+    except SyntaxError as error:
+        text = (error.text or "").strip()
+        hint = "An equation is written with '==': yield left == right." if "yield" in text else "Correct that line."
+        file = error.filename or path
+        raise DataError(
+            f"{place(str(file), error.lineno)}does not run (SyntaxError: {error.msg}): {text!r}. {hint}"
+        ) from error

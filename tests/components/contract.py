@@ -11,7 +11,6 @@ import numpy as np
 from hydrotwin.models.language import Component, Input, Output, Parameter, State
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Port
-from hydrotwin.models.language.units import parse_unit, si_unit
 
 
 def registered(package: ModuleType) -> list[type[Component]]:
@@ -40,7 +39,7 @@ def complaints(kind: type[Component]) -> list[str]:
             found += [f"{where} {flaw}" for flaw in _parameter_flaws(declared)]
         if isinstance(declared, (Port, Input, Output, State, Parameter)) and not declared.description:
             found.append(f"{where} has no description")
-        if isinstance(declared, (Input, Output, State)) and parse_unit(declared.unit).factor != 1:
+        if isinstance(declared, (Input, Output, State)) and declared.written_in:
             found.append(f"{where} is not in SI")
     return found
 
@@ -54,6 +53,6 @@ def _parameter_flaws(parameter: Parameter) -> list[str]:
         flaws.append("lies outside its bounds")
     if parameter.value == 0 and parameter.nominal is None:
         flaws.append("is zero and has no nominal, so nothing says how large a change matters")
-    if not parameter.unit or si_unit(parameter.unit) != parameter.unit:
+    if parameter.written_in:
         flaws.append("is not in SI")
     return flaws

@@ -52,7 +52,7 @@ def found(name):
 
 @cache
 def added(name, label):
-    return machine(name).plus([next(c for c in found(name) if c.label == label).addition])
+    return machine(name).plus([next(c for c in found(name) if c.label == label).addition], sought=True)
 
 
 def inputs(model):

@@ -93,8 +93,8 @@ MODELS = {
     "rig.py:bom": ["rig.py: no function 'bom'", "Did you mean 'boom'?"],
     "rig.py:f": ["rig.py:f: returns no Model (got int)", "Return Model(component, 'name')"],
     "rig.py:boom": ["rig.py: line 6: does not run (ValueError: no rig today)", "Correct the file"],
-    "rig.py:needs": ["rig.py: does not run (TypeError: needs() missing 1 required", "Correct the file"],
-    "syntax.py:f": ["syntax.py: does not run (SyntaxError", "line 2"],
+    "rig.py:needs": ["rig.py: line 9: needs needs arguments (rig)", "Give each a default value"],
+    "syntax.py:f": ["syntax.py: line 2: does not run (SyntaxError", "Correct that line"],
     "imports.py:f": ["imports.py: line 1: does not run (ModuleNotFoundError", "no_such_package_of_anybody"],
     "leaves.py:f": ["leaves.py: line 3: does not run (SystemExit: 0)", "Correct the file"],
 }

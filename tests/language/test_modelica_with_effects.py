@@ -29,7 +29,7 @@ LIFT = {"command": ("2*sin(3*time)", lambda t: 2 * np.sin(3 * t))}
 def with_effect(model, candidate):
     """The model with a candidate at its first probe."""
     values = {**candidate.neutral, **(candidate.probes[0] if candidate.probes else {})}
-    return model.plus([candidate.addition]).with_parameters(values)
+    return model.plus([candidate.addition], sought=True).with_parameters(values)
 
 
 @pytest.mark.parametrize(("name", "effect"), sorted(FIRST), ids=str)

@@ -68,7 +68,8 @@ def _step(flat: FlatModel, lines: dict[int, int], period: float, method: str) ->
     count = max(math.ceil(period / flat.step - 1e-6), 1) if method == "explicit" or lines else 1
     h, after = period / count, x
     for i in range(count):
-        after = substep(0, after, _delayed(flat, lines, u, past, p, i * h, (i + 1) * h, period), p, h)
+        mean = _delayed(flat, lines, u, past, p, i * h, (i + 1) * h, period)
+        after = substep.call([0, after, mean, p, h])[0]
     seen = _delayed(flat, lines, u, past, p, 0.0, 0.0, period)
     y = equations.output(flat)(0, x, seen, p)
     shifted = [ca.vertcat(u[j], past[j][:-1]) for j in lines]

@@ -1,0 +1,53 @@
+"""Refinement of rough steps for the virtual machine, as ``driver.c`` does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .control import DEEPEST, SMOOTH, Control
+
+Trial = Callable[[float, float, tuple], tuple]
+
+
+class Dear(Exception):
+    """Explicit steps have become dearer than implicit ones."""
+
+
+def is_rough(roughness, control: Control):
+    """Where steps are to be refined; not a number is rough."""
+    return ~(np.asarray(roughness) < (SMOOTH * control.tolerance) ** 2)
+
+
+def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, unit: np.ndarray, left: float):
+    """What moves, z = (x, ...), after the step [t, t + h], and what is left of the trials.
+
+    trial : ``(t, h, z) -> z``. Where not even the shortest step is finite, x is not.
+
+    Raises Dear when no trial is left.
+    """
+    everything = part = 1 << DEEPEST
+    done = 0
+    while done < everything:
+        start, half = t + h * (done / everything), 0.5 * h * (part / everything)
+        left -= 3
+        if left < 0:
+            raise Dear
+        whole = trial(start, 2 * half, z)
+        halves = trial(start + half, half, trial(start, half, z))
+        if part > 1 and not _agree(whole[0], halves[0], control, unit):
+            part //= 2
+            continue
+        z = halves
+        if not np.isfinite(z[0]).all():
+            break
+        done += part
+        if part < everything and done % (2 * part) == 0:
+            part *= 2
+    return z, left
+
+
+def _agree(whole, halves, control: Control, unit) -> bool:
+    apart = (whole - halves) / (unit + np.abs(halves))
+    return bool((apart**2).sum() <= control.tolerance**2)

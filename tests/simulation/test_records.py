@@ -96,7 +96,7 @@ def test_one_step_prediction_of_its_own_simulation_is_that_simulation():
     record = record_of(arm_angle=truth["arm_angle"], pressure_cap=truth["pressure_cap"])
     again = predict_one_step(model, record)
     for name in again:
-        assert again[name] == pytest.approx(truth[name], rel=1e-9, rel=1e-6)
+        assert again[name] == pytest.approx(truth[name], rel=1e-9, abs=1e-9)
 
 
 def test_a_gap_in_a_measured_output_falls_back_to_the_free_run():

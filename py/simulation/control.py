@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -33,16 +34,18 @@ class Control(NamedTuple):
         return Control(self.step / 2, self.tolerance / 8, 4 * self.trials)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Accuracy:
-    """How far a run is from the one with half the step: ``error`` in ranges of the output that is furthest off.
+    """How far a run is from the one with half the step, infinite where that one diverged.
 
-    ``time`` [s] is where; ``method`` and ``step`` [s] are those of the run; infinite where the finer run diverged.
+    error : in ranges of the output that is furthest off, ``output``, at ``time`` [s]. apart : of each output, largest,
+    SI. method, step [s] : of the run.
     """
 
     error: float
     output: str
     time: float
+    apart: Mapping[str, float]
     method: str
     step: float
 
@@ -51,23 +54,33 @@ class Accuracy:
         """Within `ACCURACY`."""
         return self.error <= ACCURACY
 
+    def as_data(self) -> dict:
+        """For JSON and model files."""
+        return {"error": self.error, "reached": self.reached, "wanted": ACCURACY} | {
+            key: getattr(self, key) for key in ("output", "time", "method", "step")
+        }
+
     def __str__(self) -> str:
-        how = f"{self.method}, steps of {self.step:.3g} s"
+        how = f"{self.method}, step {self.step:.3g} s"
         if self.reached:
             return f"accurate to {self.error:.1e} of the range ({self.output}; {how})"
         return (
-            f"{self.output} is accurate to {self.error:.2g} of its range only (at t = {self.time:.4g} s; {how}; "
-            f"{ACCURACY:g} is wanted)"
+            f"not accurate: half the step changes {self.output} by {self.error:.2g} of its range (at t = "
+            f"{self.time:.4g} s; {how}), and {ACCURACY:g} is wanted. "
+            "Take method 'auto', a smaller step, or smooth what jumps"
         )
 
 
-def accuracy(flat, time, y, finer, method: str, step: float) -> Accuracy:
-    """What separates outputs ``y`` (n, ny) from those of the ``finer`` run."""
+def compared(flat, time, y, finer, method: str, step: float) -> Accuracy:
+    """The accuracy of outputs ``y`` (n, ny), known from the ``finer`` run."""
     nominal = np.array([s.nominal for s in flat.outputs])
     least = np.maximum(STILL[0] * nominal, STILL[1] * np.abs(finer).max(axis=0))
-    apart = np.abs(y - finer) / np.maximum(np.ptp(finer, axis=0), least)
-    k, j = np.unravel_index(np.argmax(apart), apart.shape)
-    return Accuracy(float(apart[k, j]), flat.outputs[j].name, float(time[k]), method, step)
+    with np.errstate(invalid="ignore"):
+        apart = np.nan_to_num(np.abs(y - finer), nan=np.inf)
+        ratio = np.where(np.isfinite(apart), apart / np.maximum(np.ptp(finer, axis=0), least), np.inf)
+    k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
+    by_output = dict(zip([s.name for s in flat.outputs], map(float, apart.max(axis=0)), strict=True))
+    return Accuracy(float(ratio[k, j]), flat.outputs[j].name, float(time[k]), by_output, method, step)
 
 
 def moved_far(p: np.ndarray, before: np.ndarray, nominal: np.ndarray) -> bool:

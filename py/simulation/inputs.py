@@ -49,7 +49,7 @@ def substeps(
 
 
 def means(time, u, interval, start, h, linear, dead_time) -> tuple[np.ndarray, np.ndarray]:
-    """Of windows from ``start`` (m,) of length ``h`` (m,) in ``interval`` (m,): mean input and its rate by Td (m, nu)."""
+    """Mean input and its rate by Td (m, nu) of windows in ``interval`` (m,), from ``start`` (m,), ``h`` (m,) long."""
     mean, rate = np.empty((len(h), u.shape[1])), np.zeros((len(h), u.shape[1]))
     for j, Td in enumerate(dead_time):
         if Td is None and not linear[j]:

@@ -161,7 +161,8 @@ class _Walk:
         for level in range(counts.max(initial=0)):
             at = (first + level)[counts > level]
             x = restart[:-1][counts > level] if level == 0 else after[at - 1]
-            made, rough = self.machine.substep(cut.time[at][None, :], x.T, cut.mean[at].T, self.p, cut.length[at][None, :])
+            start, length = cut.time[at][None, :], cut.length[at][None, :]
+            made, rough = self.machine.substep(start, x.T, cut.mean[at].T, self.p, length)
             after[at] = made.full().T
             for i in np.flatnonzero(self._rough(rough.full().ravel())):
                 after[at[i]] = self._refined(at[i], (x[i],))[0]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import copy
 import threading
-import warnings
-from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -15,12 +13,11 @@ from hydrotwin.models.language.errors import DeclarationError, SolveError, neare
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations, stiffness
-from .compiler import compile_library
-from .control import TOLERANCE, Accuracy, Control, accuracy, moved_far
+from .control import TOLERANCE, Accuracy, Control, compared, moved_far
+from .engines import engine_of
 from .library import Library
-from .machine import DEAR, DONE, NO_MEMORY, OUTPUT, STATE, VirtualMachine
+from .machine import DEAR, DONE, NO_MEMORY, OUTPUT, STATE
 from .recent import Recent
-from .source import c_source
 
 METHODS = ("auto", "explicit", "rosenbrock", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
@@ -219,29 +216,35 @@ class Propagator:
                 part[dear] = other
         return found
 
-    def controlled_run(self, time, u, p, x0) -> tuple[np.ndarray, np.ndarray, Accuracy]:
-        """As `run`, and the accuracy, known from another run with half the step.
+    def accuracy(self, time, u, p, x0) -> Accuracy:
+        """How far the outputs of `run` are from those with half the step and an eighth of the error in each."""
+        time, u, p, x0 = self._arrays(time, u, p, x0)
+        y, _ = self.run(time, u, p, x0)
+        return self._accuracy(self._choice, time, u, p, x0, y)
 
-        What "auto" chose and misses `ACCURACY` is run with finer steps and then by the implicit method; the best counts.
+    def controlled_run(self, time, u, p, x0) -> tuple[np.ndarray, np.ndarray, Accuracy]:
+        """As `run`, and its `accuracy`.
+
+        Where "auto" misses it, finer steps are tried and then the implicit method; the best stays.
         """
         time, u, p, x0 = self._arrays(time, u, p, x0)
         y, x = self.run(time, u, p, x0)
         choice = self._choice
         best = y, x, self._accuracy(choice, time, u, p, x0, y)
-        for choice in self._finer(choice):
+        for finer in self._finer(choice):
             if best[2].reached:
                 break
-            status, _, y, x = self._stepped("propagate", time, u, p, x0, None, choice=choice)
-            reached = self._accuracy(choice, time, u, p, x0, y) if status == DONE else None
+            status, _, y, x = self._stepped("propagate", time, u, p, x0, None, choice=finer)
+            reached = self._accuracy(finer, time, u, p, x0, y) if status == DONE else None
             if reached and reached.error < best[2].error:
-                best, self._choice = (y, x, reached), choice
+                best, self._choice = (y, x, reached), finer
         return best
 
     def _accuracy(self, choice: _Choice, time, u, p, x0, y) -> Accuracy:
         finer = choice._replace(control=choice.control.finer())
         status, _, other, _ = self._stepped("propagate", time, u, p, x0, None, choice=finer)
         other = other if status == DONE else np.full_like(y, np.inf)
-        return accuracy(self.flat, time, y, other, choice.method, choice.control.step)
+        return compared(self.flat, time, y, other, choice.method, choice.control.step)
 
     def _finer(self, choice: _Choice) -> list[_Choice]:
         """What "auto" tries when a choice misses the accuracy."""
@@ -333,7 +336,7 @@ class Propagator:
         found = self._engines.get(implicit)
         if found is None:
             with self._building:
-                found = _engine(self.flat, self._to, implicit, self._interpreted, self._few_runs)
+                found = engine_of(self.flat, self._to, implicit, self._interpreted, self._few_runs)
                 self._engines[implicit] = found
         return found
 
@@ -377,43 +380,3 @@ def _shaped(label: str, values, shape: tuple[int, ...], name: str) -> np.ndarray
     if array.shape != shape:
         raise SolveError(f"{name}: {label} must have shape {shape} (got {array.shape}). Check the order of axes.")
     return array
-
-
-_kept: OrderedDict = OrderedDict()
-_kept_lock = threading.Lock()
-
-
-def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool, few_runs: bool):
-    """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
-    scales = tuple(s.nominal for s in flat.states)
-    key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), to, implicit, interpreted, few_runs)
-    with _kept_lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key][0]
-    made = VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit, few_runs)
-    with _kept_lock:
-        _kept[key] = made, flat.ode  # the function is kept alive: its id is the key
-        while len(_kept) > 24:
-            _kept.popitem(last=False)
-    return made
-
-
-def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool, few_runs: bool):
-    name = "".join(c if c.isalnum() else "_" for c in flat.name)
-    optimise = ("-O2",) if implicit else ("-O3",)  # the integrator is long: -O3 compiles longer and runs no faster
-    optimise = ("-O1", "-ftree-vectorize") if few_runs else optimise
-    source = c_source(flat, to, implicit)
-    path = compile_library(source, name, optimise)
-    if path is not None:
-        try:
-            return Library(path, len(flat.outputs))
-        except OSError:  # a damaged file in the cache
-            path.unlink(missing_ok=True)
-            return Library(compile_library(source, name, optimise), len(flat.outputs))
-    warnings.warn(
-        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, ten times slower. "
-        "Install ziglang (pip install ziglang) or set CC.",
-        stacklevel=2,
-    )
-    return VirtualMachine(flat, to, implicit)

@@ -167,13 +167,21 @@ static int step_state(Run *run, long long k, double t, double h, int whole, cons
   return judged(run, next, roughness);
 }
 
-/* Whether a whole step and its two halves are within the tolerance of each other. */
-static int agree(const Run *run, const double *whole, const double *halves) {
+/* Whether a whole step and its two halves are within the tolerance of each other, sensitivities in units of the state
+   by the free value among them. */
+static int agree(const Run *run, const double *whole, const double *halves, int size) {
   double sum = 0.0, tolerance = run->control.tolerance;
   for (int i = 0; i < NX; i++) {
     double apart = (whole[i] - halves[i]) / (NOMINAL[i] + fabs(halves[i]));
     sum += apart * apart;
   }
+  for (int i = 0; size > NX && i < NS; i++)
+    for (int c = 0; c < NT; c++) {
+      double unit = NOMINAL_FREE[c] + (FREE[c] < 0 ? 0.0 : fabs(run->p[FREE[c]]));
+      const double *w = whole + NX + i * LD + c, *d = halves + NX + i * LD + c;
+      double apart = (*w - *d) * unit / (NOMINAL[KEPT[i]] + fabs(*d) * unit);
+      sum += apart * apart;
+    }
   return sum <= tolerance * tolerance;
 }
 
@@ -188,7 +196,7 @@ static int refine(Run *run, Step *step, int size, long long k, double t, double 
     step(run, k, run->reached, 2 * half, 0, z, whole);
     step(run, k, run->reached, half, 0, z, middle);
     step(run, k, run->reached + half, half, 0, middle, halves);
-    if (part > 1 && !agree(run, whole, halves)) {
+    if (part > 1 && !agree(run, whole, halves, size)) {
       part /= 2;
       continue;
     }

@@ -197,8 +197,7 @@ def implicit_tangent(flat: FlatModel, to: Directions) -> ca.Function:
     h, fraction, du = ca.SX.sym("h"), ca.SX.sym("fraction"), ca.SX.sym("du", len(to.dead))
     S = ca.SX.sym("S", x.numel(), to.count)
     scale = np.array([s.nominal for s in flat.states])
-    columns = np.array([flat.parameters[i].nominal for i in to.parameters] + [scale[i] for i in to.states])
-    units = ca.DM(np.outer(scale, 1 / columns))
+    units = units_of_sensitivities(flat, to, p)
     xdot, fx, fp, fu = linear_rate(flat, to)(t + fraction * h, scale * x, u, p)
     Sdot = fx @ (S * units) + _placed(fp, fu, du, to)
     slope = ca.vertcat(h * xdot / scale, ca.vec(h * Sdot / units))
@@ -207,9 +206,17 @@ def implicit_tangent(flat: FlatModel, to: Directions) -> ca.Function:
     within = ca.integrator("implicit_tangent_within", "rosenbrock", dae, 0, 1, tolerances)
     T, X, U, P, H, dU = (ca.MX.sym(n, s.numel()) for n, s in zip("txuphd", (t, x, u, p, h, du), strict=True))
     dX = ca.MX.sym("dx", *S.shape)
+    units = units_of_sensitivities(flat, to, P)
     after = within(x0=ca.vertcat(X / scale, ca.vec(dX / units)), p=ca.vertcat(T, U, P, H, dU))["xf"]
     tangent = ca.reshape(after[x.numel() :], *S.shape) * units
     return ca.Function("implicit_tangent", [T, X, U, P, H, dX, dU], [tangent])
+
+
+def units_of_sensitivities(flat: FlatModel, to: Directions, p):
+    """(nx, n_theta): nominal of the state over nominal + |value| of the parameter, over nominal of the start state."""
+    scale = np.array([s.nominal for s in flat.states])
+    columns = [flat.parameters[i].nominal + abs(p[i]) for i in to.parameters] + [scale[i] for i in to.states]
+    return ca.DM(scale) @ (1 / ca.vertcat(*columns)).T
 
 
 def _shared(name: str, arguments: list[ca.SX], results: list[ca.SX]) -> ca.Function:

@@ -69,6 +69,9 @@ class VirtualMachine:
     def dead_time(self, p):
         return [None if d is None else float(p[d]) for d in self._delays]
 
+    def units_of_sensitivities(self, p) -> np.ndarray:
+        return equations.units_of_sensitivities(self.flat, self.to, ca.DM(p)).full() if self.to.count else np.empty(0)
+
     def _seen(self, time, u, p):
         """The inputs that the outputs see: delayed, at the samples."""
         seen = u.copy()
@@ -205,7 +208,8 @@ class _Walk:
             return tuple(part.full().reshape(old.shape) for part, old in zip(made, z, strict=False))
 
         start, length = self.cut.time[j], self.cut.length[j]
-        z, self.left = refine(trial, start, length, z, self.control, self.machine.nominal, self.left)
+        units = self.machine.nominal, self.machine.units_of_sensitivities(self.p)
+        z, self.left = refine(trial, start, length, z, self.control, units, self.left)
         return z
 
     @property

@@ -20,10 +20,10 @@ def is_rough(roughness, control: Control):
     return ~(np.asarray(roughness) < (SMOOTH * control.tolerance) ** 2)
 
 
-def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, unit: np.ndarray, left: float):
+def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, units: tuple, left: float):
     """What moves, z = (x, ...), after the step [t, t + h], and what is left of the trials.
 
-    trial : ``(t, h, z) -> z``. Where not even the shortest step is finite, x is not.
+    trial : ``(t, h, z) -> z``; units : of what moves. Where not even the shortest step is finite, x is not.
 
     Raises Dear when no trial is left.
     """
@@ -36,7 +36,7 @@ def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, unit: n
             raise Dear
         whole = trial(start, 2 * half, z)
         halves = trial(start + half, half, trial(start, half, z))
-        if part > 1 and not _agree(whole[0], halves[0], control, unit):
+        if part > 1 and not _agree(whole, halves, control, units):
             part //= 2
             continue
         z = halves
@@ -48,6 +48,7 @@ def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, unit: n
     return z, left
 
 
-def _agree(whole, halves, control: Control, unit) -> bool:
-    apart = (whole - halves) / (unit + np.abs(halves))
-    return bool((apart**2).sum() <= control.tolerance**2)
+def _agree(whole: tuple, halves: tuple, control: Control, units: tuple) -> bool:
+    parts = zip(whole, halves, units, strict=False)
+    apart = sum((((w - d) / (unit + np.abs(d))) ** 2).sum() for w, d, unit in parts)
+    return bool(apart <= control.tolerance**2)

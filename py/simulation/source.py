@@ -87,12 +87,19 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         f"#define DEEPEST {DEEPEST} /* halvings */",
         f"#define BURST {BURST} /* steps */",
         _table("NOMINAL", [repr(float(s.nominal)) for s in flat.states], "double"),
+        _table("FREE", [*to.parameters, *(-1 for _ in to.states)]),
+        _table("NOMINAL_FREE", map(repr, _nominals(flat, to)), "double"),
         _table("DELAY", delay),
         _table("LINEAR", [int(s.interpolation == "linear") for s in flat.inputs]),
         _table("KEPT", kept),
         _table("DEAD_INPUT", [j for j, _ in to.dead]),
         _table("DEAD_COLUMN", [column for _, column in to.dead]),
     ]
+
+
+def _nominals(flat: FlatModel, to: Directions) -> list[float]:
+    free = [flat.parameters[i] for i in to.parameters] + [flat.states[i] for i in to.states]
+    return [float(one.nominal) for one in free]
 
 
 def _products(prefix: str, linear: ca.Function, row: dict[int, int], seed: dict[int, int]) -> list[str]:

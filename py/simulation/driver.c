@@ -152,19 +152,24 @@ static int step_state(Run *run, long long k, double t, double h, int whole, cons
 
 static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z) { return 3; }
 #else
-static int judged(const Run *run, const double *next, double roughness) {
-  double smooth = SMOOTH * run->control.tolerance;
-  if (roughness < smooth * smooth) return 0; /* not so for nan */
+static int judged(const Run *run, const double *x, const double *next, const double *roughness) {
+  double ratio[NX + 1], sum = 0.0, smooth = SMOOTH * run->control.tolerance;
+  for (int i = 0; i < NX; i++) {
+    double unit = NOMINAL[i] + fabs(x[i]);
+    ratio[i] = roughness[i] / (unit * unit);
+  }
+  for (int i = 0; i < NX; i++) sum += ratio[i];
+  if (sum < smooth * smooth) return 0; /* not so for nan */
   return smooth < INFINITY ? ROUGH : not_finite(next, NX);
 }
 
 static int step_state(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
-  double mean[NU + 1], roughness;
+  double mean[NU + 1], roughness[NX + 1];
   const double *arg[RK4_ARG] = {&t, z, mean, run->p, &h};
-  double *res[RK4_RES] = {next, &roughness};
+  double *res[RK4_RES] = {next, roughness};
   mean_inputs(run, k, t, h, whole, mean);
   rk4_substep(arg, res, run->integers, run->work, 0);
-  return judged(run, next, roughness);
+  return judged(run, z, next, roughness);
 }
 
 /* Whether a whole step and its two halves are within the tolerance of each other, sensitivities in units of the state

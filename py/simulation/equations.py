@@ -67,11 +67,11 @@ def rate(flat: FlatModel, t, x, u, p) -> ca.SX:
 
 
 def rk4_substep(flat: FlatModel) -> ca.Function:
-    """``(t, x, u, p, h) -> x(t + h), roughness``, the classical fourth order Runge-Kutta step, u constant inside.
+    """``(t, x, u, p, h) -> x(t + h), roughness (nx,)``, the classical Runge-Kutta step, u constant inside.
 
-    roughness : the squared sum over the states of what separates steps of second order that the same four slopes make,
+    roughness : the squared sum of what separates steps of second order that the same four slopes make,
 
-        h/6 (k1 - k2 - k3 + k4)   and   h/3 (k3 - k2),   in units of nominal + |x|.
+        h/6 (k1 - k2 - k3 + k4)   and   h/3 (k3 - k2).
 
     It is of third order in h, so the step's own error is far below it, but for a kink inside the step, of which the
     slopes know as much as the step does.
@@ -83,12 +83,11 @@ def rk4_substep(flat: FlatModel) -> ca.Function:
     k3 = rate(flat, t + h / 2, x + h / 2 * k2, u, p)
     k4 = rate(flat, t + h, x + h * k3, u, p)
     following = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return _shared("rk4_substep", [t, x, u, p, h], [following, _roughness(flat, h, x, k1, k2, k3, k4)])
+    return _shared("rk4_substep", [t, x, u, p, h], [following, _roughness(h, k1, k2, k3, k4)])
 
 
-def _roughness(flat: FlatModel, h, x, k1, k2, k3, k4):
-    unit = np.array([s.nominal for s in flat.states]) + abs(x)
-    return ca.densify(h * h / 36 * ca.sum1(((k1 - k2 - k3 + k4) ** 2 + (2 * (k3 - k2)) ** 2) / (unit * unit)))
+def _roughness(h, k1, k2, k3, k4):
+    return h * h / 36 * ((k1 - k2 - k3 + k4) ** 2 + (2 * (k3 - k2)) ** 2)
 
 
 def output(flat: FlatModel) -> ca.Function:
@@ -150,7 +149,7 @@ def rk4_tangent(flat: FlatModel, to: Directions) -> ca.Function:
     k3, d3 = stage(t + h / 2, x + h / 2 * k2, dx + h / 2 * d2)
     k4, d4 = stage(t + h, x + h * k3, dx + h * d3)
     after = [x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4), dx + h / 6 * (d1 + 2 * d2 + 2 * d3 + d4)]
-    return _shared("rk4_tangent", [t, x, u, p, h, dx, du], [*after, _roughness(flat, h, x, k1, k2, k3, k4)])
+    return _shared("rk4_tangent", [t, x, u, p, h, dx, du], [*after, _roughness(h, k1, k2, k3, k4)])
 
 
 def output_tangent(flat: FlatModel, to: Directions) -> ca.Function:

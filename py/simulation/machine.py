@@ -91,7 +91,7 @@ class VirtualMachine:
 
     @functools.cached_property
     def many(self) -> ca.Function:
-        """CHUNK substeps: (x, data (.., CHUNK), p) -> x (nx, CHUNK), roughness (1, CHUNK)."""
+        """CHUNK substeps: (x, data (.., CHUNK), p) -> x and roughness (nx, CHUNK)."""
         return self._on_axis(0).mapaccum("walk", CHUNK, 1)
 
     @functools.cached_property
@@ -118,7 +118,7 @@ class VirtualMachine:
             return equations.rk4_tangent(self.flat, self.to)
         within = equations.implicit_tangent(self.flat, self.to)
         arguments = within.mx_in()
-        return ca.Function("tangent", arguments, [*self.substep.call(arguments[:5])[:1], *within.call(arguments), 0])
+        return ca.Function("tangent", arguments, [*self.substep.call(arguments[:5])[:1], *within.call(arguments), ca.MX(arguments[1].size1(), 1)])
 
     @functools.cached_property
     def _output_tangent(self):
@@ -140,7 +140,7 @@ class _Walk:
 
         def many(part, z):
             made, rough = self.machine.many(*z, part.T, self.p)
-            return (made.full().T,), rough.full().ravel()
+            return (made.full().T,), rough.full().T
 
         return self._through(data, (x,), many)[0]
 
@@ -152,7 +152,7 @@ class _Walk:
         def many(part, z):
             made, tangent, rough = self.machine.many_tangents(*z, part.T, self.p)
             tangent = tangent.full().reshape(nx, CHUNK, nt).transpose(1, 0, 2)
-            return (made.full().T, tangent), rough.full().ravel()
+            return (made.full().T, tangent), rough.full().T
 
         return self._through(data, (x, dx), many)
 
@@ -167,7 +167,7 @@ class _Walk:
             start, length = cut.time[at][None, :], cut.length[at][None, :]
             made, rough = self.machine.substep(start, x.T, cut.mean[at].T, self.p, length)
             after[at] = made.full().T
-            for i in np.flatnonzero(self._rough(rough.full().ravel())):
+            for i in np.flatnonzero(self._rough(rough.full().T, x)):
                 after[at[i]] = self._refined(at[i], (x[i],))[0]
         return after
 
@@ -176,7 +176,8 @@ class _Walk:
         first = 0
         while first < len(data):
             made, rough = many(_padded(data[first : first + CHUNK]), z)
-            rough = self._rough(rough[: len(data) - first])
+            before = np.vstack([z[0], made[0][:-1]])
+            rough = self._rough(rough, before)[: len(data) - first]
             smooth = int(np.argmax(rough)) if rough.any() else len(rough)
             for whole, part in zip(after, made, strict=True):
                 whole[first : first + smooth] = part[:smooth]
@@ -189,9 +190,9 @@ class _Walk:
                 first += 1
         return after
 
-    def _rough(self, roughness):
+    def _rough(self, roughness, x):
         controlled = np.isfinite(self.control.tolerance) and not self.machine.implicit
-        return is_rough(roughness, self.control) if controlled else np.zeros(len(roughness), bool)
+        return is_rough(roughness, x, self.control, self.machine.nominal) if controlled else np.zeros(len(x), bool)
 
     def _refined(self, j: int, z):
         """After the rough substep j."""
@@ -220,7 +221,7 @@ class _Walk:
 def _smooth(step: ca.Function) -> ca.Function:
     """An implicit substep with the result that tells an explicit one rough: it controls itself."""
     arguments = step.mx_in()
-    return ca.Function("substep", arguments, [*step.call(arguments), 0])
+    return ca.Function("substep", arguments, [*step.call(arguments), ca.MX(arguments[1].size1(), 1)])
 
 
 def _padded(part):

@@ -15,9 +15,10 @@ class Dear(Exception):
     """Explicit steps have become dearer than implicit ones."""
 
 
-def is_rough(roughness, control: Control):
-    """Where steps are to be refined; not a number is rough."""
-    return ~(np.asarray(roughness) < (SMOOTH * control.tolerance) ** 2)
+def is_rough(roughness, x, control: Control, nominal) -> np.ndarray:
+    """Which steps (m,) from states ``x`` (m, nx) are to be refined; not a number is rough."""
+    ratio = (roughness / (nominal + np.abs(x)) ** 2).sum(axis=1)
+    return ~(ratio < (SMOOTH * control.tolerance) ** 2)
 
 
 def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, units: tuple, left: float):

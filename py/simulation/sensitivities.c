@@ -70,21 +70,10 @@ static int step_tangent(Run *run, long long k, double t, double h, int whole, co
   return not_finite(after, NX * NT) ? 3 : 0;
 }
 #else
-/* As rk4_substep gives it. */
-static double roughness_of(double h, const double *x, const double *k1, const double *k2, const double *k3,
-                           const double *k4) {
-  double sum = 0.0;
-  for (int i = 0; i < NX; i++) {
-    double unit = NOMINAL[i] + fabs(x[i]), bend = k1[i] - k2[i] - k3[i] + k4[i], turn = 2 * (k3[i] - k2[i]);
-    sum += (bend * bend + turn * turn) / (unit * unit);
-  }
-  return h * h / 36 * sum;
-}
-
 static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
   const double *x = z, *dx = z + NX;
   double u[NU + 1], du[ND + 1];
-  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1];
+  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1], roughness[NX + 1];
   double d1[NS * LD + 1], d2[NS * LD + 1], d3[NS * LD + 1], d4[NS * LD + 1], ds[NS * LD + 1];
   mean_inputs(run, k, t, h, whole, u);
   mean_input_rates(run, t, h, du);
@@ -99,8 +88,12 @@ static int step_tangent(Run *run, long long k, double t, double h, int whole, co
   combine(NS * LD, ds, dx, h, d3);
   linear_stage(run, t + h, xs, u, ds, du, k4, d4);
   weigh(NX, next, x, h, k1, k2, k3, k4);
+  for (int i = 0; i < NX; i++) { /* as in rk4_substep */
+    double bend = k1[i] - k2[i] - k3[i] + k4[i], turn = 2 * (k3[i] - k2[i]);
+    roughness[i] = h * h / 36 * (bend * bend + turn * turn);
+  }
   weigh(NS * LD, next + NX, dx, h, d1, d2, d3, d4);
-  return judged(run, next, roughness_of(h, x, k1, k2, k3, k4));
+  return judged(run, x, next, roughness);
 }
 #endif
 

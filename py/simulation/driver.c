@@ -42,7 +42,7 @@ typedef struct {
   const double *time, *u, *p;
   Control control;
   double reached;   /* time of the last finite state */
-  double trials;    /* left for steps where one was rough */
+  double trials[2]; /* left for steps where one was rough: for states, for their sensitivities */
   long long cursor[NU + 1];
   double *work; /* of the generated functions */
   casadi_int *integers;
@@ -150,7 +150,9 @@ static int step_state(Run *run, long long k, double t, double h, int whole, cons
   return not_finite(next, NX) ? 1 : 0;
 }
 
-static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z) { return 3; }
+static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged) {
+  return 3;
+}
 #else
 static int judged(const Run *run, const double *x, const double *next, const double *roughness) {
   double ratio[NX + 1], sum = 0.0, smooth = SMOOTH * run->control.tolerance;
@@ -190,23 +192,29 @@ static int agree(const Run *run, const double *whole, const double *halves, int 
   return sum <= tolerance * tolerance;
 }
 
-/* A rough step in parts of h / 2^level, each as long as it agrees with its two halves. */
-static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z) {
+/* A rough step in parts of h / 2^level, each as long as the first `judged` of what moves agree with two halves. States
+   alone decide on their steps, so that a cost and its gradient have the same; inside one, sensitivities may take more. */
+static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged) {
   double whole[MOVING + 1], middle[MOVING + 1], halves[MOVING + 1];
   long long all = 1LL << DEEPEST, done = 0, part = all;
   while (done < all) {
-    double half = 0.5 * h * ((double)part / (double)all);
-    run->reached = t + h * ((double)done / (double)all);
-    if ((run->trials -= 3) < 0) return DEAR;
-    step(run, k, run->reached, 2 * half, 0, z, whole);
-    step(run, k, run->reached, half, 0, z, middle);
-    step(run, k, run->reached + half, half, 0, middle, halves);
-    if (part > 1 && !agree(run, whole, halves, size)) {
+    double half = 0.5 * h * ((double)part / (double)all), from = t + h * ((double)done / (double)all);
+    if (judged == NX) run->reached = from;
+    if ((run->trials[judged > NX] -= 3) < 0) return DEAR;
+    step(run, k, from, 2 * half, 0, z, whole);
+    step(run, k, from, half, 0, z, middle);
+    step(run, k, from + half, half, 0, middle, halves);
+    if (part > 1 && !agree(run, whole, halves, judged)) {
       part /= 2;
       continue;
     }
     if (not_finite(halves, NX)) return 1;
-    memcpy(z, halves, size * sizeof(double));
+    if (size > judged && !agree(run, whole, halves, size)) {
+      int status = refine(run, step, size, k, from, 2 * half, z, size);
+      if (status) return status;
+      memcpy(z, halves, NX * sizeof(double));
+    } else
+      memcpy(z, halves, size * sizeof(double));
     done += part;
     if (part < all && done % (2 * part) == 0) part *= 2;
   }
@@ -223,7 +231,7 @@ static inline int cross(Run *run, Step *step, int size, long long k, double *z) 
     double h = dt / (double)n, t = run->reached = run->time[k] + (double)i * h;
     status = step(run, k, t, h, n == 1, z, next);
     if (status == ROUGH)
-      status = refine(run, step, size, k, t, h, z);
+      status = refine(run, step, size, k, t, h, z, NX);
     else if (!status)
       memcpy(z, next, size * sizeof(double));
   }
@@ -241,7 +249,7 @@ static int write_output(Run *run, long long k, const double *x, double *y) {
 
 static int open_run(Run *run) {
   double span = run->time[run->samples - 1] - run->time[0], plain = span / run->control.step + (double)run->samples;
-  run->trials = BURST + run->control.trials * plain;
+  run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
   memset(run->cursor, 0, sizeof run->cursor);
   run->work = malloc(sizeof(double) * (WORK_REALS + 1));
   run->integers = malloc(sizeof(casadi_int) * (WORK_INTEGERS + 1));

@@ -118,7 +118,8 @@ class VirtualMachine:
             return equations.rk4_tangent(self.flat, self.to)
         within = equations.implicit_tangent(self.flat, self.to)
         arguments = within.mx_in()
-        return ca.Function("tangent", arguments, [*self.substep.call(arguments[:5])[:1], *within.call(arguments), ca.MX(arguments[1].size1(), 1)])
+        x, smooth = self.substep.call(arguments[:5])
+        return ca.Function("tangent", arguments, [x, *within.call(arguments), smooth])
 
     @functools.cached_property
     def _output_tangent(self):
@@ -131,7 +132,7 @@ class _Walk:
     def __init__(self, machine: VirtualMachine, time, u, p, control: Control):
         self.machine, self.time, self.u, self.p, self.control = machine, time, u, p, control
         self.cut = inputs.substeps(time, u, control.step, machine.linear, machine.dead_time(p))
-        self.left = BURST + control.trials * ((time[-1] - time[0]) / control.step + len(time))
+        self.left = [BURST + control.trials * ((time[-1] - time[0]) / control.step + len(time))] * 2
 
     def states(self, x):
         """States after every substep (m, nx), each from the one before."""
@@ -210,8 +211,7 @@ class _Walk:
 
         start, length = self.cut.time[j], self.cut.length[j]
         units = self.machine.nominal, self.machine.units_of_sensitivities(self.p)
-        z, self.left = refine(trial, start, length, z, self.control, units, self.left)
-        return z
+        return refine(trial, start, length, z, self.control, units, self.left)
 
     @property
     def _dead(self):

@@ -21,10 +21,11 @@ def is_rough(roughness, x, control: Control, nominal) -> np.ndarray:
     return ~(ratio < (SMOOTH * control.tolerance) ** 2)
 
 
-def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, units: tuple, left: float):
-    """What moves, z = (x, ...), after the step [t, t + h], and what is left of the trials.
+def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, units: tuple, left: list, judged: int = 1):
+    """What moves, z = (x, ...), after the step [t, t + h], in parts as long as the first ``judged`` of it allow.
 
-    trial : ``(t, h, z) -> z``; units : of what moves. Where not even the shortest step is finite, x is not.
+    trial : ``(t, h, z) -> z``; units : of what moves; left : trials for states, for sensitivities, counted down. Where
+    not even the shortest step is finite, x is not.
 
     Raises Dear when no trial is left.
     """
@@ -32,21 +33,24 @@ def refine(trial: Trial, t: float, h: float, z: tuple, control: Control, units: 
     done = 0
     while done < everything:
         start, half = t + h * (done / everything), 0.5 * h * (part / everything)
-        left -= 3
-        if left < 0:
+        left[judged - 1] -= 3
+        if left[judged - 1] < 0:
             raise Dear
         whole = trial(start, 2 * half, z)
         halves = trial(start + half, half, trial(start, half, z))
-        if part > 1 and not _agree(whole, halves, control, units):
+        if part > 1 and not _agree(whole[:judged], halves, control, units):
             part //= 2
             continue
-        z = halves
-        if not np.isfinite(z[0]).all():
-            break
+        if not np.isfinite(halves[0]).all():
+            return halves
+        if len(z) > judged and not _agree(whole, halves, control, units):
+            z = halves[0], refine(trial, start, 2 * half, z, control, units, left, len(z))[1]
+        else:
+            z = halves
         done += part
         if part < everything and done % (2 * part) == 0:
             part *= 2
-    return z, left
+    return z
 
 
 def _agree(whole: tuple, halves: tuple, control: Control, units: tuple) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
@@ -9,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
+from hydrotwin.simulation.control import Accuracy
 
 from .descent import Task, held_out_run, undecided, whole_runs
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
@@ -39,8 +41,10 @@ def answer(
     sandwich, ambiguous = _widened(sandwich, free, minima)
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged)
+    accuracy = _accuracy(shooting, best)
     findings = [
         *lost,
+        *_inaccurate(accuracy, task),
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
         *([] if ambiguous else _rough(best)),
@@ -69,7 +73,32 @@ def answer(
         message=best.message,
         seconds=time.perf_counter() - began,
         settings=dict(settings),
+        accuracy=accuracy,
     )
+
+
+def _accuracy(shooting: Shooting, best: Minimum) -> Accuracy | None:
+    """That of the training run which is least accurate; those that diverge are told elsewhere."""
+    found = []
+    for i in range(0 if shooting.propagator.flat.black_box else len(shooting.segments)):
+        with contextlib.suppress(SolveError):
+            found.append(shooting.accuracy(i, best.q, best.z[i]))
+    return max(found, key=lambda one: one.error, default=None)
+
+
+def _inaccurate(accuracy: Accuracy | None, task: Task) -> list[Finding]:
+    """What to know of runs that miss the accuracy, or whose error the sensors would see."""
+    if accuracy is None:
+        return []
+    noise = {s.name: n for s, n in zip(task.flat.outputs, task.noise, strict=True) if np.isfinite(n)}
+    seen = [name for name, n in noise.items() if accuracy.apart[name] > n]
+    if accuracy.reached and not seen:
+        return []
+    listed = ", ".join(f"{name} by {accuracy.apart[name]:.2g}, its noise is {noise[name]:.2g}" for name in seen)
+    seen_by = f" The sensors see it: half the step changes {listed} (SI)." if seen else ""
+    return [Finding("accuracy", (), (
+        f"identify: the runs are {accuracy}.{seen_by} The fit follows errors of the solver; give a smaller step."
+    ))]  # fmt: skip
 
 
 def _differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list, list[Finding]]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.simulation.control import Accuracy
 
 FAINT = 0.1  # correlation of neighbouring residuals that a test can see and an engineer need not mind
 
@@ -103,6 +104,7 @@ class Fit:
     covariance : of the free parameters in the order of ``parameters``, SI, allowing for coloured residuals
     (the sandwich); ``covariance_white`` is (J^T J)^-1. ``correlation`` belongs to ``covariance_white``: it is a
     property of the experiment. Rows of parameters at a bound or undetermined are nan.
+    accuracy : of the training run that is furthest from that with half the step; None where an FMU runs itself.
     """
 
     name: str
@@ -124,6 +126,7 @@ class Fit:
     seconds: float
     settings: Mapping[str, object] = field(default_factory=dict)
     allowed: Mapping[str, float] = field(default_factory=dict)
+    accuracy: Accuracy | None = None
 
     @property
     def values(self) -> dict[str, float]:

@@ -139,6 +139,13 @@ class Shooting:
         at = self._point(q)
         return self._over_segments(lambda part: [self._sensitivities(i, at, z[i]) for i in part])
 
+    def accuracy(self, i: int, q: np.ndarray, z: np.ndarray):
+        """The `Accuracy` of the run of segment i; raises Diverged with it."""
+        time, u = self._inputs(self.segments[i])
+        p = self.free.vector(q)
+        x0, _, _ = self.start(u[0], p, z * self.start.nominal)
+        return self.propagator.accuracy(time, u, p, x0)
+
     def trajectories(self, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
         """State trajectories (n, nx) of every recording, put together from its segments; nan where one diverged."""
         nx = self.start.size

@@ -4,11 +4,12 @@ from .block import Block, TrainingDomain
 from .closed_loop import close_loop
 from .lowering import lower
 from .propagator import Diverged, Propagator, prepare
-from .simulate import predict_one_step, simulate
+from .simulate import InaccurateWarning, predict_one_step, simulate
 
 __all__ = [
     "Block",
     "Diverged",
+    "InaccurateWarning",
     "Propagator",
     "TrainingDomain",
     "close_loop",

@@ -3,13 +3,14 @@
    Generated in front of this text: the sizes (NX states, NS of them with sensitivities, NU inputs, NP parameters, NY
    outputs, NT sensitivities, LD = NT rounded up), the sparse products of the sensitivities as macros, and the CasADi functions
 
-     rk4_substep  (t, x, u, p, h) -> x          or  implicit_substep (t, x, u, p, h) -> x
+     rk4_substep  (t, x, u, p, h) -> x, roughness    or  implicit_substep (t, x, u, p, h) -> x
      output       (t, x, u, p) -> y
      linear_rate  (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros only)
      linear_output(t, x, u, p) -> y , dh/dx, dh/dp, dh/du
      implicit_tangent (t, x, u, p, h, dx, du) -> dx             (implicit method only)
 
-   Status: 0 done; 1 a state, 2 an output left the finite numbers; 3 the implicit method gave up; 4 out of memory. */
+   Status: 0 done; 1 a state, 2 an output left the finite numbers; 3 the implicit method gave up; 4 out of memory;
+   5 explicit steps have become dearer than implicit ones. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -31,10 +32,17 @@
 #define RESTORE()
 #endif
 
+/* As in control.py. */
+typedef struct {
+  double step, tolerance, trials;
+} Control;
+
 typedef struct {
   long long samples;
   const double *time, *u, *p;
-  double step;
+  Control control;
+  double reached;   /* time of the last finite state */
+  double trials[2]; /* left for steps where one was rough: for states, for their sensitivities */
   long long cursor[NU + 1];
   double *work; /* of the generated functions */
   casadi_int *integers;
@@ -116,7 +124,7 @@ static void inputs_at_sample(Run *run, long long k, double *u) {
 /* ---- one interval between two samples ---- */
 
 static long long substeps_in(const Run *run, double dt) {
-  double n = ceil(dt / run->step - 1e-6);
+  double n = ceil(dt / run->control.step - 1e-6);
   return n < 1.0 ? 1 : (long long)n;
 }
 
@@ -126,20 +134,108 @@ static int not_finite(const double *v, int n) {
   return !(zero == 0.0);
 }
 
-static int advance(Run *run, double t, double h, const double *u, double *x) {
-  double next[NX + 1];
+/* A step [t, t + h] inside interval k, from z to next: NX states, behind them the sensitivities where there are any.
+   ROUGH: it is to be refined; else a status. */
+typedef int Step(Run *run, long long k, double t, double h, int whole, const double *z, double *next);
+#define ROUGH (-1)
+#define DEAR 5
+
 #if IMPLICIT
-  const double *arg[IMPLICIT_ARG] = {&t, x, u, run->p, &h};
+static int step_state(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
+  double mean[NU + 1];
+  const double *arg[IMPLICIT_ARG] = {&t, z, mean, run->p, &h};
   double *res[IMPLICIT_RES] = {next};
+  mean_inputs(run, k, t, h, whole, mean);
   if (implicit_substep(arg, res, run->integers, run->work, 0)) return 3;
+  return not_finite(next, NX) ? 1 : 0;
+}
+
+static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged) {
+  return 3;
+}
 #else
-  const double *arg[RK4_ARG] = {&t, x, u, run->p, &h};
-  double *res[RK4_RES] = {next};
+static int judged(const Run *run, const double *x, const double *next, const double *roughness) {
+  double ratio[NX + 1], sum = 0.0, smooth = SMOOTH * run->control.tolerance;
+  for (int i = 0; i < NX; i++) {
+    double unit = NOMINAL[i] + fabs(x[i]);
+    ratio[i] = roughness[i] / (unit * unit);
+  }
+  for (int i = 0; i < NX; i++) sum += ratio[i];
+  if (sum < smooth * smooth) return 0; /* not so for nan */
+  return smooth < INFINITY ? ROUGH : not_finite(next, NX);
+}
+
+static int step_state(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
+  double mean[NU + 1], roughness[NX + 1];
+  const double *arg[RK4_ARG] = {&t, z, mean, run->p, &h};
+  double *res[RK4_RES] = {next, roughness};
+  mean_inputs(run, k, t, h, whole, mean);
   rk4_substep(arg, res, run->integers, run->work, 0);
-#endif
-  if (not_finite(next, NX)) return 1;
-  memcpy(x, next, NX * sizeof(double));
+  return judged(run, z, next, roughness);
+}
+
+/* Whether a whole step and its two halves are within the tolerance of each other, sensitivities in units of the state
+   by the free value among them. */
+static int agree(const Run *run, const double *whole, const double *halves, int size) {
+  double sum = 0.0, tolerance = run->control.tolerance;
+  for (int i = 0; i < NX; i++) {
+    double apart = (whole[i] - halves[i]) / (NOMINAL[i] + fabs(halves[i]));
+    sum += apart * apart;
+  }
+  for (int i = 0; size > NX && i < NS; i++)
+    for (int c = 0; c < NT; c++) {
+      double unit = NOMINAL_FREE[c] + (FREE[c] < 0 ? 0.0 : fabs(run->p[FREE[c]]));
+      const double *w = whole + NX + i * LD + c, *d = halves + NX + i * LD + c;
+      double apart = (*w - *d) * unit / (NOMINAL[KEPT[i]] + fabs(*d) * unit);
+      sum += apart * apart;
+    }
+  return sum <= tolerance * tolerance;
+}
+
+/* A rough step in parts of h / 2^level, each as long as the first `judged` of what moves agree with two halves. States
+   alone decide on their steps, so that a cost and its gradient have the same; inside one, sensitivities may take more. */
+static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged) {
+  double whole[MOVING + 1], middle[MOVING + 1], halves[MOVING + 1];
+  long long all = 1LL << DEEPEST, done = 0, part = all;
+  while (done < all) {
+    double half = 0.5 * h * ((double)part / (double)all), from = t + h * ((double)done / (double)all);
+    if (judged == NX) run->reached = from;
+    if ((run->trials[judged > NX] -= 3) < 0) return DEAR;
+    step(run, k, from, 2 * half, 0, z, whole);
+    step(run, k, from, half, 0, z, middle);
+    step(run, k, from + half, half, 0, middle, halves);
+    if (part > 1 && !agree(run, whole, halves, judged)) {
+      part /= 2;
+      continue;
+    }
+    if (not_finite(halves, NX)) return 1;
+    if (size > judged && !agree(run, whole, halves, size)) {
+      int status = refine(run, step, size, k, from, 2 * half, z, size);
+      if (status) return status;
+      memcpy(z, halves, NX * sizeof(double));
+    } else
+      memcpy(z, halves, size * sizeof(double));
+    done += part;
+    if (part < all && done % (2 * part) == 0) part *= 2;
+  }
   return 0;
+}
+#endif
+
+/* The substeps of interval k. On a stop run->reached and z are the last that is finite. */
+static inline int cross(Run *run, Step *step, int size, long long k, double *z) {
+  double next[MOVING + 1], dt = run->time[k + 1] - run->time[k];
+  long long n = substeps_in(run, dt);
+  int status = 0;
+  for (long long i = 0; i < n && !status; i++) {
+    double h = dt / (double)n, t = run->reached = run->time[k] + (double)i * h;
+    status = step(run, k, t, h, n == 1, z, next);
+    if (status == ROUGH)
+      status = refine(run, step, size, k, t, h, z, NX);
+    else if (!status)
+      memcpy(z, next, size * sizeof(double));
+  }
+  return status;
 }
 
 static int write_output(Run *run, long long k, const double *x, double *y) {
@@ -152,6 +248,8 @@ static int write_output(Run *run, long long k, const double *x, double *y) {
 }
 
 static int open_run(Run *run) {
+  double span = run->time[run->samples - 1] - run->time[0], plain = span / run->control.step + (double)run->samples;
+  run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
   memset(run->cursor, 0, sizeof run->cursor);
   run->work = malloc(sizeof(double) * (WORK_REALS + 1));
   run->integers = malloc(sizeof(casadi_int) * (WORK_INTEGERS + 1));
@@ -196,8 +294,8 @@ static void add_cost(Sum *sum, long long k, const double *y) {
 }
 
 /* Segment s of a recording, given by the samples where it begins, counts from and ends: its run and what it sums. */
-static Run run_of(const long long *cut, const double *time, const double *u, const double *p, double step) {
-  Run run = {cut[2] - cut[0], time + cut[0], u + cut[0] * NU, p, step};
+static Run run_of(const long long *cut, const double *time, const double *u, const double *p, Control control) {
+  Run run = {cut[2] - cut[0], time + cut[0], u + cut[0] * NU, p, control};
   return run;
 }
 
@@ -209,7 +307,7 @@ static Sum sum_of(const long long *cut, const double *measured, const double *we
 /* One run. Without sum every sample is kept: y (samples, NY), x (samples, NX); with it only the last. */
 static int walk(Run *run, const double *x0, const double *restart, double *y, double *x_out, Sum *sum, double *where) {
   const double *time = run->time;
-  double x[NX + 1], mean[NU + 1];
+  double x[NX + 1];
   int status = open_run(run);
   memcpy(x, x0, NX * sizeof(double));
   for (long long k = 0; k < run->samples && !status; k++) {
@@ -219,33 +317,29 @@ static int walk(Run *run, const double *x0, const double *restart, double *y, do
     if (sum) add_cost(sum, k, y);
     if (k + 1 == run->samples || status) break;
     if (restart) memcpy(x, restart + k * NX, NX * sizeof(double));
-    double dt = time[k + 1] - time[k];
-    long long n = substeps_in(run, dt);
-    for (long long i = 0; i < n && !status; i++) {
-      double h = dt / (double)n, t = time[k] + (double)i * h;
-      mean_inputs(run, k, t, h, n == 1, mean);
-      if ((status = advance(run, t, h, mean, x))) stopped(status, t, x, where);
-    }
+    if ((status = cross(run, step_state, NX, k, x))) stopped(status, run->reached, x, where);
   }
   close_run(run);
   return status;
 }
 
 /* x0 (NX); restart (samples, NX) or null: state from which each interval starts; y (samples, NY), x (samples, NX). */
-EXPORT int propagate(long long samples, const double *time, const double *u, const double *p, double step,
+EXPORT int propagate(long long samples, const double *time, const double *u, const double *p, Control control,
                      const double *x0, const double *restart, double *y, double *x_out, double *where) {
-  Run run = {samples, time, u, p, step};
+  Run run = {samples, time, u, p, control};
   return walk(&run, x0, restart, y, x_out, 0, where);
 }
 
-/* cuts (segments, 3), x0 (segments, NX), cost (segments): not a number where a run stopped. */
+/* cuts (segments, 3), x0 (segments, NX), cost (segments): not a number where a run stopped, infinite where it became
+   dear. */
 EXPORT void propagate_costs(long long segments, const long long *cuts, const double *time, const double *u,
-                            const double *p, double step, const double *x0, const double *measured,
+                            const double *p, Control control, const double *x0, const double *measured,
                             const double *weights, double *cost) {
   double y[NY + 1], x[NX + 1], where[NX + 1];
   for (long long s = 0; s < segments; s++) {
-    Run run = run_of(cuts + 3 * s, time, u, p, step);
+    Run run = run_of(cuts + 3 * s, time, u, p, control);
     Sum sum = sum_of(cuts + 3 * s, measured, weights);
-    cost[s] = walk(&run, x0 + s * NX, 0, y, x, &sum, where) ? NAN : sum.cost;
+    int status = walk(&run, x0 + s * NX, 0, y, x, &sum, where);
+    cost[s] = status == DEAR ? INFINITY : status || sum.cost == INFINITY ? NAN : sum.cost;
   }
 }

@@ -43,6 +43,13 @@ def substeps(
     within = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
     h = (dt / counts)[interval]
     start = time[interval] + within * h
+    mean, rate = means(time, u, interval, start, h, linear, dead_time)
+    ends = np.cumsum(counts)
+    return Substeps(start, h, mean, rate, ends - counts, ends - 1)
+
+
+def means(time, u, interval, start, h, linear, dead_time) -> tuple[np.ndarray, np.ndarray]:
+    """Mean input and its rate by Td (m, nu) of windows in ``interval`` (m,), from ``start`` (m,), ``h`` (m,) long."""
     mean, rate = np.empty((len(h), u.shape[1])), np.zeros((len(h), u.shape[1]))
     for j, Td in enumerate(dead_time):
         if Td is None and not linear[j]:
@@ -52,8 +59,7 @@ def substeps(
         mean[:, j] = mean_over(time, u[:, j], a, a + h, linear[j])
         if Td is not None:
             rate[:, j] = (at(time, u[:, j], a, linear[j], "left") - at(time, u[:, j], a + h, linear[j], "left")) / h
-    ends = np.cumsum(counts)
-    return Substeps(start, h, mean, rate, ends - counts, ends - 1)
+    return mean, rate
 
 
 def mean_over(time: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, linear: bool) -> np.ndarray:

@@ -7,7 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-_NUMBER, _ARRAY, _COUNT = ctypes.c_double, ctypes.c_void_p, ctypes.c_longlong
+_ARRAY, _COUNT = ctypes.c_void_p, ctypes.c_longlong
+
+
+class _Control(ctypes.Structure):
+    """`Control` as the driver takes it."""
+
+    _fields_ = tuple((name, ctypes.c_double) for name in ("step", "tolerance", "trials"))
 
 
 class Library:
@@ -17,45 +23,48 @@ class Library:
         self._outputs = outputs
         loaded = ctypes.CDLL(str(path))
         self._propagate = loaded.propagate
-        self._propagate.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 5]
+        self._propagate.argtypes = [_COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 5]
         self._tangent = getattr(loaded, "propagate_tangent", None)
         if self._tangent is not None:
-            self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _NUMBER, *[_ARRAY] * 7]
+            self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
             self._expansions = loaded.propagate_expansions
-            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 6]
+            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 6]
         self._costs = loaded.propagate_costs
-        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _NUMBER, *[_ARRAY] * 4]
+        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 4]
 
-    def propagate(self, time, u, p, step, x0, restart=None):
+    def propagate(self, time, u, p, control, x0, restart=None):
         """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
         n, nx = len(time), len(x0)
         y, x, where = np.empty((n, self._outputs)), np.full((n, nx), np.nan), np.empty(nx + 1)
         arrays = (x0, restart, y, x, where)
-        status = self._propagate(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
+        status = self._propagate(n, *map(_address, (time, u, p)), _Control(*control), *map(_address, arrays))
         return status, where, y, x
 
-    def propagate_tangent(self, time, u, p, step, x0, dx0, with_states=True):
+    def propagate_tangent(self, time, u, p, control, x0, dx0, with_states=True):
         """``(status, where, y, dy, x, dx)``; dx is None without ``with_states``."""
         n, (nx, nt) = len(time), dx0.shape
         y, dy, x = np.empty((n, self._outputs)), np.empty((n, self._outputs, nt)), np.empty((n, nx))
         dx, where = np.empty((n, nx, nt)) if with_states else None, np.empty(nx + 1)
         arrays = (x0, dx0, y, dy, x, dx, where)
-        status = self._tangent(n, *map(_address, (time, u, p)), step, *map(_address, arrays))
+        status = self._tangent(n, *map(_address, (time, u, p)), _Control(*control), *map(_address, arrays))
         return status, where, y, dy, x, dx
 
-    def costs(self, cuts, time, u, p, step, x0, measured, weights):
-        """What runs over segments cost, (segments,): nan where one stopped."""
+    def costs(self, cuts, time, u, p, control, x0, measured, weights):
+        """What runs over segments cost, (segments,): nan where one stopped, inf where it became dear."""
         cost = np.empty(len(cuts))
         arrays = (x0, measured, weights, cost)
-        self._costs(len(cuts), *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
+        self._costs(len(cuts), *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
         return cost
 
-    def expansions(self, cuts, time, u, p, step, x0, dx0, measured):
-        """By output: squares (segments, ny), half their gradient (.., nt) and Gauss-Newton Hessian (.., nt, nt)."""
+    def expansions(self, cuts, time, u, p, control, x0, dx0, measured):
+        """By output: squares (segments, ny), half their gradient (.., nt) and Gauss-Newton Hessian (.., nt, nt).
+
+        Squares are nan where a run stopped, inf where it became dear.
+        """
         (n, _, nt), ny = dx0.shape, self._outputs
         squares, gradient, hessian = np.zeros((n, ny)), np.zeros((n, ny, nt)), np.zeros((n, ny, nt, nt))
         arrays = (x0, dx0, measured, squares, gradient, hessian)
-        self._expansions(n, *map(_address, (cuts, time, u, p)), step, *map(_address, arrays))
+        self._expansions(n, *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
         return squares, gradient, hessian
 
 

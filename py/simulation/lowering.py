@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 
 import casadi as ca
+import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, StateVariable
 
-from . import equations
+from . import equations, stiffness
 from .block import Block
 
 METHODS = ("explicit", "rosenbrock")
@@ -24,13 +25,18 @@ def lower(model, period: float, method: str = "explicit") -> Block:
     no bound), exact for every dead time in between. States that an output measures start from that output; where
     its first sample is missing (nan) they start where the model's initialisation puts them.
 
-    Raises DeclarationError for an unknown method or a period that is not positive.
+    Nothing is refined inside a step: where contacts or steep valves matter, `simulate` is right.
+
+    Raises DeclarationError for an unknown method, a period that is not positive, or explicit steps in which a mode
+    grows that decays at the model's start.
     """
     flat = getattr(model, "flat", model)
     if method not in METHODS:
         raise DeclarationError(f"{flat.name}: no block method '{method}'. {nearest(method, METHODS)}")
     if not 0 < period < math.inf:
         raise DeclarationError(f"{flat.name}: the period must be positive (got {period} s). Give seconds, as 0.01.")
+    if method == "explicit":
+        _refuse_unstable(flat, period)
     delays = enumerate(equations.delays(flat))
     lines = {j: _line_length(flat, delay, period) for j, delay in delays if delay is not None}
     return Block(
@@ -45,6 +51,24 @@ def lower(model, period: float, method: str = "explicit") -> Block:
         description=flat.description,
         provenance={"lowered_from": flat.name, "method": method, "step": flat.step},
     )
+
+
+def _refuse_unstable(flat: FlatModel, period: float) -> None:
+    h = period / _count(flat, period)
+    u, p = np.array([s.default for s in flat.inputs]), flat.parameter_vector()
+    x = flat.start_given(())(u, p, []).full().ravel()
+    if not flat.states or not np.isfinite(x).all():
+        return
+    modes = stiffness.decaying_modes(flat, np.zeros(1), x[None], u[None], p)
+    if (stiffness.growth(h * modes) > 1 + 1e-9).any():
+        raise DeclarationError(
+            f"{flat.name}: a mode that decays with {np.abs(modes).max():.3g} 1/s grows in steps of {h:.3g} s. "
+            "Lower it with method='rosenbrock', or give the model a smaller step."
+        )
+
+
+def _count(flat: FlatModel, period: float) -> int:
+    return max(math.ceil(period / flat.step - 1e-6), 1)
 
 
 def _line_length(flat: FlatModel, delay: int, period: float) -> int:
@@ -65,10 +89,11 @@ def _step(flat: FlatModel, lines: dict[int, int], period: float, method: str) ->
     kind = ca.SX if method == "explicit" else ca.MX
     substep = equations.rk4_substep(flat) if method == "explicit" else equations.implicit_substep(flat)
     x, u, p, past = _symbols(kind, flat, lines)
-    count = max(math.ceil(period / flat.step - 1e-6), 1) if method == "explicit" or lines else 1
+    count = _count(flat, period) if method == "explicit" or lines else 1
     h, after = period / count, x
     for i in range(count):
-        after = substep(0, after, _delayed(flat, lines, u, past, p, i * h, (i + 1) * h, period), p, h)
+        mean = _delayed(flat, lines, u, past, p, i * h, (i + 1) * h, period)
+        after = substep.call([0, after, mean, p, h])[0]
     seen = _delayed(flat, lines, u, past, p, 0.0, 0.0, period)
     y = equations.output(flat)(0, x, seen, p)
     shifted = [ca.vertcat(u[j], past[j][:-1]) for j in lines]

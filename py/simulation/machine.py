@@ -10,10 +10,12 @@ import numpy as np
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations, inputs
+from .control import BURST, Control
 from .equations import Directions
 from .inputs import Substeps
+from .refining import Dear, is_rough, refine
 
-DONE, STATE, OUTPUT, GAVE_UP, NO_MEMORY = 0, 1, 2, 3, 4  # status codes of driver.c
+DONE, STATE, OUTPUT, GAVE_UP, NO_MEMORY, DEAR = 0, 1, 2, 3, 4, 5  # status codes of driver.c
 CHUNK = 100  # substeps per call of the virtual machine
 
 
@@ -24,128 +26,202 @@ class VirtualMachine:
     """
 
     def __init__(self, flat: FlatModel, to: Directions, implicit: bool):
-        self._flat, self._to, self._implicit = flat, to, implicit
-        self._linear = [s.interpolation == "linear" for s in flat.inputs]
+        self.flat, self.to, self.implicit = flat, to, implicit
+        self.linear = [s.interpolation == "linear" for s in flat.inputs]
         self._delays = equations.delays(flat)
+        self.nominal = np.array([s.nominal for s in flat.states])
         self._output = equations.output(flat)
-        self._substep = equations.implicit_substep(flat) if implicit else equations.rk4_substep(flat)
+        self.substep = _smooth(equations.implicit_substep(flat)) if implicit else equations.rk4_substep(flat)
 
-    def propagate(self, time, u, p, step, x0, restart=None):
+    def propagate(self, time, u, p, control, x0, restart=None):
         """``(status, where, y, x)`` as the C driver's ``propagate``; where: time and last finite state of a stop."""
-        cut = self._cut(time, u, p, step)
+        walk = _Walk(self, time, u, p, control)
         try:
-            after = self._walk(cut, x0, p) if restart is None else self._walk_each(cut, restart, p)
+            after = walk.states(x0) if restart is None else walk.each(restart)
         except RuntimeError:  # the integrator inside gave up
             return GAVE_UP, np.array([time[0], *x0]), None, None
-        status, where = _first_stop(cut, after, x0, restart)
+        except Dear:
+            return DEAR, np.array([time[0], *x0]), None, None
+        status, where = _first_stop(walk.cut, after, x0, restart)
         if status:
             return status, where, None, None
-        x = np.vstack([x0, after[cut.last]])
+        x = np.vstack([x0, after[walk.cut.last]])
         y = self._output(time[None, :], x.T, self._seen(time, u, p).T, p).full().T
         return *_checked(time, x, y), y, x
 
-    def propagate_tangent(self, time, u, p, step, x0, dx0, with_states=True):
+    def propagate_tangent(self, time, u, p, control, x0, dx0, with_states=True):
         """``(status, where, y, dy, x, dx)`` as the C driver's ``propagate_tangent``."""
-        cut = self._cut(time, u, p, step)
+        walk = _Walk(self, time, u, p, control)
         try:
-            after, tangent = self._walk_tangent(cut, x0, dx0, p)
+            after, tangent = walk.tangents(x0, dx0)
         except RuntimeError:
             return GAVE_UP, np.array([time[0], *x0]), None, None, None, None
-        status, where = _first_stop(cut, after, x0, None)
+        except Dear:
+            return DEAR, np.array([time[0], *x0]), None, None, None, None
+        status, where = _first_stop(walk.cut, after, x0, None)
         if status:
             return status, where, None, None, None, None
-        x = np.vstack([x0, after[cut.last]])
-        dx = np.concatenate([dx0[None], tangent[cut.last]])
+        x = np.vstack([x0, after[walk.cut.last]])
+        dx = np.concatenate([dx0[None], tangent[walk.cut.last]])
         y, dy = self._seen_tangent(time, u, p, x, dx)
         return *_checked(time, x, y), y, dy, x, dx if with_states else None
 
-    def _dead_time(self, p):
+    def dead_time(self, p):
         return [None if d is None else float(p[d]) for d in self._delays]
 
-    def _cut(self, time, u, p, step) -> Substeps:
-        return inputs.substeps(time, u, step, self._linear, self._dead_time(p))
+    def units_of_sensitivities(self, p) -> np.ndarray:
+        return equations.units_of_sensitivities(self.flat, self.to, ca.DM(p)).full() if self.to.count else np.empty(0)
 
     def _seen(self, time, u, p):
         """The inputs that the outputs see: delayed, at the samples."""
         seen = u.copy()
-        for j, Td in enumerate(self._dead_time(p)):
+        for j, Td in enumerate(self.dead_time(p)):
             if Td is not None:
-                seen[:, j] = inputs.at(time, u[:, j], time - Td, self._linear[j], "right")
+                seen[:, j] = inputs.at(time, u[:, j], time - Td, self.linear[j], "right")
         return seen
 
-    def _walk(self, cut: Substeps, x, p):
-        """States after every substep (m, nx), each from the one before."""
-        after = np.empty((len(cut.time), len(x)))
-        data = np.column_stack([cut.time, cut.mean, cut.length])
-        for first in range(0, len(data), CHUNK):
-            part = _padded(data[first : first + CHUNK])
-            made = self._many(x, part.T, p).full().T[: len(data) - first]
-            after[first : first + CHUNK] = made
-            x = made[-1]
-        return after
-
-    def _walk_each(self, cut: Substeps, restart, p):
-        """States after every substep (m, nx), every interval from its own start: all intervals side by side."""
-        firsts = cut.first
-        counts = cut.last - firsts + 1
-        after = np.empty((len(cut.time), restart.shape[1]))
-        for level in range(counts.max(initial=0)):
-            at = (firsts + level)[counts > level]
-            x = restart[:-1][counts > level] if level == 0 else after[at - 1]
-            after[at] = self._substep(cut.time[at][None, :], x.T, cut.mean[at].T, p, cut.length[at][None, :]).full().T
-        return after
-
-    def _walk_tangent(self, cut: Substeps, x, dx, p):
-        after, tangent = np.empty((len(cut.time), len(x))), np.empty((len(cut.time), *dx.shape))
-        rate = cut.mean_rate[:, [j for j, _ in self._to.dead]]
-        data = np.column_stack([cut.time, cut.mean, rate, cut.length])
-        for first in range(0, len(data), CHUNK):
-            part = data[first : first + CHUNK]
-            x_many, dx_many = self._many_tangents(x, dx, _padded(part).T, p)
-            after[first : first + CHUNK] = x_many.full().T[: len(part)]
-            blocks = dx_many.full().reshape(len(x), CHUNK, dx.shape[1]).transpose(1, 0, 2)
-            tangent[first : first + CHUNK] = blocks[: len(part)]
-            x, dx = after[first + len(part) - 1], tangent[first + len(part) - 1]
-        return after, tangent
-
     def _seen_tangent(self, time, u, p, x, dx):
-        rate = np.zeros((len(time), len(self._to.dead)))
-        for m, (j, _) in enumerate(self._to.dead):
+        rate = np.zeros((len(time), len(self.to.dead)))
+        for m, (j, _) in enumerate(self.to.dead):
             delayed = time - p[self._delays[j]]
-            rate[:, m] = -inputs.slope_at(time, u[:, j], delayed, self._linear[j])
-        columns = dx.transpose(1, 0, 2).reshape(x.shape[1], len(time) * self._to.count)
+            rate[:, m] = -inputs.slope_at(time, u[:, j], delayed, self.linear[j])
+        columns = dx.transpose(1, 0, 2).reshape(x.shape[1], len(time) * self.to.count)
         y, dy = self._output_tangent(time[None, :], x.T, self._seen(time, u, p).T, p, columns, rate.T)
-        return y.full().T, dy.full().reshape(y.size1(), len(time), self._to.count).transpose(1, 0, 2).copy()
+        return y.full().T, dy.full().reshape(y.size1(), len(time), self.to.count).transpose(1, 0, 2).copy()
 
     @functools.cached_property
-    def _many(self):
+    def many(self) -> ca.Function:
+        """CHUNK substeps: (x, data (.., CHUNK), p) -> x and roughness (nx, CHUNK)."""
         return self._on_axis(0).mapaccum("walk", CHUNK, 1)
 
     @functools.cached_property
-    def _many_tangents(self):
-        return self._on_axis(len(self._to.dead), tangent=True).mapaccum("walk_tangent", CHUNK, 2)
+    def many_tangents(self) -> ca.Function:
+        """The same with dx (nx, n_theta), one beside the other, behind x."""
+        return self._on_axis(len(self.to.dead), tangent=True).mapaccum("walk_tangent", CHUNK, 2)
 
     def _on_axis(self, rates: int, tangent: bool = False):
-        """The substep as ``(x[, dx], [t; u; du; h], p) -> x[, dx]``: the order of arguments that mapaccum takes."""
-        kind = ca.MX if self._implicit else ca.SX
-        nx, nu = len(self._flat.states), len(self._flat.inputs)
-        x, p = kind.sym("x", nx), kind.sym("p", len(self._flat.parameters))
+        """The substep as ``(x[, dx], [t; u; du; h], p) -> x[, dx], roughness``: the order that mapaccum takes."""
+        kind = ca.MX if self.implicit else ca.SX
+        nx, nu = len(self.flat.states), len(self.flat.inputs)
+        x, p = kind.sym("x", nx), kind.sym("p", len(self.flat.parameters))
         data = kind.sym("data", nu + rates + 2)
         t, u, du, h = data[0], data[1 : nu + 1], data[nu + 1 : nu + 1 + rates], data[nu + 1 + rates]
         if not tangent:
-            return ca.Function("on_axis", [x, data, p], [self._substep(t, x, u, p, h)])
-        dx = kind.sym("dx", nx, self._to.count)
-        return ca.Function("on_axis", [x, dx, data, p], self._tangent_substep(t, x, u, p, h, dx, du))
+            return ca.Function("on_axis", [x, data, p], self.substep.call([t, x, u, p, h]))
+        dx = kind.sym("dx", nx, self.to.count)
+        return ca.Function("on_axis", [x, dx, data, p], self.tangent_substep.call([t, x, u, p, h, dx, du]))
 
-    def _tangent_substep(self, t, x, u, p, h, dx, du):
-        if self._implicit:
-            after = equations.implicit_tangent(self._flat, self._to)(t, x, u, p, h, dx, du)
-            return [self._substep(t, x, u, p, h), after]
-        return list(equations.rk4_tangent(self._flat, self._to)(t, x, u, p, h, dx, du))
+    @functools.cached_property
+    def tangent_substep(self) -> ca.Function:
+        """``(t, x, u, p, h, dx, du) -> x, dx, roughness``."""
+        if not self.implicit:
+            return equations.rk4_tangent(self.flat, self.to)
+        within = equations.implicit_tangent(self.flat, self.to)
+        arguments = within.mx_in()
+        x, smooth = self.substep.call(arguments[:5])
+        return ca.Function("tangent", arguments, [x, *within.call(arguments), smooth])
 
     @functools.cached_property
     def _output_tangent(self):
-        return equations.output_tangent(self._flat, self._to)
+        return equations.output_tangent(self.flat, self.to)
+
+
+class _Walk:
+    """One run: the substeps of the recording, those that are rough refined."""
+
+    def __init__(self, machine: VirtualMachine, time, u, p, control: Control):
+        self.machine, self.time, self.u, self.p, self.control = machine, time, u, p, control
+        self.cut = inputs.substeps(time, u, control.step, machine.linear, machine.dead_time(p))
+        self.left = [BURST + control.trials * ((time[-1] - time[0]) / control.step + len(time))] * 2
+
+    def states(self, x):
+        """States after every substep (m, nx), each from the one before."""
+        cut = self.cut
+        data = np.column_stack([cut.time, cut.mean, cut.length])
+
+        def many(part, z):
+            made, rough = self.machine.many(*z, part.T, self.p)
+            return (made.full().T,), rough.full().T
+
+        return self._through(data, (x,), many)[0]
+
+    def tangents(self, x, dx):
+        """The same, and the derivatives (m, nx, n_theta)."""
+        cut, (nx, nt) = self.cut, dx.shape
+        data = np.column_stack([cut.time, cut.mean, cut.mean_rate[:, self._dead], cut.length])
+
+        def many(part, z):
+            made, tangent, rough = self.machine.many_tangents(*z, part.T, self.p)
+            tangent = tangent.full().reshape(nx, CHUNK, nt).transpose(1, 0, 2)
+            return (made.full().T, tangent), rough.full().T
+
+        return self._through(data, (x, dx), many)
+
+    def each(self, restart):
+        """States after every substep, every interval from its own start: all intervals side by side."""
+        cut, first = self.cut, self.cut.first
+        after = np.empty((len(cut.time), restart.shape[1]))
+        counts = cut.last - first + 1
+        for level in range(counts.max(initial=0)):
+            at = (first + level)[counts > level]
+            x = restart[:-1][counts > level] if level == 0 else after[at - 1]
+            start, length = cut.time[at][None, :], cut.length[at][None, :]
+            made, rough = self.machine.substep(start, x.T, cut.mean[at].T, self.p, length)
+            after[at] = made.full().T
+            for i in np.flatnonzero(self._rough(rough.full().T, x)):
+                after[at[i]] = self._refined(at[i], (x[i],))[0]
+        return after
+
+    def _through(self, data, z, many):
+        after = tuple(np.empty((len(data), *part.shape)) for part in z)
+        first = 0
+        while first < len(data):
+            made, rough = many(_padded(data[first : first + CHUNK]), z)
+            before = np.vstack([z[0], made[0][:-1]])
+            rough = self._rough(rough, before)[: len(data) - first]
+            smooth = int(np.argmax(rough)) if rough.any() else len(rough)
+            for whole, part in zip(after, made, strict=True):
+                whole[first : first + smooth] = part[:smooth]
+            z = tuple(part[smooth - 1] for part in made) if smooth else z
+            first += smooth
+            if rough.any():
+                z = self._refined(first, z)
+                for whole, part in zip(after, z, strict=True):
+                    whole[first] = part
+                first += 1
+        return after
+
+    def _rough(self, roughness, x):
+        controlled = np.isfinite(self.control.tolerance) and not self.machine.implicit
+        return is_rough(roughness, x, self.control, self.machine.nominal) if controlled else np.zeros(len(x), bool)
+
+    def _refined(self, j: int, z):
+        """After the rough substep j."""
+        k = int(np.searchsorted(self.cut.last, j))
+
+        def trial(t, h, z):
+            window = np.array([k]), np.array([t]), np.array([h])
+            dead = self.machine.dead_time(self.p)
+            (mean,), (rate,) = inputs.means(self.time, self.u, *window, self.machine.linear, dead)
+            if len(z) == 1:
+                made = self.machine.substep(t, *z, mean, self.p, h)
+            else:
+                made = self.machine.tangent_substep(t, z[0], mean, self.p, h, z[1], rate[self._dead])
+            return tuple(part.full().reshape(old.shape) for part, old in zip(made, z, strict=False))
+
+        start, length = self.cut.time[j], self.cut.length[j]
+        units = self.machine.nominal, self.machine.units_of_sensitivities(self.p)
+        return refine(trial, start, length, z, self.control, units, self.left)
+
+    @property
+    def _dead(self):
+        return [j for j, _ in self.machine.to.dead]
+
+
+def _smooth(step: ca.Function) -> ca.Function:
+    """An implicit substep with the result that tells an explicit one rough: it controls itself."""
+    arguments = step.mx_in()
+    return ca.Function("substep", arguments, [*step.call(arguments), ca.MX(arguments[1].size1(), 1)])
 
 
 def _padded(part):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import copy
 import threading
-import warnings
-from collections import OrderedDict
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,14 +14,15 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import steps_over
 
 from . import equations, stiffness
-from .compiler import compile_library
+from .control import TOLERANCE, Accuracy, Control, compared, moved_far
+from .engines import engine_of
 from .library import Library
-from .machine import DONE, NO_MEMORY, OUTPUT, STATE, VirtualMachine
+from .machine import DEAR, DONE, NO_MEMORY, OUTPUT, STATE
 from .recent import Recent
-from .source import c_source
 
 METHODS = ("auto", "explicit", "rosenbrock", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
+TRIALS = 4  # by how much more it may divide the steps around kinks, on the average of a run
 
 
 class Diverged(SolveError):
@@ -46,9 +46,10 @@ def prepare(
     """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
 
     step : longest substep [s]; the model's own by default.
-    method : "explicit" (RK4), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto": explicit,
-        with the step halved if the eigenvalues along the first run ask for it, down to an eighth, of a model of more
-        than eight states to one part in so many; else rosenbrock.
+    method : "explicit" (RK4 at the step), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto":
+        explicit, with every step refined in which a contact or another kink asks for it, and all of them halved if the
+        eigenvalues along the first run do, down to an eighth, of a model of more than eight states to one part in so
+        many; else, and where refined steps become dearer, rosenbrock.
     few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
     zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
         while they are have none, which makes a model of many parts at rest several times faster.
@@ -66,24 +67,44 @@ def prepare(
     return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
 
 
+class _Choice(NamedTuple):
+    """How the next run goes: read once by each, so that threads may share a propagator.
+
+    at : the parameters at which it was decided.
+    """
+
+    method: str
+    control: Control
+    at: np.ndarray | None = None
+
+    @property
+    def implicit(self) -> bool:
+        return self.method == "rosenbrock"
+
+
 class Propagator:
     """Runs one model over recordings. Arrays are SI; safe to call from several threads.
 
-    ``method`` is "auto" until the first run decided it and the ``step`` [s]; ``engine`` is "c" or "vm" (CasADi's
-    interpreter).
+    ``method`` is "auto" until the first run decided it and the ``step`` [s], again when parameters have moved far;
+    ``engine`` is "c" or "vm" (CasADi's interpreter).
     """
 
     def __init__(
         self, flat: FlatModel, free_parameters, free_states, step: float, method: str, few_runs=False, zero=()
     ):
-        self.flat, self.step, self._asked = flat, step, (step, method)
+        self.flat, self._asked = flat, (step, "explicit" if method == "vm" else method)
         self.free_parameters, self.free_states = free_parameters, free_states
-        self.method = "explicit" if method == "vm" else method
         self._interpreted, self._few_runs = method == "vm", few_runs
         self._to = equations.directions(flat, free_parameters, free_states, zero)
-        self._deciding = threading.Lock()
-        explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
-        self._engines, self._recents = {False: explicit}, {"explicit": Recent(), "rosenbrock": Recent()}
+        self._nominal = np.array([q.nominal for q in flat.parameters])
+        self._engines, self._recents = {}, {"explicit": Recent(), "rosenbrock": Recent()}
+        self._begin(self._asked[1])
+        if self.method != "rosenbrock":
+            self._engine(implicit=False)
+
+    def _begin(self, method: str) -> None:
+        self._choice = _Choice(method, Control(self._asked[0]))
+        self._deciding, self._building = threading.Lock(), threading.Lock()
 
     def undecided(self, method: str | None = None) -> Propagator:
         """The same with step and method as they were asked for: "auto" is decided again, at other parameters.
@@ -91,15 +112,25 @@ class Propagator:
         method : another one, instead.
         """
         other = copy.copy(self)
-        asked = method or self._asked[1]
-        other.step, other.method = self._asked[0], "explicit" if asked == "vm" else asked
-        other._deciding, other._engines = threading.Lock(), dict(self._engines)
+        other._engines = dict(self._engines)
+        other._asked = self._asked[0], method or self._asked[1]
+        other._begin(other._asked[1])
         return other
+
+    @property
+    def method(self) -> str:
+        """The method of the next run: "auto" before the first."""
+        return self._choice.method
+
+    @property
+    def step(self) -> float:
+        """Longest step [s] of the next run where nothing is refined."""
+        return self._choice.control.step
 
     @property
     def engine(self) -> str:
         """What runs the model: "c" or "vm"."""
-        return "c" if isinstance(self._chosen(), Library) else "vm"
+        return "c" if isinstance(self._engine(self.method == "rosenbrock"), Library) else "vm"
 
     def run(self, time, u, p, x0, restart=None) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (n, ny) and states (n, nx) at ``time`` (n,) from inputs (n, nu), parameters (np,), start (nx,).
@@ -112,7 +143,7 @@ class Propagator:
         restart = None if restart is None else _shaped("restart", restart, (len(time), len(x0)), self.flat.name)
         answer = self._decide(time, u, p, x0)
         if answer is None or restart is not None:
-            answer = self._chosen().propagate(time, u, p, self._longest(), x0, restart)
+            answer = self._stepped("propagate", time, u, p, x0, restart)
         status, where, y, x = answer
         self._stop(status, where, time, u, p)
         return y, x
@@ -131,9 +162,7 @@ class Propagator:
         if self._to.count == 0:
             y, x = self.run(time, u, p, x0)
             return y, np.empty((*y.shape, 0)), x, np.empty((*x.shape, 0)) if with_states else None
-        status, where, y, dy, x, dx = self._chosen().propagate_tangent(
-            time, u, p, self._longest(), x0, dx0, with_states
-        )
+        status, where, y, dy, x, dx = self._stepped("propagate_tangent", time, u, p, x0, dx0, with_states)
         self._stop(status, where, time, u, p)
         return y, dy, x, dx
 
@@ -147,7 +176,13 @@ class Propagator:
         """
         cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
         weights = _shaped("weights", weights, (len(self.flat.outputs),), self.flat.name)
-        return self._chosen().costs(cuts, time, u, p, self._longest(), x0, measured, weights)
+        choice = self._choice
+        cost = self._engine(choice.implicit).costs(cuts, time, u, p, choice.control, x0, measured, weights)
+        dear = np.isinf(cost)
+        if dear.any():
+            engine = self._engine(implicit=True)
+            cost[dear] = engine.costs(cuts[dear], time, u, p, choice.control, x0[dear], measured, weights)
+        return cost
 
     def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured):
         """``sum (y - measured)^2`` of many runs as in `costs`, half its gradient and half its Gauss-Newton Hessian.
@@ -160,13 +195,65 @@ class Propagator:
         cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (*x0.shape, self._to.count), self.flat.name)
         self._at_zero(p)
-        engine, step = self._chosen(), self._longest()
         if self._to.count == 0:
             ny = len(self.flat.outputs)
-            alone = [engine.costs(cuts, time, u, p, step, x0, measured, unit) for unit in np.eye(ny)]
+            alone = [self.costs(time, u, p, cuts, x0, measured, unit) for unit in np.eye(ny)]
             return 2 * np.stack(alone, axis=1), np.zeros((len(x0), ny, 0)), np.zeros((len(x0), ny, 0, 0))
-        recent = self._recents[self.method]
-        return recent.answer(engine.expansions, cuts, time, u, p, step, x0, dx0, measured)
+        choice = self._choice
+
+        def expand(*asked):
+            return self._expanded(choice.implicit, *asked)
+
+        recent = self._recents[choice.method]
+        return recent.answer(expand, cuts, time, u, p, choice.control, x0, dx0, measured)
+
+    def _expanded(self, implicit: bool, cuts, time, u, p, control, x0, dx0, measured):
+        found = self._engine(implicit).expansions(cuts, time, u, p, control, x0, dx0, measured)
+        dear = np.isinf(found[0]).any(axis=1)
+        if dear.any():
+            engine = self._engine(implicit=True)
+            again = engine.expansions(cuts[dear], time, u, p, control, x0[dear], dx0[dear], measured)
+            for part, other in zip(found, again, strict=True):
+                part[dear] = other
+        return found
+
+    def accuracy(self, time, u, p, x0) -> Accuracy:
+        """How far the outputs of `run` are from those with half the step and an eighth of the error in each."""
+        time, u, p, x0 = self._arrays(time, u, p, x0)
+        y, _ = self.run(time, u, p, x0)
+        return self._accuracy(self._choice, time, u, p, x0, y)
+
+    def controlled_run(self, time, u, p, x0) -> tuple[np.ndarray, np.ndarray, Accuracy]:
+        """As `run`, and its `accuracy`.
+
+        Where "auto" misses it, finer steps are tried and then the implicit method; the best stays.
+        """
+        time, u, p, x0 = self._arrays(time, u, p, x0)
+        y, x = self.run(time, u, p, x0)
+        choice = self._choice
+        best = y, x, self._accuracy(choice, time, u, p, x0, y)
+        for finer in self._finer(choice):
+            if best[2].reached:
+                break
+            status, _, y, x = self._stepped("propagate", time, u, p, x0, None, choice=finer)
+            reached = self._accuracy(finer, time, u, p, x0, y) if status == DONE else None
+            if reached and reached.error < best[2].error:
+                best, self._choice = (y, x, reached), finer
+        return best
+
+    def _accuracy(self, choice: _Choice, time, u, p, x0, y) -> Accuracy:
+        finer = choice._replace(control=choice.control.finer())
+        status, _, other, _ = self._stepped("propagate", time, u, p, x0, None, choice=finer)
+        other = other if status == DONE else np.full_like(y, np.inf)
+        return compared(self.flat, time, y, other, choice.method, choice.control.step)
+
+    def _finer(self, choice: _Choice) -> list[_Choice]:
+        """What "auto" tries when a choice misses the accuracy."""
+        if self._asked[1] != "auto" or choice.implicit:
+            return []
+        control = choice.control
+        halved = [control._replace(step=control.step / 2.0**k) for k in range(1, int(np.log2(FINEST)) + 1)]
+        return [*(choice._replace(control=c) for c in halved), choice._replace(method="rosenbrock", control=control)]
 
     def _at_zero(self, p, with_states: bool = False) -> None:
         """Refuse sensitivities that were left out."""
@@ -206,11 +293,6 @@ class Propagator:
             )
         return time, u, _shaped("p", p, (len(flat.parameters),), name), _shaped("x0", x0, (len(flat.states),), name)
 
-    def _longest(self) -> float:
-        """Adaptive steps need no substeps when every input is held without delay."""
-        held = all(s.interpolation == "hold" and s.dead_time is None for s in self.flat.inputs)
-        return np.inf if self.method == "rosenbrock" and held else self.step
-
     def _decide(self, time, u, p, x0):
         """Settle "auto" by a first explicit run, whose steps must do for the eigenvalues met along it.
 
@@ -218,29 +300,47 @@ class Propagator:
         many equations as there are states, with a derivative to every parameter. Returns the run, as an engine does,
         when explicit steps will do, else None.
         """
-        if self.method != "auto":
+        if not self._open(p):
             return None
         with self._deciding:
-            if self.method != "auto":
+            if not self._open(p):
                 return None
-            halvings = int(np.log2(max(FINEST, len(self.flat.states))))
-            for step in self.step / 2.0 ** np.arange(halvings + 1):
-                answer = self._engines[False].propagate(time, u, p, step, x0)
+            most = max(FINEST, len(self.flat.states))
+            for step in self._asked[0] / 2.0 ** np.arange(int(np.log2(most)) + 1):
+                control = Control(float(step), TOLERANCE, TRIALS * most)
+                answer = self._engine(implicit=False).propagate(time, u, p, control, x0)
+                if answer[0] == DEAR:
+                    break
                 if stiffness.explicit_will_do(self.flat, step, time, u, p, x0, answer[-1]):
-                    self.step, self.method = float(step), "explicit"
+                    self._choice = _Choice("explicit", control, p)
                     return answer
-            self._engines[True] = self._engine(implicit=True)
-            self.method = "rosenbrock"
+            self._engine(implicit=True)
+            self._choice = _Choice("rosenbrock", Control(self._asked[0]), p)
             return None
 
-    def _chosen(self):
-        implicit = self.method == "rosenbrock"
-        if self._engines.get(implicit) is None:
-            self._engines[implicit] = self._engine(implicit)
-        return self._engines[implicit]
+    def _open(self, p) -> bool:
+        """Whether "auto" is to be decided: for the first time, or because parameters have moved far."""
+        if self._asked[1] != "auto":
+            return False
+        at = self._choice.at
+        return at is None or moved_far(p, at, self._nominal)
+
+    def _stepped(self, what: str, time, u, p, *rest, choice: _Choice | None = None):
+        """What the chosen engine answers, or the implicit one where explicit steps become dearer."""
+        choice = choice or self._choice
+        control = choice.control
+        answer = getattr(self._engine(choice.implicit), what)(time, u, p, control, *rest)
+        if answer[0] == DEAR:
+            answer = getattr(self._engine(implicit=True), what)(time, u, p, control, *rest)
+        return answer
 
     def _engine(self, implicit: bool):
-        return _engine(self.flat, self._to, implicit, self._interpreted, self._few_runs)
+        found = self._engines.get(implicit)
+        if found is None:
+            with self._building:
+                found = engine_of(self.flat, self._to, implicit, self._interpreted, self._few_runs)
+                self._engines[implicit] = found
+        return found
 
     def _stop(self, status: int, where, time, u, p) -> None:
         """Raise what a driver's status means, naming the state or output that blew up."""
@@ -282,43 +382,3 @@ def _shaped(label: str, values, shape: tuple[int, ...], name: str) -> np.ndarray
     if array.shape != shape:
         raise SolveError(f"{name}: {label} must have shape {shape} (got {array.shape}). Check the order of axes.")
     return array
-
-
-_kept: OrderedDict = OrderedDict()
-_kept_lock = threading.Lock()
-
-
-def _engine(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool, few_runs: bool):
-    """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
-    scales = tuple(s.nominal for s in flat.states)
-    key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), to, implicit, interpreted, few_runs)
-    with _kept_lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key][0]
-    made = VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit, few_runs)
-    with _kept_lock:
-        _kept[key] = made, flat.ode  # the function is kept alive: its id is the key
-        while len(_kept) > 24:
-            _kept.popitem(last=False)
-    return made
-
-
-def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool, few_runs: bool):
-    name = "".join(c if c.isalnum() else "_" for c in flat.name)
-    optimise = ("-O2",) if implicit else ("-O3",)  # the integrator is long: -O3 compiles longer and runs no faster
-    optimise = ("-O1", "-ftree-vectorize") if few_runs else optimise
-    source = c_source(flat, to, implicit)
-    path = compile_library(source, name, optimise)
-    if path is not None:
-        try:
-            return Library(path, len(flat.outputs))
-        except OSError:  # a damaged file in the cache
-            path.unlink(missing_ok=True)
-            return Library(compile_library(source, name, optimise), len(flat.outputs))
-    warnings.warn(
-        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, ten times slower. "
-        "Install ziglang (pip install ziglang) or set CC.",
-        stacklevel=2,
-    )
-    return VirtualMachine(flat, to, implicit)

@@ -46,28 +46,37 @@ static inline void combine(int n, double *restrict to, const double *restrict fr
   for (int i = 0; i < n; i++) to[i] = from[i] + factor * rate[i];
 }
 
-static inline void weigh(int n, double *restrict x, double h, const double *restrict k1, const double *restrict k2,
-                         const double *restrict k3, const double *restrict k4) {
-  for (int i = 0; i < n; i++) x[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
+static inline void weigh(int n, double *restrict to, const double *restrict x, double h, const double *restrict k1,
+                         const double *restrict k2, const double *restrict k3, const double *restrict k4) {
+  for (int i = 0; i < n; i++) to[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
 }
 
-static int advance_tangent(Run *run, double t, double h, const double *u, const double *du, double *x, double *dx) {
 #if IMPLICIT
-  double kept[NX + 1], seeds[NX * NT + 1], next[NX * NT + 1]; /* column by column, as CasADi stores matrices */
-  const double *arg[TANGENT_ARG] = {&t, kept, u, run->p, &h, seeds, du};
-  double *res[TANGENT_RES] = {next};
-  memcpy(kept, x, NX * sizeof(double));
+static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
+  const double *dx = z + NX;
+  double mean[NU + 1], rate[ND + 1];
+  double seeds[NX * NT + 1], after[NX * NT + 1]; /* column by column, as CasADi stores matrices */
+  const double *arg[TANGENT_ARG] = {&t, z, mean, run->p, &h, seeds, rate};
+  double *res[TANGENT_RES] = {after};
+  int status = step_state(run, k, t, h, whole, z, next);
+  if (status) return status;
+  mean_inputs(run, k, t, h, whole, mean);
+  mean_input_rates(run, t, h, rate);
   for (int i = 0; i < NX; i++)
     for (int c = 0; c < NT; c++) seeds[c * NX + i] = dx[i * LD + c];
-  int status = advance(run, t, h, u, x);
-  if (status) return status;
   if (implicit_tangent(arg, res, run->integers, run->work, 0)) return 3;
   for (int i = 0; i < NX; i++)
-    for (int c = 0; c < NT; c++) dx[i * LD + c] = next[c * NX + i];
-  return not_finite(next, NX * NT) ? 3 : 0;
+    for (int c = 0; c < NT; c++) next[NX + i * LD + c] = after[c * NX + i];
+  return not_finite(after, NX * NT) ? 3 : 0;
+}
 #else
-  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1];
+static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
+  const double *x = z, *dx = z + NX;
+  double u[NU + 1], du[ND + 1];
+  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1], roughness[NX + 1];
   double d1[NS * LD + 1], d2[NS * LD + 1], d3[NS * LD + 1], d4[NS * LD + 1], ds[NS * LD + 1];
+  mean_inputs(run, k, t, h, whole, u);
+  mean_input_rates(run, t, h, du);
   linear_stage(run, t, x, u, dx, du, k1, d1);
   combine(NX, xs, x, h / 2, k1);
   combine(NS * LD, ds, dx, h / 2, d1);
@@ -78,14 +87,15 @@ static int advance_tangent(Run *run, double t, double h, const double *u, const 
   combine(NX, xs, x, h, k3);
   combine(NS * LD, ds, dx, h, d3);
   linear_stage(run, t + h, xs, u, ds, du, k4, d4);
-  memcpy(xs, x, NX * sizeof(double));
-  weigh(NX, x, h, k1, k2, k3, k4);
-  weigh(NS * LD, dx, h, d1, d2, d3, d4);
-  if (!not_finite(x, NX)) return 0;
-  memcpy(x, xs, NX * sizeof(double));
-  return 1;
-#endif
+  weigh(NX, next, x, h, k1, k2, k3, k4);
+  for (int i = 0; i < NX; i++) { /* as in rk4_substep */
+    double bend = k1[i] - k2[i] - k3[i] + k4[i], turn = 2 * (k3[i] - k2[i]);
+    roughness[i] = h * h / 36 * (bend * bend + turn * turn);
+  }
+  weigh(NS * LD, next + NX, dx, h, d1, d2, d3, d4);
+  return judged(run, x, next, roughness);
 }
+#endif
 
 /* dy = dh/dx dx + dh/dp + dh/du du at sample k. */
 static int write_linear_output(Run *run, long long k, const double *x, const double *dx, double *y, double *dy) {
@@ -122,11 +132,11 @@ static void add_expansion(Sum *sum, long long k, const double *y, const double *
 static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y, double *dy, double *x_out,
                         double *dx_out, Sum *sum, double *where) {
   const double *time = run->time;
-  double x[NX + 1], dx[NS * LD + 1], mean[NU + 1], rate[ND + 1];
+  double x[MOVING + 1], *dx = x + NX;
   int status = open_run(run);
   FLUSH();
   memcpy(x, x0, NX * sizeof(double));
-  memset(dx, 0, sizeof dx);
+  memset(dx, 0, NS * LD * sizeof(double));
   for (int i = 0; i < NS; i++) memcpy(dx + i * LD, dx0 + KEPT[i] * NT, NT * sizeof(double));
   for (long long k = 0; k < run->samples && !status; k++) {
     long long row = sum ? 0 : k;
@@ -137,14 +147,7 @@ static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y
       stopped(status, time[k], x, where);
     if (sum) add_expansion(sum, k, y, dy);
     if (k + 1 == run->samples || status) break;
-    double dt = time[k + 1] - time[k];
-    long long n = substeps_in(run, dt);
-    for (long long i = 0; i < n && !status; i++) {
-      double h = dt / (double)n, t = time[k] + (double)i * h;
-      mean_inputs(run, k, t, h, n == 1, mean);
-      mean_input_rates(run, t, h, rate);
-      if ((status = advance_tangent(run, t, h, mean, rate, x, dx))) stopped(status, t, x, where);
-    }
+    if ((status = cross(run, step_tangent, MOVING, k, x))) stopped(status, run->reached, x, where);
   }
   close_run(run);
   RESTORE();
@@ -152,27 +155,28 @@ static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y
 }
 
 /* dx0 (NX, NT); y (samples, NY), dy (samples, NY, NT), x (samples, NX), dx (samples, NX, NT; rows KEPT) or null. */
-EXPORT int propagate_tangent(long long samples, const double *time, const double *u, const double *p, double step,
+EXPORT int propagate_tangent(long long samples, const double *time, const double *u, const double *p, Control control,
                              const double *x0, const double *dx0, double *y, double *dy, double *x_out,
                              double *dx_out, double *where) {
-  Run run = {samples, time, u, p, step};
+  Run run = {samples, time, u, p, control};
   return walk_tangent(&run, x0, dx0, y, dy, x_out, dx_out, 0, where);
 }
 
 /* dx0 (segments, NX, NT); sums by output, all zero before: squares (segments, NY), their gradient (segments, NY, NT) and
-   hessian (segments, NY, NT, NT), both halved; squares are not a number where a run stopped. */
+   hessian (segments, NY, NT, NT), both halved; squares are not a number where a run stopped, infinite where it became
+   dear. */
 EXPORT void propagate_expansions(long long segments, const long long *cuts, const double *time, const double *u,
-                                 const double *p, double step, const double *x0, const double *dx0,
+                                 const double *p, Control control, const double *x0, const double *dx0,
                                  const double *measured, double *squares, double *gradient, double *hessian) {
   double y[NY + 1], dy[NY * NT + 1], x[NX + 1], where[NX + 1];
   for (long long s = 0; s < segments; s++) {
-    Run run = run_of(cuts + 3 * s, time, u, p, step);
+    Run run = run_of(cuts + 3 * s, time, u, p, control);
     Sum sum = sum_of(cuts + 3 * s, measured, 0);
     sum.squares = squares + s * NY, sum.gradient = gradient + s * NY * NT, sum.hessian = hessian + s * NY * NT * NT;
     int status = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where);
     for (int i = 0; i < NY; i++) {
       double *H = sum.hessian + i * NT * NT;
-      if (status) sum.squares[i] = NAN;
+      if (status || sum.squares[i] == INFINITY) sum.squares[i] = status == DEAR ? INFINITY : NAN;
       for (int c = 0; c < NT; c++)
         for (int d = 0; d < c; d++) H[c * NT + d] = H[d * NT + c];
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,7 +14,19 @@ from hydrotwin.records import Record, known_inputs, require
 
 from . import sampled
 from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
+from .control import Accuracy
 from .propagator import prepare
+
+
+class InaccurateWarning(UserWarning):
+    """A run that misses the accuracy; the text says by how much."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Simulated(Record):
+    """A Record that was simulated, and how accurately."""
+
+    accuracy: Accuracy | None = None
 
 
 def simulate(
@@ -34,6 +47,9 @@ def simulate(
 
     parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
 
+    Of a model's run the answer's ``accuracy`` says how far it is from that with half the step; a run that misses
+    `control.ACCURACY` warns with the numbers (`InaccurateWarning`).
+
     Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
     """
     _filled(record, model)
@@ -43,7 +59,13 @@ def simulate(
         return _with_domain(_answer(record, model, y, run.grid), model, run, y)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
-    return _answer(record, flat, prepare(flat, step=step, method=method).run(_since_start(record), u, p, x0)[0])
+    propagator = prepare(flat, step=step, method=method)
+    if flat.black_box:
+        return _answer(record, flat, propagator.run(_since_start(record), u, p, x0)[0])
+    y, _, reached = propagator.controlled_run(_since_start(record), u, p, x0)
+    if not reached.reached:
+        warnings.warn(f"{flat.name} on {record.name}: {reached}.", InaccurateWarning, stacklevel=2)
+    return Simulated(**vars(_answer(record, flat, y)), accuracy=reached)
 
 
 def predict_one_step(

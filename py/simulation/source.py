@@ -10,6 +10,7 @@ import casadi as ca
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations
+from .control import BURST, DEEPEST, SMOOTH
 from .equations import Directions
 
 DRIVER, SENSITIVITIES = (
@@ -78,15 +79,27 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         "LD": -(-to.count // 2) * 2,
         "ND": len(to.dead),
     }
+    sizes["MOVING"] = sizes["NX"] + sizes["NS"] * sizes["LD"]
     delay = [-1 if d is None else d for d in equations.delays(flat)]
     return [
         *(f"#define {name} {size}" for name, size in sizes.items()),
+        f"#define SMOOTH {SMOOTH!r} /* tolerances */",
+        f"#define DEEPEST {DEEPEST} /* halvings */",
+        f"#define BURST {BURST} /* steps */",
+        _table("NOMINAL", [repr(float(s.nominal)) for s in flat.states], "double"),
+        _table("FREE", [*to.parameters, *(-1 for _ in to.states)]),
+        _table("NOMINAL_FREE", map(repr, _nominals(flat, to)), "double"),
         _table("DELAY", delay),
         _table("LINEAR", [int(s.interpolation == "linear") for s in flat.inputs]),
         _table("KEPT", kept),
         _table("DEAD_INPUT", [j for j, _ in to.dead]),
         _table("DEAD_COLUMN", [column for _, column in to.dead]),
     ]
+
+
+def _nominals(flat: FlatModel, to: Directions) -> list[float]:
+    free = [flat.parameters[i] for i in to.parameters] + [flat.states[i] for i in to.states]
+    return [float(one.nominal) for one in free]
 
 
 def _products(prefix: str, linear: ca.Function, row: dict[int, int], seed: dict[int, int]) -> list[str]:
@@ -109,5 +122,5 @@ def _products(prefix: str, linear: ca.Function, row: dict[int, int], seed: dict[
     return lines
 
 
-def _table(name: str, values) -> str:
-    return f"static const int {name}[] = {{{', '.join(map(str, [*values, 0]))}}};"
+def _table(name: str, values, kind: str = "int") -> str:
+    return f"static const {kind} {name}[] = {{{', '.join(map(str, [*values, 0]))}}};"

@@ -142,6 +142,14 @@ def test_simulate_tells_the_error_against_the_recorded_columns(here):
     assert told["motor_speed"]["maximum"] == pytest.approx(speed.max())
 
 
+def test_simulate_says_how_accurate_it_is(here):
+    fine = hydrotwin("simulate", "cehA", "--input", "validate_1.csv", "--json")
+    told = json.loads(fine.out)["accuracy"]
+    assert told["reached"] and 0 < told["error"] < 1e-3
+    coarse = hydrotwin("simulate", "cehA", "--input", "validate_1.csv", "--method", "explicit", "--step", "0.01")
+    assert "not accurate: half the step changes pressure" in " ".join(coarse.said.split())
+
+
 def test_a_setting_outside_its_bounds_runs_and_is_told(here):
     answer = hydrotwin("simulate", "cehA", "--input", "validate_1.csv", "--set", "motor.gain=10")
     assert answer.code == 0

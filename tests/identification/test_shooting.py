@@ -107,6 +107,7 @@ def test_without_a_compiler_the_sums_are_the_same():
     t = task()
     q = t.free.scaled(t.free.start) + 0.1
     names = {"free_parameters": t.free.names, "free_states": [s.name for s in t.flat.states]}
+    t = dataclasses.replace(t, propagator=prepare(t.flat, method="explicit", **names))
     slow = dataclasses.replace(t, propagator=prepare(t.flat, method="vm", **names))
     (shooting, z), (other, _) = descent.whole_runs(t), descent.whole_runs(slow)
     assert not other._in_one_call

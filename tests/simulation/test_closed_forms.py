@@ -30,7 +30,8 @@ def integral_of(time, u, interpolation, until):
 
 def test_an_oscillator_keeps_its_cosine_with_fourth_order_error():
     model, time = oscillator(frequency=20.0), np.linspace(0, 2, 201)
-    errors = [np.abs(run(model, time, x0=(1, 0), step=h)[0][:, 0] - np.cos(20 * time)).max() for h in (2e-3, 1e-3)]
+    runs = [run(model, time, x0=(1, 0), step=h, method="explicit")[0][:, 0] for h in (2e-3, 1e-3)]
+    errors = [np.abs(y - np.cos(20 * time)).max() for y in runs]
     assert errors[0] < 2e-6 * 20
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.05)
 

@@ -208,7 +208,7 @@ def test_a_derivative_that_has_decayed_never_becomes_a_slow_number_below_the_sma
 @pytest.mark.parametrize("method", ["explicit", "rosenbrock"])
 def test_what_runs_a_few_times_only_is_another_library_with_the_same_bits(machine, method, tmp_path, monkeypatch):
     monkeypatch.setenv("HYDROTWIN_CACHE", str(tmp_path))
-    monkeypatch.setattr("hydrotwin.simulation.propagator._kept", OrderedDict())
+    monkeypatch.setattr("hydrotwin.simulation.engines._kept", OrderedDict())
     model, p, x0 = machine
     free = ("motor.gain", "cylinder.oil.bulk_modulus")
     columns = unit_columns(model, free, STATES)

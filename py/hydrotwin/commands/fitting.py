@@ -128,6 +128,7 @@ def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
         "chi2_per_sample": float(fit.chi2_per_dof),
         "noise": dict(fit.noise),
         "rmse": fit.rmse,
+        "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
         "findings": [str(f) for f in fit.findings],
     }
 
@@ -144,6 +145,7 @@ def fit_answer(fit) -> dict:
         "correlation": fit.correlation,
         "noise": dict(fit.noise),
         "rmse": fit.rmse,
+        "accuracy": fit.accuracy.as_data() if fit.accuracy else None,
         "findings": [str(f) for f in fit.findings],
         "seconds": fit.seconds,
     }
@@ -165,6 +167,8 @@ def print_fit(fit, path: Path) -> None:
     for finding in fit.findings:
         if finding.kind != "unexplained":  # the table has said so, output by output
             mark(out, "note", str(finding))
+    if fit.accuracy and fit.accuracy.reached:
+        mark(out, "note", f"the runs are {fit.accuracy}")
     unexplained = dict.fromkeys(r.output for r in fit.residuals if r.role == "train" and not r.explained)
     if unexplained:
         mark(out, "note", f"not explained: {', '.join(unexplained)}. Look for a missing effect, or free more.")

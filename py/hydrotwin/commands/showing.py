@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -67,7 +68,7 @@ def simulate(
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
     from hydrotwin.comparison import as_contender, errors_of
-    from hydrotwin.simulation import Block, simulate
+    from hydrotwin.simulation import Block, InaccurateWarning, simulate
 
     if output:
         check_file(output, *RECORDINGS, sources=[input])
@@ -76,7 +77,9 @@ def simulate(
     settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
-        result = simulate(thing, record, parameters=settings, step=step, method=method)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InaccurateWarning)  # told below
+            result = simulate(thing, record, parameters=settings, step=step, method=method)
     elif settings or step is not None or method != "auto":
         raise DeclarationError(
             f"simulate: '{model}' is an FMU, which --set, --step and --method do not reach. "
@@ -84,6 +87,7 @@ def simulate(
         )
     else:
         result = as_contender(thing).free_run(record)
+    accuracy = getattr(result, "accuracy", None)
     contender = as_contender(thing)
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
@@ -99,9 +103,12 @@ def simulate(
         write_record(result, output)
     if as_json:
         keys = ("output", "unit", "minimum", "maximum", "rmse")
-        print_json({"model": contender.name, "outputs": [dict(zip(keys, row, strict=True)) for row in rows]})
+        answer = {"model": contender.name, "outputs": [dict(zip(keys, row, strict=True)) for row in rows]}
+        print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)
+    if accuracy:
+        mark(out, "note" if accuracy.reached else "warning", str(accuracy))
     if output:
         out.print(f"written: {output}")
 

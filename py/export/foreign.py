@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fmpy import read_model_description
@@ -13,6 +13,8 @@ from fmpy.model_description import BaseUnit, ModelDescription
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import parse_unit
+
+from .whole_numbers import Whole, whole_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +26,7 @@ class Description:
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
     any_step : whether it takes communication steps of any size.
     period : s between the moves of a sampled block of hydrotwin, None for everything else.
+    whole : the Integer, Boolean and Enumeration variables, and what each can take.
     """
 
     source: ModelDescription
@@ -37,6 +40,7 @@ class Description:
     states: tuple[str, ...]
     restarts: bool
     period: float | None = None
+    whole: Mapping[str, Whole] = field(default_factory=dict)
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -67,6 +71,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         states=states,
         restarts=complete and md.coSimulation is not None,
         period=period,
+        whole={v.name: w for v in md.modelVariables if (w := whole_of(v)) is not None},
     )
 
 

@@ -15,8 +15,8 @@ from fmpy import extract, read_model_description
 from .exchange_probes import EXCHANGE_PROBES
 from .gates import gates_for
 from .master import Slave, run_steps
-from .walk import free_run
 from .probes import PROBES, run_probes
+from .walk import free_run
 
 
 def main(folder: Path):

@@ -147,7 +147,7 @@ def look_size(time: float, size: float) -> float:
 def run_steps(
     slave: Slave, time: np.ndarray, u: np.ndarray, inputs: Sequence[str], outputs: Sequence[str], linear: Sequence[str]
 ) -> np.ndarray:
-    """Outputs (n, k) at ``time``, of a slave that was initialised with the first row of ``u``; row k belongs to input k.
+    """Outputs (n, k) at ``time`` of a slave that was initialised with the first row of ``u``; row k sees input k.
 
     In the one order that the standard allows (FMI 2.0.5 p. 109): inputs are set, a step is made, outputs are read, and
     nothing is read between setting and stepping. What is read so has seen the inputs before a sample. An output that

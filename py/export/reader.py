@@ -83,7 +83,7 @@ class FmuBlock:
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
         job, arrays = self._job("restart", record, record)
-        pairs = {p: o for p, o in self.starts.items() if o in record}
+        pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self._to_fmu(p, record, o) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))

@@ -14,7 +14,7 @@ from fmpy.simulation import instantiate_fmu
 DISCARDS = "logStatusDiscard"  # the standard's name of the category that says why a step was discarded
 FLOATS = ("Real", "Float64", "Float32")
 NO_NUMBERS = ("String", "Binary", "Clock")
-LOOK = 1e-8  # of a communication step: the short step after which an output is read that follows a jump at once
+LOOK = 1e-10  # of a communication step: the short step after which an output is read that follows a jump at once
 SPACINGS = 64  # between neighbouring numbers at the present time: no step is shorter
 WHOLE = 1e-6  # an Integer or Boolean may be this far from a whole number: recordings are rounded
 
@@ -152,7 +152,7 @@ def run_steps(
     In the one order that the standard allows (FMI 2.0.5 p. 109): inputs are set, a step is made, outputs are read, and
     nothing is read between setting and stepping. What is read so has seen the inputs before a sample. An output that
     follows an input at once would be one sample late beside a recording, whose rows hold what was there together: where
-    such an input jumps, a step that is as good as none (1e-8 of the next) is made with the new value, and those outputs
+    such an input jumps, a step that is as good as none (1e-10 of the next) is made with the new value, and those outputs
     are read after it. An FMU that takes one step size only cannot do that: see `late_outputs`.
 
     Inputs are held over a step; those named in ``linear`` move towards the next sample where the FMU can be told how,

@@ -91,6 +91,11 @@ class Slave(Instance):
         """Whether it can be told how its inputs move during a step (FMI 2)."""
         return bool(self.description.coSimulation.canInterpolateInputs) and not self.fmi3
 
+    @property
+    def returns(self) -> bool:
+        """Whether it can be brought back to where it was."""
+        return bool(self.description.coSimulation.canGetAndSetFMUstate)
+
     def write_slopes(self, slopes: Mapping[str, float]):
         """Tell the FMU how its inputs move during the next step."""
         self.fmu.setRealInputDerivatives(self._references(slopes), [1] * len(slopes), list(slopes.values()))
@@ -152,8 +157,8 @@ def run_steps(
     In the one order that the standard allows (FMI 2.0.5 p. 109): inputs are set, a step is made, outputs are read, and
     nothing is read between setting and stepping. What is read so has seen the inputs before a sample. An output that
     follows an input at once would be one sample late beside a recording, whose rows hold what was there together: where
-    such an input jumps, a step that is as good as none (1e-10 of the next) is made with the new value, and those outputs
-    are read after it. An FMU that takes one step size only cannot do that: see `late_outputs`.
+    such an input jumps, a step that is as good as none (1e-10 of the next) is made with the new value, those outputs
+    are read after it, and the slave is brought back where it can be. One of one step size cannot: see `late_outputs`.
 
     Inputs are held over a step; those named in ``linear`` move towards the next sample where the FMU can be told how,
     else they are held at their mean over the step.
@@ -165,18 +170,33 @@ def run_steps(
     for k in range(len(time)):
         last = k + 1 == len(time)
         size = time[k] - time[k - 1] if last else time[k + 1] - time[k]
-        behind, done = np.flatnonzero((through & (seen != u[k])).any(axis=1)), 0.0
+        values, done = dict(zip(inputs, u[k], strict=True)), 0.0
+        behind = np.flatnonzero((through & (seen != u[k])).any(axis=1))
         if len(behind):
-            slave.write(dict(zip(inputs, u[k], strict=True)))
-            done = look_size(time[k], size)
-            slave.step(time[k], done)
-            found[k, behind] = slave.read([outputs[j] for j in behind])
+            found[k, behind], done = _look(slave, time[k], size, values, [outputs[j] for j in behind])
         if last:
             break
-        seen = _set_for_step(slave, dict(zip(inputs, u[k], strict=True)), u[k], u[k + 1], straight, size)
+        seen = _set_for_step(slave, values, u[k], u[k + 1], straight, size)
         slave.step(time[k] + done, size - done)
         found[k + 1] = slave.read(outputs)
     return found
+
+
+def _look(slave: Slave, time: float, size: float, values: Mapping[str, float], names: Sequence[str]):
+    """Outputs just after the inputs took ``values``, and how far the slave has gone on: not at all where it can go back.
+
+    The solver inside may answer to a cut step within its own tolerance.
+    """
+    state = slave.fmu.getFMUState() if slave.returns else None
+    slave.write(values)
+    short = look_size(time, size)
+    slave.step(time, short)
+    found = slave.read(names)
+    if state is None:
+        return found, short
+    slave.fmu.setFMUState(state)
+    slave.fmu.freeFMUState(state)
+    return found, 0.0
 
 
 def _set_for_step(slave: Slave, values: dict, now: np.ndarray, after: np.ndarray, straight, size: float) -> np.ndarray:

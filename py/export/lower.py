@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 
 import casadi as ca
 import numpy as np
@@ -98,7 +99,7 @@ def lower_model(
     """
     known = _given_states(flat, given)
     starts = _state_starts(flat, known)
-    start = _with_own_starts(flat.start_given(known), [s.name for s in flat.states], known)
+    start = _with_own_starts(flat, known)
     functions = {
         "start": _named("ht_start", start),
         "start_forward": _tangent("ht_start_forward", start, ["x"]),
@@ -212,19 +213,43 @@ def _state_starts(flat: FlatModel, given: list[str]) -> tuple[StartParameter, ..
     return tuple(parameter(name) for name in (*given, *(n for n in position if n not in given)))
 
 
-def _with_own_starts(start: ca.Function, states: list[str], given: list[str]) -> ca.Function:
-    """``(u, p, z) -> x`` of the given states with ``z`` going on with the other states, each `UNSET` or its value."""
-    others = [n for n in states if n not in given]
-    u, p, z = (_symbols_for(start).sym(n, s) for n, s in zip("upz", (*_sizes(start), len(states)), strict=True))
-    x = ca.vertsplit(ca.densify(start(u, p, z[: len(given)])))
-    for k, name in enumerate(others, start=len(given)):
-        i = states.index(name)
-        x[i] = ca.if_else(ca.fabs(z[k]) < LIMIT, z[k], x[i])
-    return ca.Function("start", [u, p, z], [ca.vertcat(*x)], ["u", "p", "z"], ["x"])
+def _with_own_starts(flat: FlatModel, given: list[str]) -> ca.Function:
+    """``(u, p, z) -> x`` with ``z`` the given states, then the others, each its value or `UNSET`.
+
+    A state that is not set follows from those that are, as in ``start_given`` with just these.
+    """
+    names = [s.name for s in flat.states]
+    others = [n for n in names if n not in given]
+    start = flat.start_given(given)
+    sizes = (len(flat.inputs), len(flat.parameters), len(names))
+    u, p, z = (_symbols_for(start).sym(n, size) for n, size in zip("upz", sizes, strict=True))
+    found = {n: z[k] for k, n in enumerate(given)}
+    together = dict(zip(names, ca.vertsplit(ca.densify(start(u, p, z[: len(given)]))), strict=True)) if names else {}
+    for name, alone in _one_after_the_other(flat, given, others):
+        rest = [found.get(n, 0.0) for n in (*given, *others) if n != name]
+        follows = alone(u, p, ca.vertcat(*rest))[names.index(name)] if alone else together[name]
+        own = z[len(given) + others.index(name)]
+        found[name] = ca.if_else(ca.fabs(own) < LIMIT, own, follows)
+    x = ca.densify(ca.vertcat(*(found[n] for n in names)))
+    return ca.Function("start", [u, p, z], [x], ["u", "p", "z"], ["x"])
 
 
-def _sizes(start: ca.Function) -> tuple[int, int]:
-    return start.size1_in("u"), start.size1_in("p")
+def _one_after_the_other(flat: FlatModel, given: list[str], others: list[str]):
+    """The other states, each after those that it follows from, with its start from all the rest.
+
+    Without that function where states follow from each other in a circle: they are known together only.
+    """
+    alone = {n: flat.start_given([*given, *(m for m in others if m != n)]) for n in others}
+    needs = {}
+    for name, start in alone.items():
+        rest = [n for n in (*given, *others) if n != name]
+        row, column = start.jac_sparsity(0, 2).get_triplet() if rest else ([], [])
+        place = [s.name for s in flat.states].index(name)
+        needs[name] = {rest[j] for i, j in zip(row, column, strict=True) if i == place} - set(given)
+    try:
+        return [(name, alone[name]) for name in TopologicalSorter(needs).static_order()]
+    except CycleError:
+        return [(name, None) for name in others]
 
 
 def middle_of_training(system, name: str, otherwise: float) -> float:

@@ -18,15 +18,17 @@ ABLE = 'canHandleVariableCommunicationStepSize="true"'
 
 VARIABLES2 = """
     <ScalarVariable name="u" valueReference="0" causality="input"><Real unit="N" start="0"/></ScalarVariable>
-    <ScalarVariable name="state" valueReference="2" causality="{output}" initial="calculated"><Real unit="N"/></ScalarVariable>
-    <ScalarVariable name="force" valueReference="3" causality="{output}" initial="calculated"><Real unit="N"/></ScalarVariable>
+    <ScalarVariable name="state" valueReference="2" causality="{output}" initial="calculated">
+      <Real unit="N"/></ScalarVariable>
+    <ScalarVariable name="force" valueReference="3" causality="{output}" initial="calculated">
+      <Real unit="N"/></ScalarVariable>
     <ScalarVariable name="start" valueReference="4" causality="parameter" variability="fixed">
       <Real unit="N" start="0"/></ScalarVariable>
     <ScalarVariable name="der(state)" valueReference="5"><Real unit="N/s" derivative="2"/></ScalarVariable>
     <ScalarVariable name="gain" valueReference="10" causality="input" variability="discrete">
       <Integer start="1"/></ScalarVariable>
-    <ScalarVariable name="gain_seen" valueReference="11" causality="{output}" variability="discrete" initial="calculated">
-      <Integer/></ScalarVariable>
+    <ScalarVariable name="gain_seen" valueReference="11" causality="{output}" variability="discrete"
+      initial="calculated"><Integer/></ScalarVariable>
     <ScalarVariable name="on" valueReference="20" causality="input" variability="discrete">
       <Boolean start="true"/></ScalarVariable>
     <ScalarVariable name="on_seen" valueReference="21" causality="{output}" variability="discrete" initial="calculated">
@@ -37,7 +39,8 @@ STRUCTURE2 = """<Outputs>
     </Outputs>
     <Derivatives><Unknown index="5" dependencies="1 2 6 8"/></Derivatives>
     <InitialUnknowns>
-      <Unknown index="2" dependencies="4"/><Unknown index="3" dependencies="1 4"/><Unknown index="5" dependencies="1 4 6 8"/>
+      <Unknown index="2" dependencies="4"/><Unknown index="3" dependencies="1 4"/>
+      <Unknown index="5" dependencies="1 4 6 8"/>
       <Unknown index="7" dependencies="6"/><Unknown index="9" dependencies="8"/>
     </InitialUnknowns>"""
 VARIABLES3 = """
@@ -64,7 +67,10 @@ UNITS = """<UnitDefinitions>
 
 
 def follower(path: Path, fmi: int, *, fault: str = "NO_FAULT", outputs: bool = True, one_size: bool = False) -> Path:
-    """Write the FMU. fault : of Model Exchange, see follower.h. outputs : whether there are any. one_size : of steps."""
+    """Write the FMU.
+
+    fault : of Model Exchange, see follower.h. outputs : whether there are any. one_size : it takes one step size only.
+    """
     step = 'canHandleVariableCommunicationStepSize="false"' if one_size else ABLE
     xml = _description2(step, outputs) if fmi == 2 else _description3(step, outputs)
     headers = Path(importlib.util.find_spec("fmpy").submodule_search_locations[0]) / "c-code"

@@ -1,4 +1,4 @@
-"""Somebody else's FMU, whose outputs follow inputs at once and which may be read after a step only: every master agrees."""
+"""Somebody else's FMU, whose outputs follow inputs at once and which may be read after a step only, in all masters."""
 
 from __future__ import annotations
 

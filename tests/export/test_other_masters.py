@@ -1,4 +1,4 @@
-"""FMUs of ours in other masters: Model Exchange under inputs that move, any order of calls, the start of every state."""
+"""FMUs of ours in other masters: Model Exchange under moving inputs, any order of calls, the start of every state."""
 
 from __future__ import annotations
 

@@ -183,9 +183,9 @@ def run_steps(
 
 
 def _look(slave: Slave, time: float, size: float, values: Mapping[str, float], names: Sequence[str]):
-    """Outputs just after the inputs took ``values``, and how far the slave has gone on: not at all where it can go back.
+    """Outputs just after the inputs took ``values``, and how far the slave has gone on: 0.0 where it can be taken back.
 
-    The solver inside may answer to a cut step within its own tolerance.
+    Where it cannot, the solver inside answers to the cut step within its own tolerance.
     """
     state = slave.fmu.getFMUState() if slave.returns else None
     slave.write(values)

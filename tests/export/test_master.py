@@ -7,11 +7,13 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.comparison import compare
 from hydrotwin.export import check_fmu, read_fmu
 from hydrotwin.export.reader import LATE
 from hydrotwin.loading import load
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
+from hydrotwin.report.answer import facts
 from tests.export.follower import follower
 
 T, PERIOD, COUNT = 0.1, 0.01, 150  # s, s, samples
@@ -167,6 +169,9 @@ def test_an_fmu_of_one_step_size_shows_what_follows_at_once_a_sample_late_and_sa
     same(found["force"][1:], x[1:] + record["u"][:-1])
     assert block.provenance[LATE] == "force, gain_seen, on_seen"
     assert LATE not in read_fmu(plants[2,]).provenance
+    measured = Record(record.time, {**record.signals, "force": x + record["u"]}, {**UNITS, "force": "N"}, "rig")
+    told = facts(compare([block, read_fmu(plants[2,], name="any step")], [measured], repeats=1), {"force": "N"})
+    assert any("Of follower, force, gain_seen, on_seen is shown one sample late" in sentence for sentence in told), told
 
 
 def with_value(name: str, row: int, value: float) -> Record:

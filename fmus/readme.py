@@ -92,7 +92,8 @@ def _starts(system: Lowered) -> str:
     if not system.starts:
         return ""
     names = ", ".join(f"`{s.name}` [{s.unit}]" for s in system.starts)
-    rest = "The memory follows from them." if system.sampled else "All other states start in equilibrium with them."
+    others = "The memory follows" if system.sampled else "States whose start is not set follow"
+    rest = f"{others} from them."
     return f"Set before the run where it starts: {names}. {rest}"
 
 

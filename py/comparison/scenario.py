@@ -74,6 +74,7 @@ def read_scenario(path: str | Path) -> Scenario:
         denominator = [1.0]
         limits = [-5, 5]
 
+    A model is written as on the command line: ``vendor.fmu:mass.s,mass.v`` has these variables as its outputs.
     The model ``hold_last`` is the yardstick that repeats the last sample.
 
     Raises DataError for a file that is missing or no TOML, DeclarationError for keys and modes that do not exist.
@@ -207,12 +208,14 @@ def _located(model: str, path: Path) -> str:
     file, colon, factory = model.partition(".py:")
     if colon:
         return f"{path.parent / file}.py:{factory}"
-    if not model.endswith(_FILES):
+    name, fmu, outputs = model.partition(".fmu:")
+    name += ".fmu" if fmu else ""
+    if not name.endswith(_FILES):
         return model
-    file = path.parent / model
+    file = path.parent / name
     if not file.exists():
-        raise DataError(f"{path.name}: no model file '{model}'. {_nearest_file(file)}")
-    return str(file)
+        raise DataError(f"{path.name}: no model file '{name}'. {_nearest_file(file)}")
+    return f"{file}:{outputs}" if fmu else str(file)
 
 
 def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:

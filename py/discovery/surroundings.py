@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrotwin.export.reader import FmuBlock
+from hydrotwin.export.reader import LATE, FmuBlock
 from hydrotwin.export.repeated import repeated
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der
@@ -124,12 +124,12 @@ def surrounded(fmu: FmuBlock, period: float = 0.0) -> SurroundedFmu:
 
     Raises DeclarationError for one without inputs or outputs.
     """
-    for what, some in (("inputs", fmu.inputs), ("outputs", fmu.outputs)):
-        if not some:
-            raise DeclarationError(
-                f"{fmu.path}: the FMU has no real {what} (got {len(fmu.inputs)} inputs, {len(fmu.outputs)} outputs). "
-                "Effects are looked for before inputs and after outputs: export it with both."
-            )
+    fmu.require_outputs()
+    if not fmu.inputs:
+        raise DeclarationError(
+            f"{fmu.path}: the FMU has no inputs (got {len(fmu.outputs)} outputs). Effects are looked for before inputs "
+            "and after outputs: export it with both."
+        )
     experiment = fmu.description.source.defaultExperiment
     own = float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.0
     name = re.sub(r"\W|^(?=\d)", "_", fmu.name)
@@ -160,11 +160,12 @@ def sized(model: SurroundedFmu, records: Sequence[Record]) -> SurroundedFmu:
 def around_only(model: SurroundedFmu, candidates: Sequence[Candidate], seen: set[str]) -> tuple[Candidate, ...]:
     """The candidates on inputs and on the outputs that are ``seen``, the names of what was recorded.
 
-    A parameter of the FMU is freed by name, not by an effect.
+    A parameter of the FMU is freed by name, not by an effect. A switch or a count has no lag, offset or limit.
     """
-    inside = type(model.root).names_inside
-    words = set(inside["inputs"])
-    words |= {w for w, s in zip(inside["outputs"], model.fmu.outputs, strict=True) if s.name in seen}
+    inside, of = type(model.root).names_inside, model.fmu.description.fmu_names
+    places = [*zip(inside["inputs"], model.fmu.inputs, strict=True)]
+    places += [(w, s) for w, s in zip(inside["outputs"], model.fmu.outputs, strict=True) if s.name in seen]
+    words = {w for w, s in places if of[s.name] not in model.fmu.description.whole}
     return tuple(c for c in candidates if c.site.through in words)
 
 
@@ -195,6 +196,9 @@ def ready(model: SurroundedFmu, records: Sequence[Record], validate: Sequence[Re
             f"gap: the parameters of the FMU are taken as they are. Wrong ones leave a gap that no effect should "
             f"explain; free them with --free ({', '.join(fixed[:6])}{more})."
         )
+    if LATE in model.fmu.provenance:
+        late = model.fmu.provenance[LATE]
+        said.append(f"gap: outputs of the FMU are {LATE}: {late}. A delay that is named there may be none.")
     if len(records) == 1:
         outputs = [s.name for s in model.fmu.outputs]
         return [_part(records[0], outputs, number) for number in (1, 2)], said, seconds

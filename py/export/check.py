@@ -36,7 +36,8 @@ PROBES = (
 )  # fmt: skip
 
 
-EXCHANGE_PROBES = ("order of setting", "reset", "state", "directional derivatives", "NaN input")
+EXCHANGE_PROBES = ("order of setting", "any order of calls", "reset", "state", "directional derivatives", "NaN input")
+SHARE = 0.1  # of nominal: how far inputs are moved
 SECOND = " (Model Exchange)"  # after the name of a row: of the other half of an FMU that offers both
 
 
@@ -113,7 +114,7 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
 
 def _summary(description: Description) -> str:
     md = description.source
-    counts = f"{len(inputs_of(md))} inputs, {len(outputs_of(md))} real outputs, {len(md.modelVariables)} variables"
+    counts = f"{len(inputs_of(md))} inputs, {len(outputs_of(md))} outputs, {len(md.modelVariables)} variables"
     kinds = f"{description.interface}{' and ModelExchange' if _offers_both(description) else ''}"
     return f"{md.modelName}, FMI {md.fmiVersion} {kinds}, {counts}, by {md.generationTool or 'unknown'}"
 
@@ -201,18 +202,22 @@ def _read_rows(path: Path) -> tuple[list[CheckRow], str | None]:
 
 
 def _model_exchange_run(path: Path, description: Description, limit: float) -> CheckRow:
-    """A second of simulation at rest, with FMPy's solver."""
+    """A second of simulation with FMPy's CVODES; real inputs move a tenth of nominal within its steps."""
     time = np.linspace(0.0, 1.0, 51)
-    block = _exchanging(read_fmu(path, time_limit=limit))
-    at_rest = {s.name: np.full(51, _start_of(description, s.name, block)) for s in block.inputs}
-    record = Record(time, at_rest, {s.name: s.unit for s in block.inputs}, "at rest")
+    own = [v.name for v in outputs_of(description.source)]
+    rates = [row.variable.name for row in description.source.derivatives]
+    block = _exchanging(read_fmu(path, outputs=own or rates, interpolation="linear", time_limit=limit))
+    moved = {s.name: _moved(description, s.name, time) for s in block.inputs}
+    record = Record(time, moved, {s.name: s.unit for s in block.inputs}, "inputs that move")
     return _tried("runs", lambda: _all_finite(block, record))
 
 
-def _start_of(description: Description, name: str, block: FmuBlock) -> float:
+def _moved(description: Description, name: str, time: np.ndarray) -> np.ndarray:
     variable = next(v for v in description.source.modelVariables if v.name == description.fmu_names[name])
     factor, offset = description.scales[variable.name]
-    return factor * float(variable.start or 0.0) + offset
+    share = SHARE * float(variable.nominal or 1.0) if variable.type in FLOATS else 0.0
+    start = {"true": 1.0, "false": 0.0}.get(str(variable.start), variable.start)
+    return factor * (float(start or 0.0) + share * np.sin(4 * np.pi * time)) + offset
 
 
 def _all_finite(block: FmuBlock, record: Record) -> tuple[bool, str]:

@@ -101,9 +101,7 @@ def root_attributes(header: Header, variables: Sequence[Variable]) -> dict[str, 
 def _interface(header: Header, interface: str) -> ET.Element:
     """``ModelExchange`` or ``CoSimulation`` with what it can do."""
     if interface == "me":
-        element = ET.Element(
-            "ModelExchange", modelIdentifier=header.identifier, completedIntegratorStepNotNeeded="true",
-        )  # fmt: skip
+        element = ET.Element("ModelExchange", modelIdentifier=header.identifier)
     else:
         element = ET.Element(
             "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true",
@@ -120,6 +118,7 @@ def _interface(header: Header, interface: str) -> ET.Element:
 def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Element:
     """Which output measures what a start parameter sets: a reader can then start where a recording starts.
 
+    ``output``: a run takes its first sample; ``measured``: a restart of every state at once takes it too.
     ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere. ``period``:
     how often a sampled block moves [s].
     """
@@ -127,8 +126,9 @@ def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Eleme
     starts = ET.Element("Starts", complete="true" if header.restarts else "false", **sampled)
     for variable in variables:
         if variable.kind == "start":
-            measured = {"output": variable.measured_by} if variable.measured_by else {}
-            ET.SubElement(starts, "Start", {"parameter": variable.name, **measured})
+            from_outputs = {"output": variable.measured_by, "measured": variable.restarts_from}
+            told = {k: v for k, v in from_outputs.items() if v}
+            ET.SubElement(starts, "Start", {"parameter": variable.name, **told})
     return starts
 
 

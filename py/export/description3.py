@@ -58,7 +58,7 @@ def build_description(header: Header) -> str:
 def _interface(header: Header, interface: str) -> ET.Element:
     """What is not named is false: no event mode in Co-Simulation, and no early return that nobody asked for."""
     if interface == "me":
-        element = ET.Element("ModelExchange", modelIdentifier=header.identifier)
+        element = ET.Element("ModelExchange", modelIdentifier=header.identifier, needsCompletedIntegratorStep="true")
     else:
         element = ET.Element(
             "CoSimulation", modelIdentifier=header.identifier, canHandleVariableCommunicationStepSize="true",

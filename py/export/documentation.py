@@ -123,7 +123,7 @@ def _starts_text(variables: Sequence[Variable]) -> str:
         return "<p>The initial states follow from the parameters and the inputs at the end of initialization.</p>"
     names = ", ".join(f"<code>{escape(v.name)}</code>" for v in starts)
     return (
-        f"<p>Initial values to set before the run: {names}. All other initial states follow from them, the parameters "
+        f"<p>Initial values to set before the run: {names}. What is not set follows from what is, the parameters "
         "and the inputs at the end of initialization.</p>"
     )
 

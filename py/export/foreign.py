@@ -5,7 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fmpy import read_model_description
@@ -14,16 +14,20 @@ from fmpy.model_description import BaseUnit, ModelDescription
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import parse_unit
 
+from .whole_numbers import Whole, whole_of
+
 
 @dataclass(frozen=True, eq=False)
 class Description:
     """Names, units and abilities of an FMU.
 
     scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``.
-    starts : start parameter -> record name of the output that measures it.
+    starts : start parameter -> record name of the output whose first sample it takes.
+    measured : the same for a restart of all states: of every start parameter that an output measures.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
     any_step : whether it takes communication steps of any size.
     period : s between the moves of a sampled block of hydrotwin, None for everything else.
+    whole : the Integer, Boolean and Enumeration variables, and what each can take.
     """
 
     source: ModelDescription
@@ -37,6 +41,8 @@ class Description:
     states: tuple[str, ...]
     restarts: bool
     period: float | None = None
+    whole: Mapping[str, Whole] = field(default_factory=dict)
+    measured: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -52,7 +58,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
             f"{path}: it offers neither Co-Simulation nor Model Exchange. Ask its maker for one of the two."
         )
     meanings = {v.name: _meaning(v, md, units.get(v.name)) for v in md.modelVariables}
-    starts, complete, period = _annotated(path)
+    starts, measured, complete, period = _annotated(path)
     plain = [p.removesuffix(".start") for p in starts] if complete else []
     states = tuple(n if n in meanings and not _is_output(md, n) else f"state.{n}" for n in plain)
     return Description(
@@ -64,9 +70,11 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         scales={n: (m[1], m[2]) for n, m in meanings.items()},
         unknown_units=tuple(n for n, m in meanings.items() if m[3]),
         starts={p: names.get(o, o) for p, o in starts.items() if o},
+        measured={p: names.get(o, o) for p, o in measured.items() if o},
         states=states,
         restarts=complete and md.coSimulation is not None,
         period=period,
+        whole={v.name: w for v in md.modelVariables if (w := whole_of(v)) is not None},
     )
 
 
@@ -123,8 +131,9 @@ def _si_text(base: BaseUnit) -> str:
     return parse_unit(f"{text}/({'.'.join(below)})" if below else text).si
 
 
-def _annotated(path: Path) -> tuple[dict[str, str], bool, float | None]:
-    """What an FMU of hydrotwin says of itself: start parameters, whether they are all there is, its period."""
+def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float | None]:
+    """What an FMU of hydrotwin says of itself: start parameters and what measures them, whether they are all there is,
+    its period."""
     try:
         if path.is_dir():
             root = ET.parse(path / "modelDescription.xml").getroot()
@@ -132,14 +141,15 @@ def _annotated(path: Path) -> tuple[dict[str, str], bool, float | None]:
             with zipfile.ZipFile(path) as archive:
                 root = ET.fromstring(archive.read("modelDescription.xml"))
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
-        return {}, False, None
+        return {}, {}, False, None
     places = (
         "./VendorAnnotations/Tool[@name='hydrotwin']/Starts",
         "./Annotations/Annotation[@type='hydrotwin']/Starts",
     )
     listed = next((found for place in places if (found := root.find(place)) is not None), None)
     if listed is None:
-        return {}, False, None
-    starts = {e.get("parameter"): e.get("output") or "" for e in listed.findall("Start")}
+        return {}, {}, False, None
+    rows = listed.findall("Start")
+    starts, measured = ({e.get("parameter"): e.get(a) or "" for e in rows} for a in ("output", "measured"))
     period = listed.get("period")
-    return starts, listed.get("complete") == "true", float(period) if period else None
+    return starts, measured, listed.get("complete") == "true", float(period) if period else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 
 import casadi as ca
 import numpy as np
@@ -12,10 +13,17 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable
 from hydrotwin.simulation.block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block, TrainingDomain
 
+UNSET, LIMIT = 1e308, 1e307  # what stands for "nobody has set it", and below what everything else lies
+
 
 @dataclass(frozen=True)
 class StartParameter:
-    """A fixed parameter that sets an initial value: its FMU name, default, and the output that measures it, if any."""
+    """A fixed parameter that sets an initial value.
+
+    output : the output whose first sample a run takes it from. measured : the one that measures it, taken where every
+        state is set at once.
+    follows : until somebody sets it, the state follows from the other starts, the inputs and the parameters.
+    """
 
     name: str
     unit: str
@@ -24,6 +32,8 @@ class StartParameter:
     nominal: float = 1.0
     bounds: tuple[float, float] = (-np.inf, np.inf)
     output: str | None = None
+    measured: str | None = None
+    follows: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +64,11 @@ class Lowered:
         return self.method == "sampled"
 
     @property
+    def unset(self) -> np.ndarray:
+        """What the ``start`` function gets for the start parameters that nobody has set."""
+        return np.array([UNSET if s.follows else s.value for s in self.starts])
+
+    @property
     def restarts(self) -> bool:
         """Whether the start parameters determine the whole state: one for each, and no input with a memory."""
         named = {s.name.removesuffix(".start") for s in self.starts}
@@ -76,13 +91,15 @@ class Lowered:
 def lower_model(
     flat: FlatModel, given: Sequence[str] | None, method: str, step: float, tolerance: float, name: str
 ) -> Lowered:
-    """A continuous model with ``<state>.start`` parameters for the states in ``given``.
+    """A continuous model with a ``<state>.start`` parameter for every state.
 
+    Those in ``given`` are known to the equations of the start; the others follow from them unless they are set.
     ``given=None`` takes the states that have an output measuring a position or an angle (unit m or rad): where a
     recording begins is what differs from one to the next, the rest follows from equilibrium.
     """
-    starts = _state_starts(flat, _given_states(flat, given))
-    start = flat.start_given([s.name.removesuffix(".start") for s in starts])
+    known = _given_states(flat, given)
+    starts = _state_starts(flat, known)
+    start = _with_own_starts(flat, known)
     functions = {
         "start": _named("ht_start", start),
         "start_forward": _tangent("ht_start_forward", start, ["x"]),
@@ -184,13 +201,55 @@ def _state_starts(flat: FlatModel, given: list[str]) -> tuple[StartParameter, ..
     u0 = [s.default for s in flat.inputs]
     x0 = np.array(flat.start_given(())(u0, flat.parameter_vector(), [])).ravel()
     position = {s.name: k for k, s in enumerate(flat.states)}
-    return tuple(
-        StartParameter(
-            f"{s.name}.start", s.unit, float(x0[position[s.name]]), f"start of: {s.description or s.name}",
-            s.nominal, s.bounds, s.measured_by,
-        )
-        for s in (flat.states[position[name]] for name in given)
-    )  # fmt: skip
+
+    def parameter(name: str) -> StartParameter:
+        s, follows = flat.states[position[name]], name not in given
+        text = f"start of: {s.description or s.name}{'; follows from the others unless set' if follows else ''}"
+        return StartParameter(
+            f"{s.name}.start", s.unit, float(x0[position[name]]), text, s.nominal, s.bounds,
+            None if follows else s.measured_by, s.measured_by, follows,
+        )  # fmt: skip
+
+    return tuple(parameter(name) for name in (*given, *(n for n in position if n not in given)))
+
+
+def _with_own_starts(flat: FlatModel, given: list[str]) -> ca.Function:
+    """``(u, p, z) -> x`` with ``z`` the given states, then the others, each its value or `UNSET`.
+
+    A state that is not set follows from those that are, as in ``start_given`` with just these.
+    """
+    names = [s.name for s in flat.states]
+    others = [n for n in names if n not in given]
+    start = flat.start_given(given)
+    sizes = (len(flat.inputs), len(flat.parameters), len(names))
+    u, p, z = (_symbols_for(start).sym(n, size) for n, size in zip("upz", sizes, strict=True))
+    found = {n: z[k] for k, n in enumerate(given)}
+    together = dict(zip(names, ca.vertsplit(ca.densify(start(u, p, z[: len(given)]))), strict=True)) if names else {}
+    for name, alone in _one_after_the_other(flat, given, others):
+        rest = [found.get(n, 0.0) for n in (*given, *others) if n != name]
+        follows = alone(u, p, ca.vertcat(*rest))[names.index(name)] if alone else together[name]
+        own = z[len(given) + others.index(name)]
+        found[name] = ca.if_else(ca.fabs(own) < LIMIT, own, follows)
+    x = ca.densify(ca.vertcat(*(found[n] for n in names)))
+    return ca.Function("start", [u, p, z], [x], ["u", "p", "z"], ["x"])
+
+
+def _one_after_the_other(flat: FlatModel, given: list[str], others: list[str]):
+    """The other states, each after those that it follows from, with its start from all the rest.
+
+    Without that function where states follow from each other in a circle: they are known together only.
+    """
+    alone = {n: flat.start_given([*given, *(m for m in others if m != n)]) for n in others}
+    needs = {}
+    for name, start in alone.items():
+        rest = [n for n in (*given, *others) if n != name]
+        row, column = start.jac_sparsity(0, 2).get_triplet() if rest else ([], [])
+        place = [s.name for s in flat.states].index(name)
+        needs[name] = {rest[j] for i, j in zip(row, column, strict=True) if i == place} - set(given)
+    try:
+        return [(name, alone[name]) for name in TopologicalSorter(needs).static_order()]
+    except CycleError:
+        return [(name, None) for name in others]
 
 
 def middle_of_training(system, name: str, otherwise: float) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -15,10 +15,12 @@ from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.records import Record, known_inputs, require, steps_over
 
 from .child_process import run_child
-from .fmu_process.master import FLOATS, inputs_of, outputs_of
+from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
 from .foreign import Description, describe_fmu
 
 TIME_LIMIT = 120.0
+LATE = "one sample late, for they follow an input at once and the FMU takes one step size only"
+NAMED = 8  # variables in a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class FmuBlock:
 
     starts : start parameter -> output whose first sample it is set to.
     values : variables set before initialization, in the FMU's own units.
+    named : the variables that were named as its outputs; () where those are its own.
     """
 
     name: str
@@ -40,6 +43,7 @@ class FmuBlock:
     time_limit: float = TIME_LIMIT
     kind: str = "fmu"
     provenance: dict = field(default_factory=dict)
+    named: tuple[str, ...] = ()
 
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
@@ -80,24 +84,25 @@ class FmuBlock:
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
         job, arrays = self._job("restart", record, record)
-        pairs = {p: o for p, o in self.starts.items() if o in record}
+        pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
-        columns = [self._to_fmu(p, record[o]) for p, o in pairs.items()]
+        columns = [self._to_fmu(p, record, o) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
     def starts_of(self, record: Record) -> dict[str, float]:
         """What a run of ``record`` sets before initialization, in the FMU's own units."""
-        known = {p: record[o][:1] for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
-        return {**{p: float(self._to_fmu(p, value)[0]) for p, value in known.items()}, **self.values}
+        known = {p: o for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
+        return {**{p: float(self._to_fmu(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
 
     def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
             raise DataError(f"{record.name}: an FMU needs two samples or more (got {len(record)}).")
         self._check_time_axis(record)
         record = known_inputs(require(record, self.inputs, self.name), self.inputs, self.name)
+        self.require_outputs()
         of = self.description.fmu_names
-        columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
+        columns = [self._to_fmu(of[s.name], record, s.name) for s in self.inputs]
         job = {
             "task": task,
             "path": self.path,
@@ -118,9 +123,34 @@ class FmuBlock:
                 f"{steps.max():g} s. Resample the record: record.resample(period=...)."
             )
 
-    def _to_fmu(self, variable: str, values: np.ndarray) -> np.ndarray:
+    def require_outputs(self):
+        """DeclarationError for an FMU that says nothing, with what could be named instead."""
+        if self.outputs:
+            return
+        md = self.description.source
+        states = [row.variable.derivative.name for row in md.derivatives if row.variable.derivative is not None]
+        local = [v.name for v in md.modelVariables if v.causality == "local" and is_scalar(v) and v.name not in states]
+        local = [*states, *local] or ["variable"]
+        names, file = ", ".join(local[:NAMED]), Path(self.path).name
+        more = f" and {len(local) - NAMED} more" if len(local) > NAMED else ""
+        raise DeclarationError(
+            f"{self.path}: the FMU has no outputs, so there is nothing to compare. Name local variables: "
+            f"{file}:{local[0]} on the command line, read_fmu(..., outputs=['{local[0]}']) in Python. "
+            f"It has: {names}{more}."
+        )
+
+    def _to_fmu(self, variable: str, record: Record, name: str, rows: slice = slice(None)) -> np.ndarray:
         factor, offset = self.description.scales[variable]
-        return (np.asarray(values) - offset) / factor
+        values = (np.asarray(record[name][rows]) - offset) / factor
+        whole = self.description.whole.get(variable)
+        if whole is None:
+            return values
+        source = record.source or record.name
+        return whole.rounded(
+            values,
+            lambda k: f"{source}: row {k + 1} (t = {record.time[k]:g} s) of '{name}' is no {whole.kind}, which "
+            f"'{variable}' of {self.name} is",
+        )
 
     def _record(self, record: Record, y: np.ndarray) -> Record:
         signals, units = {}, {}
@@ -138,6 +168,7 @@ def read_fmu(
     units: Mapping[str, str] = MappingProxyType({}),
     starts: Mapping[str, str] = MappingProxyType({}),
     values: Mapping[str, float] = MappingProxyType({}),
+    outputs: Sequence[str] | None = None,
     interpolation: str = "hold",
     time_limit: float = TIME_LIMIT,
 ) -> FmuBlock:
@@ -147,26 +178,44 @@ def read_fmu(
     units : FMU variable -> unit, for FMUs that give none or a wrong one.
     starts : start parameter -> record name of the output it takes its value from; an FMU of hydrotwin brings its own.
     values : variables to set before initialization, in the FMU's units.
-    interpolation : what the inputs do between samples, "hold" or "linear".
+    outputs : FMU variables to predict, local ones too; its outputs by default.
+    interpolation : what the inputs do between samples, "hold" or "linear"; discrete ones are held.
 
+    Integer, Boolean and Enumeration inputs take what is whole to within 1e-6, else DataError says where it is not.
     Nothing of the FMU's code runs here: it runs in a child process with ``time_limit`` [s] at each free run.
     Raises DataError for a file that is not an FMU, DeclarationError for unknown variables.
     """
     description = describe_fmu(Path(path), names, units)
     known = list(description.scales)
-    for variable in (*names, *units, *starts, *values):
+    for variable in (*names, *units, *starts, *values, *(outputs or ())):
         if variable not in known:
             raise DeclarationError(f"{path}: no variable '{variable}'. {nearest(variable, known)}")
     md = description.source
+    predicted = _outputs(path, md, outputs)
     _check_settable(path, md, (*starts, *values))
+    for variable in values:
+        if whole := description.whole.get(variable):
+            where = f"{path}: values: '{variable}' is no {whole.kind}, which it must be"
+            whole.rounded(np.array([values[variable]], float), lambda _, said=where: said)
     return FmuBlock(
         name=name or md.modelName, path=str(Path(path).absolute()),
         inputs=tuple(_signal(v, description, interpolation) for v in inputs_of(md)),
-        outputs=tuple(_signal(v, description, interpolation) for v in outputs_of(md)),
+        outputs=tuple(_signal(v, description, interpolation) for v in predicted),
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
         description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
-        provenance=_provenance(md, description),
+        provenance=_provenance(md, description, [v.name for v in predicted]), named=tuple(outputs or ()),
     )  # fmt: skip
+
+
+def _outputs(path, md, names: Sequence[str] | None) -> list:
+    """The variables to predict."""
+    if names is None:
+        return outputs_of(md)
+    known = {v.name: v for v in md.modelVariables}
+    for name in names:
+        if not is_scalar(known[name]):
+            raise DeclarationError(f"{path}: '{name}' holds no single number (it is {known[name].type}). Name another.")
+    return [known[name] for name in names]
 
 
 def _check_settable(path, md, names) -> None:
@@ -186,7 +235,7 @@ def _signal(variable, description: Description, interpolation: str) -> Signal:
     nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
-        interpolation if variable.type in FLOATS else "hold",
+        interpolation if variable.type in FLOATS and variable.variability != "discrete" else "hold",
     )  # fmt: skip
 
 
@@ -201,8 +250,11 @@ def _parameter(variable, description: Description) -> ParameterValue:
     return ParameterValue(variable.name, value, description.units[variable.name], description=text)
 
 
-def _provenance(md, description: Description) -> dict:
+def _provenance(md, description: Description, outputs: Sequence[str]) -> dict:
     facts = {"tool": md.generationTool, "date": md.generationDateAndTime, "guid": md.guid, "fmi": md.fmiVersion}
+    late = late_outputs(md, outputs, [v.name for v in inputs_of(md)])
+    if late:
+        facts[LATE] = ", ".join(late)
     if description.unknown_units:
         facts["units taken as 1"] = ", ".join(description.unknown_units)
     return {k: v for k, v in facts.items() if v}

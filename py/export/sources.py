@@ -101,6 +101,7 @@ def _model_c(
 {declared}
 
 static const double defaults[] = {{{_numbers(lowered.defaults)}}};
+static const double unset[] = {{{_numbers(lowered.unset)}}};
 static const double nominals[] = {{{_numbers(nominals)}}};
 static const char *const labels[] = {{{", ".join(_text(name) for name in labels)}}};
 static const int dead_time[] = {{{", ".join(map(str, (*lowered.dead_times, -1)))}}};
@@ -108,7 +109,7 @@ static const int dead_time[] = {{{", ".join(map(str, (*lowered.dead_times, -1)))
 const ht_model ht_the_model = {{
     {_text(lowered.name)}, {_text(guid)}, {_METHODS[lowered.method]}, {" + ".join(_FLAGS[i] for i in INTERFACES[kind])},
     {counts}, /* inputs, parameters, starts, outputs, states, derivatives */
-    defaults, nominals, labels, dead_time,
+    defaults, unset, nominals, labels, dead_time,
     {pieces}, {int(any(v.kind == "time" for v in variables))}, /* history, time listed */
     {_inside(lowered)}, {lowered.step!r}, /* inside, step */
     {", ".join(functions[role] for role in _ROLES)},

@@ -28,6 +28,7 @@ class Variable:
     depends : value references of the inputs, states and time it follows from while running; None: not an unknown.
     starts_from : value references of the inputs and parameters it follows from at the start.
     of : value reference of the state whose derivative this is.
+    measured_by, restarts_from : of a start parameter, see ``output`` and ``measured`` of `StartParameter`.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Variable:
     starts_from: tuple[int, ...] | None = None
     of: int | None = None
     measured_by: str | None = None
+    restarts_from: str | None = None
 
     @property
     def structured(self) -> bool:
@@ -65,7 +67,10 @@ def variables_of(lowered: Lowered, *, always_time: bool = False) -> tuple[Variab
             for p in lowered.parameters
         ),
         *(
-            Variable(s.name, "start", s.unit, s.description, s.value, s.nominal, s.bounds, measured_by=s.output)
+            Variable(
+                s.name, "start", s.unit, s.description, s.value, s.nominal, s.bounds,
+                measured_by=s.output, restarts_from=s.measured,
+            )
             for s in lowered.starts
         ),
         *(

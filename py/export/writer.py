@@ -68,10 +68,11 @@ def export_fmu(
         FMU. Model Exchange is for continuous models without dead time.
 
     Every parameter is tunable and takes effect at the next step. Initial states are computed inside the FMU at the end
-    of initialization, from the inputs, the parameters and the start parameters ``<state>.start`` (fixed) of the states
-    named in ``given``. By default those are the states that have an output measuring a position or an angle: where a
-    recording begins differs from run to run, pressures and the like then follow from equilibrium. Of a Block, the start
-    parameters are ``<output>.start``, the first measured outputs that its ``start`` function reads.
+    of initialization, from the inputs, the parameters and the start parameters ``<state>.start`` (fixed), one for every
+    state. Those of the states named in ``given`` are always used; by default these have an output measuring a position
+    or an angle: where a recording begins differs from run to run. The others, pressures and the like, follow from them
+    by the model's equations of the start, unless they are set. Of a Block, the start parameters are
+    ``<output>.start``, the first measured outputs that its ``start`` function reads.
 
     method : "auto", "explicit", "implicit" or "adaptive" (see `method.choose_method`); auto is explicit with the step
         of `simulate`, adaptive for stiff models. Implicit is for stiff models in hard real time: L-stable with a fixed

@@ -6,6 +6,7 @@ import hashlib
 import importlib
 import importlib.util
 import inspect
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,23 @@ def origin(spec: str) -> str:
     if not base.endswith(".toml"):
         return base
     model = read_model_file(base).model
-    return str((Path(base).parent / model).resolve()) if model.endswith(".fmu") else model
+    return str((Path(base).parent / model).resolve()) if is_fmu(model) else model
+
+
+def is_fmu(spec: str) -> bool:
+    """Whether ``spec`` is an FMU, ``machine.fmu`` or ``machine.fmu:variable,variable``."""
+    return spec.endswith(".fmu") or ".fmu:" in spec
+
+
+def fmu_parts(spec: str) -> tuple[str, list[str] | None]:
+    """The file of an FMU and the variables that are named as its outputs; commas in brackets are part of a name."""
+    file, colon, names = spec.partition(".fmu:")
+    if not colon:
+        return spec, None
+    named = [n.strip() for n in re.split(r",(?![^\[(]*[\])])", names)]
+    if not all(named):
+        raise DeclarationError(f"MODEL: no variable where one belongs in '{spec}'. Write {file}.fmu:mass.s,mass.v.")
+    return f"{file}.fmu", named
 
 
 def load(spec: str):
@@ -38,6 +55,7 @@ def load(spec: str):
     ``cehA``                a shipped model; ``cehA:third_order`` one of its variants; ``eq17`` the published formula
     ``fitted.toml``         a model file (of a shipped model) or a learned block
     ``machine.fmu``         an FMU; a model file may stand for one with effects around it
+    ``machine.fmu:a,b.c``   the same with these variables as its outputs, local ones too
     ``rig.py:axis``         a Model that a function in the user's own Python file returns
     ``rig.py:axis@f.toml``  the same with the values and effects of a model file
     ======================  ==============================================================================
@@ -67,10 +85,11 @@ def _load_base(spec: str):
     if spec in SHIPPED:
         machine, _, variant = spec.partition(":")
         return getattr(importlib.import_module(f"hydrotwin.models.{machine}"), variant or "model")()
-    if spec.endswith(".fmu"):
+    if is_fmu(spec):
         from hydrotwin.export import read_fmu
 
-        return read_fmu(Path(spec))
+        file, named = fmu_parts(spec)
+        return read_fmu(Path(file), outputs=named)
     file, colon, factory = spec.rpartition(":")
     if colon and file.endswith(".py"):
         return _from_python(Path(file), factory)
@@ -94,7 +113,7 @@ def _from_toml(path: Path):
     if "models" in content and "validate" in content:
         raise DeclarationError(f"{path}: a scenario, not a model. Run it: hydrotwin compare {path}.")
     file = read_model_file(path)
-    if file.model.endswith(".fmu"):
+    if is_fmu(file.model):
         return _with_file(_fmu_of(file), file)
     if ".py:" in file.model:
         raise DeclarationError(
@@ -120,7 +139,8 @@ def surroundable(spec: str):
 
 def _fmu_of(file: ModelFile) -> Model:
     """The FMU that a model file names, from the folder of the file; it must be the one that was worked with."""
-    path = file.path.parent / file.model
+    spec = file.path.parent / file.model
+    path = Path(fmu_parts(str(spec))[0])
     if not path.is_file():
         raise DataError(f"{file.path}: its FMU is not there (got '{file.model}'). Put it where the file says: {path}.")
     known = file.provenance.get("fmu", {})
@@ -130,7 +150,7 @@ def _fmu_of(file: ModelFile) -> Model:
             f"{file.path}: {path} is another FMU than the one its effects belong to (its SHA-256 differs). Put the "
             "old one back, or look for effects of the new one: hydrotwin gap."
         )
-    return surroundable(str(path))
+    return surroundable(str(spec))
 
 
 def sha256_of(path: Path) -> str:

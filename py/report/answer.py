@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Score
+from hydrotwin.export.reader import LATE
 
 from .copies import copies
 from .format import difference_to_shown, margin_text, number_text, with_unit
@@ -45,10 +46,15 @@ def answer(comparison: Comparison, shown: Mapping[str, str]) -> str:
 
 
 def facts(comparison: Comparison, shown: Mapping[str, str]) -> tuple[str, ...]:
-    """The same sentence for every further mode, who was told more than the others, and the fastest model."""
+    """The same sentence for every further mode, who was told more than the others, what is shown late, the fastest."""
     sentences = [_mode_sentence(comparison, mode, shown) for mode in comparison.modes[1:]]
     sentences += [c.sentence for c in copies(comparison)]
     sentences.append(_told_more(comparison))
+    sentences += [
+        f"Of {e.name}, {e.provenance[LATE]} is shown {LATE}: read its errors there with care."
+        for e in comparison.entrants
+        if LATE in e.provenance
+    ]
     seconds = comparison.seconds_per_simulated_second
     times = {m: s for m, s in seconds.items() if m not in comparison.yardsticks}
     if len(times) > 1:

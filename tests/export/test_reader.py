@@ -110,7 +110,7 @@ def test_a_file_that_is_no_fmu_is_a_data_error(tmp_path):
 
 def test_one_step_says_that_inner_states_cannot_be_set(fmus):
     with pytest.raises(DeclarationError, match="one-step prediction is not available"):
-        read_fmu(fmus["cehA"]).one_step(arm_record(1.0))
+        read_fmu(fmus["lag"]).one_step(command_record())
 
 
 def test_one_step_equals_ours_when_every_state_has_a_start(systems, tmp_path):

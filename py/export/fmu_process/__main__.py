@@ -10,14 +10,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from fmpy import extract, read_model_description, simulate_fmu
+from fmpy import extract, read_model_description
 
 from .exchange_probes import EXCHANGE_PROBES
 from .gates import gates_for
 from .master import Slave, run_steps
 from .probes import PROBES, run_probes
-
-PIECES = 8  # of a sample: FMPy's CVODES gives up after 500 steps from output to output, and what sticks takes more
+from .walk import free_run
 
 
 def main(folder: Path):
@@ -33,39 +32,14 @@ def main(folder: Path):
 
 
 def _run(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
-    time, u = arrays["time"], arrays["u"]
-    if job["interface"] == "ModelExchange":
-        return {"y": _model_exchange(job, time, u, description, unzipped)}
-    slave = Slave(description, unzipped)
-    slave.initialise(time[0], None, job["starts"], dict(zip(job["inputs"], u[0], strict=True)))
-    return {"y": run_steps(slave, time, u, job["inputs"], job["outputs"], job["linear"])}
-
-
-def _model_exchange(job, time, u, description, unzipped) -> np.ndarray:
-    """FMPy's CVODES; held inputs become steps by a doubled sample."""
-    n, held = len(time), [name not in job["linear"] for name in job["inputs"]]
-    doubled = np.repeat(np.arange(n), 2)[:-1] if any(held) else np.arange(n)
-    at = time[np.minimum((np.arange(2 * n - 1) + 1) // 2, n - 1)] if any(held) else time
-    values = u[doubled].copy()
-    for j, hold in enumerate(held):
-        if any(held) and not hold:
-            values[:, j] = np.interp(at, time, u[:, j])
-    kinds = [(name, np.float64) for name in job["inputs"]]
-    signals = np.array([(t, *v) for t, v in zip(at, values, strict=True)], dtype=[("time", np.float64), *kinds])
-    result = simulate_fmu(
-        unzipped, validate=False, fmi_type="ModelExchange", model_description=description, start_time=time[0],
-        stop_time=time[-1], output_interval=float(np.median(np.diff(time))) / PIECES, start_values=job["starts"],
-        input=signals if job["inputs"] else None, output=job["outputs"], relative_tolerance=1e-11,
-    )  # fmt: skip
-    return np.column_stack([np.interp(time, result["time"], result[name]) for name in job["outputs"]])
+    return {"y": free_run(job, arrays["time"], arrays["u"], description, unzipped)}
 
 
 def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
     """One step from every sample: states from a free run, the measured ones replaced by the measurement."""
     time, u, measured = arrays["time"], arrays["u"], arrays["measured"]
     slave = Slave(description, unzipped)
-    first = dict(zip(job["inputs"], u[0], strict=True))
-    slave.initialise(time[0], None, job["starts"], first)
+    slave.initialise(time[0], None, job["starts"], dict(zip(job["inputs"], u[0], strict=True)))
     wanted = [*job["outputs"], *job["states"]]
     free = run_steps(slave, time, u, job["inputs"], wanted, job["linear"])
     found = free[:, : len(job["outputs"])].copy()

@@ -3,49 +3,34 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 from ctypes import c_double
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription
-from fmpy.simulation import instantiate_fmu
 
-from .master import FLOATS, abilities_of, inputs_of, outputs_of
+from .exchange import Exchange
+from .master import FLOATS, abilities_of, inputs_of, is_scalar, outputs_of
 
 LATER, SHARE = 0.37, 0.1  # s, and of nominal: from the start to the other point
+SEED, POINTS, CALLS = 35, 25, 12  # of calls in any order: where answers are compared, and calls before each
+REPEATS = 1e-6  # of the size of an answer: iterations inside an FMU may end a little elsewhere
 
 
-class Exchanger:
-    """One Model Exchange instance in continuous-time mode: FMI 2 and 3 seen through the same few calls."""
+class Exchanger(Exchange):
+    """One Model Exchange instance that is asked at points away from its run, from t = 0 in continuous-time mode."""
 
-    def __init__(self, description: ModelDescription, unzipped: str):
-        self.fmi3 = description.fmiVersion.startswith("3")
-        self.fmu = instantiate_fmu(unzipped, description, fmi_type="ModelExchange")
-        self.inputs = [v for v in inputs_of(description) if v.type in FLOATS and not getattr(v, "dimensions", None)]
-        self.outputs = [v.valueReference for v in outputs_of(description)]
-        self.count = int(description.numberOfContinuousStates)
-        self.initialise()
-
-    def initialise(self):
-        """From instantiated to continuous-time mode at t = 0."""
-        if not self.fmi3:
-            self.fmu.setupExperiment(startTime=0.0)
-        self.fmu.enterInitializationMode()
-        self.fmu.exitInitializationMode()
-        update = self.fmu.updateDiscreteStates if self.fmi3 else self.fmu.newDiscreteStates
-        while update()[0]:
-            pass
-        self.fmu.enterContinuousTimeMode()
-
-    def states(self) -> np.ndarray:
-        """Continuous states."""
-        return self._vector(self.fmu.getContinuousStates)
+    def __init__(self, description: ModelDescription, unzipped: str, inputs: Mapping[str, float] | None = None):
+        """``inputs`` are set before the end of initialization."""
+        super().__init__(description, unzipped)
+        self.inputs = [v for v in inputs_of(description) if v.type in FLOATS and is_scalar(v)]
+        self.outputs = [v.name for v in outputs_of(description) if v.type in FLOATS]
+        self.initialise(0.0, None, {}, inputs or {})
 
     def answers(self) -> np.ndarray:
         """Derivatives, then outputs, at the present point."""
-        fmu = self.fmu
-        rates = self._vector(fmu.getContinuousStateDerivatives if self.fmi3 else fmu.getDerivatives)
-        return np.r_[rates, (fmu.getFloat64 if self.fmi3 else fmu.getReal)(self.outputs) if self.outputs else []]
+        return np.r_[self.rates(), self.read(self.outputs)]
 
     def set(self, what: str, time: float, x: np.ndarray, u: np.ndarray):
         """One of "time", "states", "inputs" of the point (time, x, u)."""
@@ -54,8 +39,7 @@ class Exchanger:
         elif what == "states":
             self.fmu.setContinuousStates((c_double * self.count)(*x), self.count)
         elif self.inputs:
-            references = [v.valueReference for v in self.inputs]
-            (self.fmu.setFloat64 if self.fmi3 else self.fmu.setReal)(references, list(u))
+            self.write({v.name: value for v, value in zip(self.inputs, u, strict=True)})
 
     def move(self, time: float, x: np.ndarray, u: np.ndarray):
         """To a point."""
@@ -65,19 +49,9 @@ class Exchanger:
     def points(self) -> tuple[tuple, tuple]:
         """The start, and a point away from it in time, states and inputs."""
         x, u = self.states(), np.array([float(v.start or 0.0) for v in self.inputs])
-        scale = np.maximum(self._vector(self.fmu.getNominalsOfContinuousStates), 1e-12)
+        scale = np.maximum(self.vector(self.fmu.getNominalsOfContinuousStates), 1e-12)
         step = np.array([SHARE * float(v.nominal or 1.0) for v in self.inputs])
         return (0.0, x, u), (LATER, x + SHARE * scale, u + step)
-
-    def close(self):
-        """Terminate and free."""
-        self.fmu.terminate()
-        self.fmu.freeInstance()
-
-    def _vector(self, read) -> np.ndarray:
-        values = (c_double * self.count)()
-        read(values, self.count)
-        return np.array(values)
 
 
 def _order_of_setting(description: ModelDescription, unzipped: str):
@@ -113,6 +87,53 @@ def _reached(exchanger: Exchanger, start: tuple, other: tuple, order: tuple[str,
     return exchanger.answers()
 
 
+def _any_calls(description: ModelDescription, unzipped: str):
+    """After hundreds of calls in any order, time going back too, the answers are those of a fresh instance.
+
+    Solvers evaluate ahead of a step and come back, and move inputs within it: derivatives and outputs must follow from
+    time, states and inputs alone. A fresh instance gets its inputs before the end of initialization, so that an FMU
+    that takes inputs at events only is found; not where there are event indicators, whose branches are then others.
+    """
+    random, worn = np.random.default_rng(SEED), Exchanger(description, unzipped)
+    smooth = not description.numberOfEventIndicators
+    (_, x, u), (_, far_x, far_u) = worn.points()
+    middle = {"time": np.array(LATER), "states": x, "inputs": u}
+    size = {"time": LATER, "states": far_x - x, "inputs": far_u - u}
+    found, expected, times, point = [], [], [], dict(middle)
+    for _ in range(POINTS):
+        for what in random.choice(("time", "states", "inputs", "ask"), CALLS):
+            if what == "ask":
+                worn.answers()
+                continue
+            point[what] = middle[what] + random.uniform(-1.0, 1.0, middle[what].shape) * size[what]
+            worn.set(what, float(point["time"]), point["states"], point["inputs"])
+        found.append(worn.answers())
+        early = {v.name: value for v, value in zip(worn.inputs, point["inputs"], strict=True)} if smooth else {}
+        fresh = Exchanger(description, unzipped, early)
+        fresh.move(float(point["time"]), point["states"], point["inputs"])
+        expected.append(fresh.answers())
+        fresh.close()
+        times.append(float(point["time"]))
+    worn.close()
+    return _compared(np.array(found), np.array(expected), times)
+
+
+def _compared(found: np.ndarray, expected: np.ndarray, times: list[float]):
+    """Each answer by its largest size among the points."""
+    scale = np.maximum(np.abs(expected).max(axis=0, initial=0.0), 1e-300)
+    errors = np.abs(found - expected) / scale
+    if not np.isfinite(errors).all():
+        return False, "not finite somewhere within a tenth of nominal around the start"
+    worst = float(errors.max(initial=0.0))
+    if worst > REPEATS:
+        at = int(errors.max(axis=1).argmax())
+        return False, (
+            f"the answer depends on the calls before: at t = {times[at]:.3g} s it is off by {worst:.2g} of its size "
+            "from that of a fresh instance with the same time, states and inputs"
+        )
+    return True, f"{POINTS} points, reached by {POINTS * CALLS} calls in any order, answer as a fresh instance"
+
+
 def _reset(description: ModelDescription, unzipped: str):
     exchanger = Exchanger(description, unzipped)
     _, other = exchanger.points()
@@ -120,7 +141,7 @@ def _reset(description: ModelDescription, unzipped: str):
     exchanger.move(*other)
     exchanger.answers()
     exchanger.fmu.reset()
-    exchanger.initialise()
+    exchanger.initialise(0.0, None, {}, {})
     again = np.r_[exchanger.states(), exchanger.answers()]
     exchanger.close()
     if np.array_equal(first, again):
@@ -136,7 +157,7 @@ def _directional(description: ModelDescription, unzipped: str):
     exchanger = Exchanger(description, unzipped)
     time, x, u = exchanger.points()[1]
     rates = [row.variable for row in description.derivatives]
-    unknowns = [*(v.valueReference for v in rates), *exchanger.outputs]
+    unknowns = [*(v.valueReference for v in rates), *(exchanger.variables[n].valueReference for n in exchanger.outputs)]
     knowns = [*(v.derivative for v in rates), *exchanger.inputs]
     worst, where = 0.0, ""
     for column, known in enumerate(knowns):
@@ -197,6 +218,7 @@ def _nan_input(description: ModelDescription, unzipped: str):
 
 EXCHANGE_PROBES = {
     "order of setting": _order_of_setting,
+    "any order of calls": _any_calls,
     "reset": _reset,
     "state": _state,
     "directional derivatives": _directional,

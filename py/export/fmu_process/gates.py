@@ -16,7 +16,7 @@ from fmpy import simulate_fmu
 from fmpy.model_description import ModelDescription, ScalarVariable
 
 from .exchange_probes import Exchanger
-from .master import FLOATS, Slave, inputs_of, outputs_of
+from .master import FLOATS, Slave, inputs_of, is_scalar, outputs_of
 
 STEPS = 20
 EQUAL = 1e-9  # of the larger of the two values
@@ -33,11 +33,11 @@ def gates_for(path: str) -> Mapping[str, Callable]:
 
 
 def _fmpy(description: ModelDescription, unzipped: str, interface: str):
-    """FMPy's master with its defaults, without inputs."""
+    """FMPy's master with its defaults, under inputs that step as those of `_libcosimpy`."""
     step, names = _step_size(description), [v.name for v in outputs_of(description)]
     result = simulate_fmu(
         unzipped, validate=False, fmi_type=interface, model_description=description, start_time=0.0,
-        stop_time=STEPS * step, output_interval=step, output=names or None,
+        stop_time=STEPS * step, output_interval=step, output=names or None, input=_steps(description, step),
     )  # fmt: skip
     finite = all(np.isfinite(result[n]).all() for n in names)
     return finite, f"{len(result)} points to {result['time'][-1]:g} s, {len(names)} outputs {_said(finite)}"
@@ -54,7 +54,7 @@ def _libcosimpy(description: ModelDescription, unzipped: str, path: str):
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
 
-    step, names = _step_size(description), [v.name for v in outputs_of(description)]
+    step, names = _step_size(description), [v.name for v in outputs_of(description) if v.type in FLOATS]
     execution = CosimExecution.from_step_size(step_size=round(step * 1e9))
     slave = execution.add_local_slave(CosimLocalSlave(fmu_path=path, instance_name="checked"))
     observer, override = CosimObserver.create_last_value(), CosimManipulator.create_override()
@@ -81,6 +81,15 @@ def _libcosimpy(description: ModelDescription, unzipped: str, path: str):
     return difference <= EQUAL, f"{STEPS} steps of {step:g} s, largest difference to our master {difference:.2g}"
 
 
+def _steps(description: ModelDescription, step: float) -> np.ndarray | None:
+    """Held inputs as FMPy takes them: every sample but the last twice, with the value before and after."""
+    moved = [v for v in inputs_of(description) if v.type in FLOATS and is_scalar(v)]
+    if not moved:
+        return None
+    rows = [(j * step, *_inputs(moved, k).values()) for k in range(STEPS) for j in (k, k + 1)]
+    return np.array(rows, dtype=[("time", np.float64), *((v.name, np.float64) for v in moved)])
+
+
 def _inputs(moved: Sequence[ScalarVariable], k: int) -> dict[str, float]:
     """A tenth of nominal around the start value, at step k."""
     wave = 0.1 * math.sin(0.3 * (k + 1))
@@ -100,7 +109,7 @@ def _casadi(description: ModelDescription, unzipped: str):
     imported = dae.create("f", ["t", "x", "u"], ["ode", "y"])
     exchanger = Exchanger(description, unzipped)
     states = [row.variable.derivative.name for row in description.derivatives]
-    names = (states, [v.name for v in exchanger.inputs], [v.name for v in outputs_of(description)])
+    names = (states, [v.name for v in exchanger.inputs], exchanger.outputs)
     places = [[own.index(n) for n in theirs] for own, theirs in zip(names, (dae.x(), dae.u(), dae.y()), strict=True)]
     worst = 0.0
     for time, x, u in exchanger.points():

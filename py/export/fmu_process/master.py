@@ -13,21 +13,28 @@ from fmpy.simulation import instantiate_fmu
 
 DISCARDS = "logStatusDiscard"  # the standard's name of the category that says why a step was discarded
 FLOATS = ("Real", "Float64", "Float32")
+NO_NUMBERS = ("String", "Binary", "Clock")
+LOOK = 1e-10  # of a communication step: the short step after which an output is read that follows a jump at once
+SPACINGS = 64  # between neighbouring numbers at the present time: no step is shorter
+WHOLE = 1e-6  # an Integer or Boolean may be this far from a whole number: recordings are rounded
 
 
-class Slave:
-    """One Co-Simulation instance: FMI 2 and 3 seen through the same few calls; options: of `instantiate_fmu`."""
+class Instance:
+    """One instance of one of the two interfaces, FMI 2 and 3 seen through the same few calls."""
+
+    interface = ""
 
     def __init__(self, description: ModelDescription, folder: str, **options):
+        """``options`` are those of FMPy's `instantiate_fmu`."""
         self.description = description
         self.variables = {v.name: v for v in description.modelVariables}
         self.fmi3 = description.fmiVersion.startswith("3")
-        self.fmu = instantiate_fmu(folder, description, fmi_type="CoSimulation", **options)
+        self.fmu = instantiate_fmu(folder, description, fmi_type=self.interface, **options)
         if self.fmi3 and DISCARDS in {category.name for category in description.logCategories}:
             self.fmu.setDebugLogging(True, [DISCARDS])  # in FMI 3 only errors are told without being asked
 
     def initialise(self, start: float, stop: float | None, starts: Mapping[str, float], inputs: Mapping[str, float]):
-        """From instantiated to ready for the first step."""
+        """From instantiated to where initialization mode has ended."""
         early = {n: v for n, v in starts.items() if self.variables[n].variability != "constant"}
         if self.fmi3:
             self.write(early)
@@ -53,16 +60,6 @@ class Slave:
             found |= dict(zip(of_kind, values, strict=True))
         return [float(found[n]) for n in names]
 
-    def write_slopes(self, slopes: Mapping[str, float]):
-        """Tell the FMU how its inputs move during the next step (FMI 2)."""
-        self.fmu.setRealInputDerivatives(self._references(slopes), [1] * len(slopes), list(slopes.values()))
-
-    def step(self, time: float, size: float):
-        """One communication step. RuntimeError when the FMU asks to end."""
-        answer = self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
-        if self.fmi3 and answer[1]:
-            raise RuntimeError(f"the FMU ended the simulation at t = {answer[3]:g} s")
-
     def close(self):
         """Terminate and free, also after a failure."""
         with contextlib.suppress(Exception):
@@ -79,18 +76,66 @@ class Slave:
         return groups
 
 
+class Slave(Instance):
+    """One Co-Simulation instance."""
+
+    interface = "CoSimulation"
+
+    @property
+    def any_step(self) -> bool:
+        """Whether it takes communication steps of any size."""
+        return bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
+
+    @property
+    def interpolates(self) -> bool:
+        """Whether it can be told how its inputs move during a step (FMI 2)."""
+        return bool(self.description.coSimulation.canInterpolateInputs) and not self.fmi3
+
+    @property
+    def returns(self) -> bool:
+        """Whether it can be brought back to where it was."""
+        return bool(self.description.coSimulation.canGetAndSetFMUstate)
+
+    def write_slopes(self, slopes: Mapping[str, float]):
+        """Tell the FMU how its inputs move during the next step."""
+        self.fmu.setRealInputDerivatives(self._references(slopes), [1] * len(slopes), list(slopes.values()))
+
+    def step(self, time: float, size: float):
+        """One communication step. RuntimeError when the FMU asks to end."""
+        answer = self.fmu.doStep(currentCommunicationPoint=time, communicationStepSize=size)
+        if self.fmi3 and answer[1]:
+            raise RuntimeError(f"the FMU ended the simulation at t = {answer[3]:g} s")
+
+
 def inputs_of(description: ModelDescription) -> list[ScalarVariable]:
     """Inputs that hold a number."""
-    words = ("String", "Binary", "Clock")
-    return [v for v in description.modelVariables if v.causality == "input" and v.type not in words]
+    return _with_causality(description, "input")
 
 
 def outputs_of(description: ModelDescription) -> list[ScalarVariable]:
-    """Real outputs, scalars."""
-    return [
-        v for v in description.modelVariables
-        if v.causality == "output" and v.type in FLOATS and not getattr(v, "dimensions", None)
-    ]  # fmt: skip
+    """Outputs that hold one number: real, integer, Boolean, enumeration."""
+    return [v for v in _with_causality(description, "output") if is_scalar(v)]
+
+
+def is_scalar(variable: ScalarVariable) -> bool:
+    """Whether a variable holds one number."""
+    return variable.type not in NO_NUMBERS and not getattr(variable, "dimensions", None)
+
+
+def _with_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:
+    """In FMI 3 FMPy lists an alias as a variable of its own: the first name of a reference is the variable's."""
+    found = [v for v in description.modelVariables if v.causality == causality and v.type not in NO_NUMBERS]
+    if not description.fmiVersion.startswith("3"):
+        return found
+    return list({v.valueReference: v for v in reversed(found)}.values())[::-1]
+
+
+def feeds_through(description: ModelDescription, outputs: Sequence[str], inputs: Sequence[str]) -> np.ndarray:
+    """Which output follows which input at once (outputs, inputs), by the declared dependencies; unsaid: all."""
+    declared = {u.variable.name: u.dependencies for u in description.outputs}
+    known = [declared.get(name) for name in outputs]
+    named = [None if d is None else {v.name for v in d} for d in known]
+    return np.array([[d is None or name in d for name in inputs] for d in named], bool).reshape(len(outputs), -1)
 
 
 def abilities_of(unzipped: str, interface: str) -> set[str]:
@@ -99,29 +144,81 @@ def abilities_of(unzipped: str, interface: str) -> set[str]:
     return {name for name, value in element.attrib.items() if value in ("true", "1")}
 
 
+def look_size(time: float, size: float) -> float:
+    """A step from ``time`` that is as good as none, in an FMU that takes steps of ``size`` [s]."""
+    return max(LOOK * size, SPACINGS * float(np.spacing(abs(time))))
+
+
 def run_steps(
     slave: Slave, time: np.ndarray, u: np.ndarray, inputs: Sequence[str], outputs: Sequence[str], linear: Sequence[str]
 ) -> np.ndarray:
-    """Outputs (n, k) at ``time``; output k belongs to input k, as in `simulate`.
+    """Outputs (n, k) at ``time`` of a slave that was initialised with the first row of ``u``; row k sees input k.
 
-    Inputs are held over a step; those named in ``linear`` move towards the next sample where the FMU can follow,
+    In the one order that the standard allows (FMI 2.0.5 p. 109): inputs are set, a step is made, outputs are read, and
+    nothing is read between setting and stepping. What is read so has seen the inputs before a sample. An output that
+    follows an input at once would be one sample late beside a recording, whose rows hold what was there together: where
+    such an input jumps, a step that is as good as none (1e-10 of the next) is made with the new value, those outputs
+    are read after it, and the slave is brought back where it can be. One of one step size cannot: see `late_outputs`.
+
+    Inputs are held over a step; those named in ``linear`` move towards the next sample where the FMU can be told how,
     else they are held at their mean over the step.
     """
-    follows = bool(slave.description.coSimulation.canInterpolateInputs) and not slave.fmi3
-    found = np.empty((len(time), len(outputs)))
+    straight = np.array([name in linear for name in inputs], bool)
+    through = feeds_through(slave.description, outputs, inputs) & slave.any_step
+    found, seen = np.empty((len(time), len(outputs))), u[0]
+    found[0] = slave.read(outputs)
     for k in range(len(time)):
-        slave.write(dict(zip(inputs, u[k], strict=True)))
-        found[k] = slave.read(outputs)
-        if k + 1 == len(time):
+        last = k + 1 == len(time)
+        size = time[k] - time[k - 1] if last else time[k + 1] - time[k]
+        values, done = dict(zip(inputs, u[k], strict=True)), 0.0
+        behind = np.flatnonzero((through & (seen != u[k])).any(axis=1))
+        if len(behind):
+            found[k, behind], done = _look(slave, time[k], size, values, [outputs[j] for j in behind])
+        if last:
             break
-        size = time[k + 1] - time[k]
-        moving = {n: (u[k, j], u[k + 1, j]) for j, n in enumerate(inputs) if n in linear}
-        if moving and follows:
-            slave.write_slopes({n: (b - a) / size for n, (a, b) in moving.items()})
-        elif moving:
-            slave.write({n: 0.5 * (a + b) for n, (a, b) in moving.items()})
-        slave.step(time[k], size)
+        seen = _set_for_step(slave, values, u[k], u[k + 1], straight, size)
+        slave.step(time[k] + done, size - done)
+        found[k + 1] = slave.read(outputs)
     return found
+
+
+def _look(slave: Slave, time: float, size: float, values: Mapping[str, float], names: Sequence[str]):
+    """Outputs just after the inputs took ``values``, and how far the slave has gone on: 0.0 where it can be taken back.
+
+    Where it cannot, the solver inside answers to the cut step within its own tolerance.
+    """
+    state = slave.fmu.getFMUState() if slave.returns else None
+    slave.write(values)
+    short = look_size(time, size)
+    slave.step(time, short)
+    found = slave.read(names)
+    if state is None:
+        return found, short
+    slave.fmu.setFMUState(state)
+    slave.fmu.freeFMUState(state)
+    return found, 0.0
+
+
+def _set_for_step(slave: Slave, values: dict, now: np.ndarray, after: np.ndarray, straight, size: float) -> np.ndarray:
+    """Set the inputs of a step and return what they are at its end."""
+    moving = straight & (now != after)
+    if not slave.interpolates:
+        mean = np.where(moving, 0.5 * (now + after), now)
+        slave.write(dict(zip(values, mean, strict=True)))
+        return mean
+    slave.write(values)
+    if moving.any():
+        slave.write_slopes({n: (b - a) / size for n, a, b, m in zip(values, now, after, moving, strict=True) if m})
+    return np.where(moving, after, now)
+
+
+def late_outputs(description: ModelDescription, outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
+    """Outputs that a run shows one sample late: they follow an input at once and the FMU takes one step size only."""
+    slave = description.coSimulation
+    if slave is None or slave.canHandleVariableCommunicationStepSize:
+        return []
+    through = feeds_through(description, outputs, inputs).any(axis=1)
+    return [name for name, late in zip(outputs, through, strict=True) if late]
 
 
 def _setter(kind: str, fmi3: bool) -> str:
@@ -131,4 +228,7 @@ def _setter(kind: str, fmi3: bool) -> str:
 def _as_type(kind: str, value: float):
     if kind in FLOATS:
         return float(value)
-    return bool(value) if kind == "Boolean" else int(value)
+    whole = round(float(value))
+    if abs(value - whole) > WHOLE or (kind == "Boolean" and whole not in (0, 1)):
+        raise ValueError(f"{value!r} is no {kind}")
+    return bool(whole) if kind == "Boolean" else whole

@@ -10,11 +10,13 @@ from pathlib import Path
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
-from fmpy.model_description import ModelDescription
+from fmpy.model_description import ModelDescription, ScalarVariable
 
-from .master import FLOATS, Slave, abilities_of, inputs_of, outputs_of
+from .master import FLOATS, Slave, abilities_of, inputs_of, is_scalar, look_size, outputs_of
 
 STEPS = 20
+MOVED, SMALL = 1e-3, 1e-5  # of an input's size: how far it is moved, and for differences
+AT_ONCE = 1e-3  # of what a step brings: what comes without one follows at once
 
 
 def run_probes(
@@ -114,21 +116,20 @@ def _state(description: ModelDescription, unzipped: str):
 
 
 def _dependencies(description: ModelDescription, unzipped: str):
-    """An output that does not list an input must not answer to it; one that lists none must answer to nothing."""
+    """An output that does not list an input must not answer to it at once; one that lists none to nothing."""
     declared = {u.variable.name: u.dependencies for u in description.outputs}
-    inputs = [v for v in inputs_of(description) if v.type in FLOATS]
+    inputs, names = _real(inputs_of(description)), [v.name for v in outputs_of(description) if v.name in declared]
     if not inputs or not declared:
         return None, "no real input or no output listed"
     if all(d is None for d in declared.values()):
         return None, "no dependencies are declared, a master must assume all"
-    slave, _ = _short_run(description, unzipped)
-    names = [v.name for v in outputs_of(description) if v.name in declared]
+    if not description.coSimulation.canHandleVariableCommunicationStepSize:
+        return None, "it takes one step size only, what follows at once cannot be told from what follows in a step"
     wrong, active = [], 0
     for variable in inputs:
-        before, [value] = np.array(slave.read(names)), slave.read([variable.name])
-        slave.write({variable.name: value + max(1e-3 * float(variable.nominal or 1.0), 1e-3 * abs(value))})
-        changed = np.array(slave.read(names)) != before
-        slave.write({variable.name: value})
+        values = [_moved(description, unzipped, names, variable, share) for share in (0.0, MOVED)]
+        at_once, in_a_step = (np.abs(values[1][k] - values[0][k]) for k in (0, 1))
+        changed = (at_once > AT_ONCE * in_a_step) & (at_once > 0.0)
         active += int(changed.any())
         listed = [d is None or variable in d for d in (declared[n] for n in names)]
         wrong += [f"{n} on {variable.name}" for n, c, d in zip(names, changed, listed, strict=True) if c and not d]
@@ -137,32 +138,52 @@ def _dependencies(description: ModelDescription, unzipped: str):
     return True, f"{len(inputs)} inputs moved, {active} reach an output at once, all of that is declared"
 
 
+def _moved(description: ModelDescription, unzipped: str, names: Sequence[str], variable, share: float):
+    """Outputs a step as good as none after an input was moved by ``share`` of its size, and a whole step after.
+
+    Set, step, read: a slave of its own each time, for nothing may be read between setting and stepping.
+    """
+    slave, _ = _short_run(description, unzipped)
+    size, (value,) = _step_size(description), slave.read([variable.name])
+    scale = max(float(variable.nominal or 1.0), abs(value))
+    try:
+        slave.write({variable.name: value + share * scale})
+        short = look_size(STEPS * size, size)
+        slave.step(STEPS * size, short)
+        first = np.array(slave.read(names))
+        slave.step(STEPS * size + short, size - short)
+        return first, np.array(slave.read(names))
+    finally:
+        slave.close()
+
+
 def _directional(description: ModelDescription, unzipped: str):
     """d output / d input against finite differences, where the FMU offers it."""
     declared = abilities_of(unzipped, "CoSimulation")
     offered = declared & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}
-    inputs = [v for v in inputs_of(description) if v.type in ("Real", "Float64") and not getattr(v, "dimensions", None)]
-    outputs = [v for v in outputs_of(description) if v.type in ("Real", "Float64")]
+    inputs, outputs = _real(inputs_of(description)), _real(outputs_of(description))
     if not offered or not inputs:
         return None, "not offered"
+    if not description.coSimulation.canHandleVariableCommunicationStepSize:
+        return None, "it takes one step size only, there is nothing to compare with"
     slave, _ = _short_run(description, unzipped)
     names, references, worst = [v.name for v in outputs], [v.valueReference for v in outputs], 0.0
     for variable in inputs:
-        h = 1e-5 * float(variable.nominal or 1.0)
         [value] = slave.read([variable.name])
         exact = slave.fmu.getDirectionalDerivative(references, [variable.valueReference], [1.0])
-        sides = []
-        for sign in (1, -1):
-            slave.write({variable.name: value + sign * h})
-            sides.append(np.array(slave.read(names)))
-        slave.write({variable.name: value})
+        h = SMALL * max(float(variable.nominal or 1.0), abs(value))
+        below, above = (_moved(description, unzipped, names, variable, sign * SMALL)[0] for sign in (-1, 1))
         scale = np.array([float(v.nominal or 1.0) for v in outputs]) / float(variable.nominal or 1.0)
-        worst = max(worst, float((np.abs((sides[0] - sides[1]) / (2 * h) - exact) / scale).max()))
+        worst = max(worst, float((np.abs((above - below) / (2 * h) - exact) / scale).max()))
         if "providesAdjointDerivatives" in declared:
             adjoint = [slave.fmu.getAdjointDerivative([r], [variable.valueReference], [1.0])[0] for r in references]
             if not np.allclose(adjoint, exact, rtol=1e-9, atol=1e-12 * float(np.abs(scale).max())):
                 return False, f"the adjoint derivatives to '{variable.name}' are not the directional ones"
     return worst < 1e-4, f"largest difference to finite differences {worst:.2g} of nominal"
+
+
+def _real(variables: Sequence[ScalarVariable]) -> list[ScalarVariable]:
+    return [v for v in variables if v.type in ("Real", "Float64") and is_scalar(v)]
 
 
 def _intermediate_update(description: ModelDescription, unzipped: str):

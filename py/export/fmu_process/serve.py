@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from fmpy import extract, read_model_description
 
-from .__main__ import _model_exchange
-from .master import Slave, run_steps
+from .walk import free_run
 
 LOOK = 2.0  # s between looks at the parent
 
@@ -34,7 +33,7 @@ def main(folder: Path):
                 description = read_model_description(job["path"], validate=False)
                 unzipped = extract(job["path"], unzipdir=str(folder / "fmu"))
             with np.load(folder / "input.npz", allow_pickle=False) as stored:
-                found = _one_run(job, stored["time"], stored["u"], description, unzipped)
+                found = free_run(job, stored["time"], stored["u"], description, unzipped)
             np.save(folder / "output.npy", found, allow_pickle=False)
             answer = {"done": True}
         except Exception as failure:
@@ -48,18 +47,6 @@ def _end_with(parent: int):
     while os.getppid() == parent:
         time.sleep(LOOK)
     os._exit(1)
-
-
-def _one_run(job, times, u, description, unzipped) -> np.ndarray:
-    """Outputs (n, k) of a run of a new instance."""
-    if job["interface"] == "ModelExchange":
-        return _model_exchange(job, times, u, description, unzipped)
-    slave = Slave(description, unzipped)
-    try:
-        slave.initialise(times[0], None, job["starts"], dict(zip(job["inputs"], u[0], strict=True)))
-        return run_steps(slave, times, u, job["inputs"], job["outputs"], job["linear"])
-    finally:
-        slave.close()
 
 
 if __name__ == "__main__":

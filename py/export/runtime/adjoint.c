@@ -22,7 +22,7 @@ static int pass_to_start(ht_instance *s, const double *bar_x, double *bar_u, dou
     double *res[3];
     size_t k;
     res[0] = more, res[1] = more + m->inputs, res[2] = bar_z;
-    arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_values(s, HT_START), arg[3] = bar_x;
+    arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_starts(s), arg[3] = bar_x;
     if (ht_call(s, m->start_reverse, 4, arg, 3, res)) return 1;
     for (k = 0; k < m->inputs; k++) bar_u[k] += res[0][k];
     for (k = 0; k < m->parameters; k++) bar_p[k] += res[1][k];

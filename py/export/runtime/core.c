@@ -46,7 +46,10 @@ ht_kind ht_kind_of(const ht_model *m, size_t reference, size_t *index) {
 
 double *ht_values(const ht_instance *s, ht_kind kind) { return s->data + s->place[kind]; }
 double *ht_slopes(const ht_instance *s) { return s->data + s->place[HT_UNKNOWN]; }
-double *ht_book(const ht_instance *s) { return ht_slopes(s) + s->model->inputs; }
+double *ht_asked(const ht_instance *s) { return ht_slopes(s) + s->model->inputs; }
+double *ht_starts(const ht_instance *s) { return ht_asked(s) + s->model->inputs; }
+double *ht_book(const ht_instance *s) { return ht_starts(s) + s->model->starts; }
+
 static size_t delayed_inputs(const ht_model *m) {
     size_t k, n = 0;
     for (k = 0; k < m->inputs; k++) n += m->dead_time[k] >= 0;
@@ -62,7 +65,7 @@ double *ht_history_of(const ht_instance *s, size_t k) {
 }
 
 size_t ht_doubles(const ht_model *m) {
-    return ht_variables(m) + m->inputs + BOOKKEEPING + delayed_inputs(m) * ht_history_doubles(m->history);
+    return ht_variables(m) + 2 * m->inputs + m->starts + BOOKKEEPING + delayed_inputs(m) * ht_history_doubles(m->history);
 }
 
 size_t ht_scratch_doubles(const ht_model *m) {
@@ -93,6 +96,7 @@ void ht_reset(ht_instance *s) {
     const ht_model *m = s->model;
     memset(s->data, 0, ht_doubles(m) * sizeof(double));
     memcpy(s->data, m->defaults, (m->inputs + m->parameters + m->starts) * sizeof(double));
+    memcpy(ht_starts(s), m->unset, m->starts * sizeof(double));
     ht_book(s)[PHASE] = HT_INSTANTIATED;
     ht_book(s)[STALE] = 1.0;
     ht_book(s)[INTERFACE] = s->interface;
@@ -184,13 +188,16 @@ static ht_status may_set(ht_instance *s, size_t reference) {
 }
 
 ht_status ht_set(ht_instance *s, const unsigned *reference, size_t n, const double *value) {
-    size_t k;
+    size_t k, i = 0;
     for (k = 0; k < n; k++) {
         if (may_set(s, reference[k]) != HT_OK) return HT_ERROR;
         if (!ht_finite(value + k, 1))
             return ht_fail(s, HT_DISCARD, "variable '%s' cannot take the value %g", s->model->labels[reference[k]], value[k]);
     }
-    for (k = 0; k < n; k++) s->data[reference[k]] = value[k];
+    for (k = 0; k < n; k++) {
+        s->data[reference[k]] = value[k];
+        if (ht_kind_of(s->model, reference[k], &i) == HT_START) ht_starts(s)[i] = value[k];
+    }
     ht_book(s)[STALE] = 1.0;
     return HT_OK;
 }

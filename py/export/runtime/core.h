@@ -3,7 +3,7 @@
    Every variable is a double; its value reference is its place in the flat array `data`:
 
        inputs | parameters | starts | outputs | states | derivatives | time | (end of variables)
-       slopes of the inputs | bookkeeping | histories of the delayed inputs
+       slopes of the inputs | inputs last asked with | starts as the equations get them | bookkeeping | histories of the delayed inputs
 
    so that a copy of `data` is a copy of the whole state. Nothing is allocated after `ht_place`. */
 #ifndef HT_CORE_H
@@ -29,6 +29,7 @@ typedef struct {
     int interfaces;               /* sum of the ht_interface that are offered */
     size_t inputs, parameters, starts, outputs, states, derivatives;
     const double *defaults;       /* of inputs, parameters, starts */
+    const double *unset;          /* starts as the equations get them until somebody sets them */
     const double *nominals;       /* of the states, positive */
     const char *const *labels;    /* names of all variables, for messages */
     const int *dead_time;         /* per input: which parameter [s] delays it, or -1 */
@@ -105,7 +106,8 @@ void ht_deserialize(const ht_instance *self, const void *bytes, void *state);
 ht_status ht_enter_event(ht_instance *self);
 ht_status ht_enter_continuous(ht_instance *self);
 ht_status ht_discrete_update(ht_instance *self);
-ht_status ht_step_completed(ht_instance *self);
+/* *event: an input has jumped, so that the importer must restart its solver */
+ht_status ht_step_completed(ht_instance *self, int *event);
 ht_status ht_set_time(ht_instance *self, double time);
 ht_status ht_set_states(ht_instance *self, const double *x, size_t n);
 ht_status ht_get_states(ht_instance *self, double *x, size_t n);

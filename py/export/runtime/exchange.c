@@ -23,12 +23,32 @@ ht_status ht_enter_event(ht_instance *s) {
 ht_status ht_enter_continuous(ht_instance *s) {
     if (ht_expect(s, HT_EVENT, "entering continuous-time mode") != HT_OK) return HT_ERROR;
     ht_book(s)[PHASE] = HT_CONTINUOUS;
+    ht_book(s)[ASKED] = ht_book(s)[MOVED] = 0.0;
     return HT_OK;
 }
 
 ht_status ht_discrete_update(ht_instance *s) { return ht_expect(s, HT_EVENT, "updating discrete states"); }
 
-ht_status ht_step_completed(ht_instance *s) { return ht_expect(s, HT_CONTINUOUS, "completing a step"); }
+static int inputs_are_others(const ht_instance *s) {
+    return memcmp(ht_asked(s), ht_values(s, HT_INPUT), s->model->inputs * sizeof(double)) != 0;
+}
+
+/* Whether inputs move within the steps of the importer, or only between them. */
+static void watch_inputs(ht_instance *s) {
+    if (ht_book(s)[ASKED] != 0.0 && inputs_are_others(s)) ht_book(s)[MOVED] = 1.0;
+    ht_book(s)[ASKED] = 1.0;
+    memcpy(ht_asked(s), ht_values(s, HT_INPUT), s->model->inputs * sizeof(double));
+}
+
+/* An importer that holds its inputs through a step and moves them at its end makes a jump of them. A solver of many
+   steps that is not told takes the jump for an error of its own, and gives up or loses its accuracy. */
+ht_status ht_step_completed(ht_instance *s, int *event) {
+    *event = 0;
+    if (ht_expect(s, HT_CONTINUOUS, "completing a step") != HT_OK) return HT_ERROR;
+    *event = ht_book(s)[ASKED] != 0.0 && ht_book(s)[MOVED] == 0.0 && inputs_are_others(s);
+    ht_book(s)[ASKED] = ht_book(s)[MOVED] = 0.0;
+    return HT_OK;
+}
 
 ht_status ht_set_time(ht_instance *s, double time) {
     if (integrating(s, "setting the time") != HT_OK) return HT_ERROR;
@@ -73,6 +93,7 @@ ht_status ht_get_derivatives(ht_instance *s, double *xdot, size_t n) {
             return ht_fail(s, HT_DISCARD, "'%s' is not finite at t = %.9g s",
                            s->model->labels[ht_place_of(s->model, HT_DERIVATIVE) + i], ht_time(s));
     memcpy(xdot, ht_values(s, HT_DERIVATIVE), n * sizeof(double));
+    if (phase == HT_CONTINUOUS) watch_inputs(s);
     return HT_OK;
 }
 

@@ -19,10 +19,14 @@ fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c) {
 }
 
 fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_return, fmi2Boolean *event, fmi2Boolean *terminate) {
+    int restart;
+    fmi2Status status;
     (void)no_return;
     if (!c || !event || !terminate) return fmi2Error;
-    *event = *terminate = fmi2False;
-    return ht2_answer(c, ht_step_completed(core_of(c)));
+    status = ht2_answer(c, ht_step_completed(core_of(c), &restart));
+    *event = restart ? fmi2True : fmi2False;
+    *terminate = fmi2False;
+    return status;
 }
 
 fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return c ? ht2_answer(c, ht_set_time(core_of(c), time)) : fmi2Error; }

@@ -8,10 +8,14 @@ fmi3Status fmi3EnterContinuousTimeMode(fmi3Instance c) {
 }
 
 fmi3Status fmi3CompletedIntegratorStep(fmi3Instance c, fmi3Boolean no_return, fmi3Boolean *event, fmi3Boolean *terminate) {
+    int restart;
+    fmi3Status status;
     (void)no_return;
     if (!c || !event || !terminate) return fmi3Error;
-    *event = *terminate = fmi3False;
-    return ht3_answer(c, ht_step_completed(core_of(c)));
+    status = ht3_answer(c, ht_step_completed(core_of(c), &restart));
+    *event = restart ? fmi3True : fmi3False;
+    *terminate = fmi3False;
+    return status;
 }
 
 fmi3Status fmi3SetTime(fmi3Instance c, fmi3Float64 time) { return c ? ht3_answer(c, ht_set_time(core_of(c), time)) : fmi3Error; }

@@ -8,13 +8,15 @@
 #define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
 
 /* bookkeeping inside the flat state */
-enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, OUTSIDE, BOOKKEEPING };
+enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, OUTSIDE, ASKED, MOVED, BOOKKEEPING };
 
 /* core.c */
 size_t ht_place_of(const ht_model *model, ht_kind kind);
 size_t ht_scratch_doubles(const ht_model *model);
 double *ht_values(const ht_instance *self, ht_kind kind);
 double *ht_slopes(const ht_instance *self);
+double *ht_asked(const ht_instance *self); /* the inputs with which derivatives were asked for last */
+double *ht_starts(const ht_instance *self); /* as the equations get them: what nobody set may follow from the rest */
 double *ht_book(const ht_instance *self);
 double *ht_history_of(const ht_instance *self, size_t input); /* NULL when the input is not delayed */
 ht_status ht_fail(ht_instance *self, ht_status status, const char *format, ...);

@@ -53,7 +53,7 @@ ht_status ht_directional(ht_instance *s, const unsigned *unknown, size_t unknown
     from[HT_OUTPUT] = dy, from[HT_STATE] = dx, from[HT_DERIVATIVE] = dxdot;
     if (read_seeds(s, known, knowns, seed, to) != HT_OK) return HT_ERROR;
     if (ht_phase_of(s) == HT_INITIALISING) {
-        arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_values(s, HT_START);
+        arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_starts(s);
         arg[3] = du, arg[4] = dp, arg[5] = dz, res[0] = dx;
         if (ht_call(s, m->start_forward, 6, arg, 1, res)) return ht_fail(s, HT_DISCARD, "the derivative failed");
     }

@@ -122,7 +122,7 @@ ht_status ht_start_states(ht_instance *s) {
     const double *arg[3];
     double *res[1];
     size_t i;
-    arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_values(s, HT_START);
+    arg[0] = ht_values(s, HT_INPUT), arg[1] = ht_values(s, HT_PARAMETER), arg[2] = ht_starts(s);
     res[0] = ht_values(s, HT_STATE);
     if (ht_call(s, m->start, 3, arg, 1, res)) return ht_fail(s, HT_ERROR, "the initial states cannot be computed");
     for (i = 0; i < m->states; i++)

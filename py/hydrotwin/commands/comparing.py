@@ -10,7 +10,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.records import require
 
-from ..loading import load, origin
+from ..loading import is_fmu, load, origin
 from .exporting import equations_told
 from .shared import (
     JsonOption,
@@ -171,7 +171,7 @@ def entry(text: str):
     name, equals, model = text.partition("=")
     if equals:
         return ModelEntry(model, name)
-    return ModelEntry(text, Path(text).name if text.endswith((".toml", ".fmu")) else None)
+    return ModelEntry(text, Path(text).name if text.endswith(".toml") or is_fmu(text) else None)
 
 
 def print_comparison(comparison) -> None:

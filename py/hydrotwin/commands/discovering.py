@@ -18,7 +18,7 @@ from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.models.language.writing import json_values, write_whole
 from hydrotwin.records import Record, require
 
-from ..loading import origin, sha256_of, surroundable
+from ..loading import is_fmu, origin, sha256_of, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
     JsonOption,
@@ -62,7 +62,7 @@ def effects(
     if model is None:
         rows, show = catalogue_rows(), print_catalogue
     else:
-        thing = surroundable(model) if model.endswith(".fmu") else physical(model, "effects")
+        thing = surroundable(model) if is_fmu(model) else physical(model, "effects")
         rows = fitting_rows(thing)
         if thing.flat.black_box:  # its parameters are freed by name
             rows = [row for row in rows if row["site"] in thing.sites]
@@ -108,7 +108,7 @@ def gap(
 
     began = time.perf_counter()
     check_folder(output)
-    thing = surroundable(model) if model.endswith(".fmu") else physical(model, "gap")
+    thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
     check_recordings(thing, train, judged)
@@ -145,7 +145,8 @@ def origin_from(thing, spec: str, folder: Path) -> str:
     """What the model file in ``folder`` calls its model; an FMU by its way from there."""
     if not thing.flat.black_box:
         return origin(spec)
-    return Path(os.path.relpath(thing.fmu.path, folder.resolve())).as_posix()
+    file = Path(os.path.relpath(thing.fmu.path, folder.resolve())).as_posix()
+    return ":".join([file, ",".join(thing.fmu.named)]) if thing.fmu.named else file
 
 
 def finished_fits(folder: Path):

@@ -18,7 +18,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
-from ..training_data import as_signals, named, usable
+from ..training_data import as_signals, level_and_error, named, slope_and_error, usable
 from .moving import moving_curve
 
 POSITIONS = ("m", "rad")  # outputs in these units move at a rate; others settle at a value
@@ -176,22 +176,13 @@ def _stretches(record, input, output, rate, settle, window, delay, allowed):
         begin += window
         if high - low >= 4:
             late = slice(*np.searchsorted(t, np.array([t[low] - delay, t[low] + window - delay]) - 1e-9))
-            yield float(u[late].mean()), *_level_and_error(t[low:high], y[low:high], rate)
+            yield float(u[late].mean()), *(slope_and_error if rate else level_and_error)(t[low:high], y[low:high])
 
 
 def _spread_to_the_end(values: np.ndarray) -> np.ndarray:
     """Largest minus smallest of what follows, for every value of (n,)."""
     back = values[::-1]
     return (np.maximum.accumulate(back) - np.minimum.accumulate(back))[::-1]
-
-
-def _level_and_error(t: np.ndarray, y: np.ndarray, rate: bool) -> tuple[float, float]:
-    """Slope (or mean) of y over t (n,) and its standard error."""
-    x = t - t.mean()
-    slope, mean = float(x @ y / (x @ x)), float(y.mean())
-    left = y - mean - slope * x
-    noise = math.sqrt(float(left @ left) / max(len(t) - 2, 1))
-    return (slope, noise / math.sqrt(x @ x)) if rate else (mean, noise / math.sqrt(len(t)))
 
 
 # -- from a block --------------------------------------------------------------------------------------------------

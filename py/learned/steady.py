@@ -1,0 +1,168 @@
+"""What keeps a block from drifting where its outputs integrate: see `steady_step` for what it does.
+
+A rate that is learnt one step ahead may be right to a thousandth, and its integral wrong by more than its range. What a
+free run over the training recordings is off by, is taken out as a curve of the inputs, where that helps on parts held
+out of its fit; and where the recordings show that the machine rests, the block rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
+from hydrotwin.simulation.propagator import Diverged
+
+from .block_file import LearnedBlock
+from .integrating import Part, cross_validated, integration, kinks_of, parts_of, rate_fit, told_forms
+from .resting import Rests, rests
+from .steady_step import INCREMENT, KINKS, LEVELS, RATES, WIDTH, bent, measured_states, steadied
+
+SETTLED = 200  # steps of a block at a held command before its drift is looked at
+PLACES = 9  # of each output's range, at which the drift is looked at
+ROOM = 1.5  # times the largest drift seen is what the block is held against
+LARGEST = 0.1  # of the fastest rate: a block that drifts faster at rest is not to be mended by holding it
+REPAYS = 0.9  # of the error without a curve: what it must come to with one, where it was not fitted
+MOST = 4000  # samples that a curve is fitted on, over all recordings
+
+
+@dataclass(frozen=True)
+class Steady:
+    """What is done about drift.
+
+    outputs : those that integrate. commands : names of the inputs that let the machine rest; None: all.
+    curve : whether the rates may be corrected by a curve; not where they are what the block is said to be.
+    """
+
+    outputs: tuple[Signal, ...]
+    commands: Sequence[str] | None = None
+    curve: bool = False
+
+
+def steady_block(block: LearnedBlock, records: Sequence[Record], what: Steady) -> LearnedBlock:
+    """The block without the drift of its integrating outputs; what was done is in its provenance ("drift", "rest")."""
+    own = {block.states[j].measured_by for j in measured_states(block.states)}
+    kept = [s for s in what.outputs if s.name in own]
+    if not kept:
+        return block
+    return _resting(_curved(block, records, kept) if what.curve else block, records, kept, what.commands)
+
+
+def steady_where_it_integrates(
+    block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal], *, published: bool = False, **what
+) -> LearnedBlock:
+    """`steady_block` for those of ``outputs`` that are found to integrate, which the provenance tells.
+
+    published : told, and left as it is. what : commands and curve of `Steady`.
+    """
+    forms = integration(records, block.inputs, outputs)
+    block = replace(block, provenance={**block.provenance, "integration": told_forms(forms)})
+    integrating = () if published else tuple(f.output for f in forms if f.found)
+    return steady_block(block, records, Steady(integrating, **what))
+
+
+def _with(block: LearnedBlock, arrays: dict[str, np.ndarray], told: dict) -> LearnedBlock:
+    """The block with more arrays of `steady_step`, which its step does not know yet."""
+    step = steadied(block.step, arrays, block.inputs, block.outputs, block.states, block.period)
+    provenance = {**block.provenance, **told}
+    return replace(block, step=step, arrays={**block.arrays, **arrays}, provenance=provenance)
+
+
+# -- the curve ---------------------------------------------------------------------------------------------------------
+def _curved(block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal]) -> LearnedBlock:
+    names, inputs = [s.name for s in outputs], [s.name for s in block.inputs]
+    kinks = kinks_of([r.array(inputs) for r in records])
+    try:
+        parts = _parts(block, records, names, inputs, kinks)
+        before, after = cross_validated(parts)
+        helps = after < REPAYS * before
+        if not helps.any():
+            return block
+        measured = [block.states[j].measured_by for j in measured_states(block.states)]
+        found, rates = rate_fit(parts), np.zeros((parts[0].causes.shape[1], len(measured)))
+        for k in np.flatnonzero(helps):
+            rates[:, measured.index(names[k])] = found[:, k]
+        told = {n: {"before": float(a), "after": float(b)} for n, a, b in zip(names, before, after, strict=True)}
+        curved = _with(block, {KINKS: kinks, RATES: rates}, {"drift": told})
+        really = _parts(curved, records, names, inputs, kinks)
+    except Diverged:
+        return block
+    better = _run_error(really)[helps] < _run_error(parts)[helps]
+    return curved if better.all() else block
+
+
+def _parts(block, records, names, inputs, kinks) -> list[Part]:
+    """What free runs over the recordings are off by, in parts."""
+    thin = max(1, sum(len(r) for r in records) // MOST)
+    answer = []
+    for record in records:
+        run = simulate(block, record)
+        columns = np.column_stack(bent(list(record.array(inputs).T), kinks))
+        passed = np.diff(record.time, append=record.time[-1])[:, None] * columns
+        integral = np.cumsum(passed, axis=0) - passed
+        miss = record.array(names) - run.array(names)
+        answer += parts_of(columns[::thin], integral[::thin], miss[::thin])
+    return answer
+
+
+def _run_error(parts: Sequence[Part]) -> np.ndarray:
+    return np.sqrt(np.mean(np.concatenate([p.outputs - p.outputs[0] for p in parts]) ** 2, axis=0))
+
+
+# -- rest --------------------------------------------------------------------------------------------------------------
+def _resting(
+    block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal], commands: Sequence[str] | None
+) -> LearnedBlock:
+    deciding = [s for s in block.inputs if commands is None or s.name in commands]
+    found = rests(records, deciding, outputs)
+    if not len(found.levels):
+        return block
+    arrays = _arrays_of(block, found, deciding)
+    drift = drift_at_rest(block, arrays[LEVELS])
+    fastest = {s.name: rate for s, rate in zip(outputs, found.fastest, strict=True)}
+    names = [block.states[j].measured_by for j in measured_states(block.states)]
+    allowed = np.array([LARGEST * fastest.get(name, 0.0) for name in names])
+    holds = (drift > 0) & (drift <= allowed)
+    told = {"at": found.levels.tolist(), "commands": [s.name for s in deciding]}
+    told["drift"] = {n: float(d) for n, d in zip(names, drift, strict=True) if n in fastest}
+    told["held"] = [n for n, h in zip(names, holds, strict=True) if h]
+    if not holds.any():
+        return replace(block, provenance={**block.provenance, "rest": told})
+    arrays[INCREMENT] = np.where(holds, ROOM * drift * block.period, 0.0)
+    return _with(block, arrays, {"rest": told})
+
+
+def drift_at_rest(block, levels: np.ndarray) -> np.ndarray:
+    """The fastest rate [SI/s] of each measured state once it has settled at held inputs (n, nu), wherever it stands."""
+    places = np.array([_places(block, s.name) for s in block.outputs])
+    count, worst = len(levels) * PLACES, 0.0
+    u = np.repeat(levels, PLACES, axis=0).T
+    y = np.tile(places, len(levels))
+    x, none = block.start.map(count)(u, y, np.zeros((0, count))).full(), np.zeros((0, count))
+    step, own = block.step.map(count), measured_states(block.states)
+    for k in range(SETTLED + 1):
+        following = step(x, u, none)[0].full()
+        moved, x = following[own] - x[own], following
+        worst = np.abs(moved).max(axis=1) if k == SETTLED else worst
+    return np.where(np.isfinite(worst), worst, np.inf) / block.period
+
+
+def _places(block, name: str) -> np.ndarray:
+    """Even places over the training range of an output."""
+    if name not in block.domain.names:
+        return np.zeros(PLACES)
+    k = block.domain.names.index(name)
+    return np.linspace(block.domain.lower[k], block.domain.upper[k], PLACES)
+
+
+def _arrays_of(block, found: Rests, commands: Sequence[Signal]) -> dict[str, np.ndarray]:
+    """The levels and widths for all inputs of the block; those that do not matter are anywhere."""
+    names = [s.name for s in block.inputs]
+    levels, width = np.zeros((len(found.levels), len(names))), np.full(len(names), np.finfo(float).max / 4)
+    for k, s in enumerate(commands):
+        levels[:, names.index(s.name)], width[names.index(s.name)] = found.levels[:, k], found.width[k]
+    return {LEVELS: levels, WIDTH: width}

@@ -22,28 +22,38 @@ from .steady_step import bent
 from .training_data import choose_period, on_period
 
 FOLDS = 4  # parts of every recording, each held out once
-KINKS = (0.15, 0.35, 0.5, 0.65, 0.85)  # quantiles of an input at which its g_i bend
+KINKS = (0.15, 0.35, 0.5, 0.65, 0.85)  # quantiles of the different values of an input, at which its g_i bend
 LAGS = (0, 1, 2, 3, 5, 8, 13, 20)  # periods; where the kind of model does not say how far it looks back
+CLEAR = 1.25  # times the error of the better form: below, the recordings hardly tell them apart
 RIDGE = 1e-8  # of the mean information of a coefficient
 MOST = 4000  # samples that both forms are fitted on, over all recordings
 
 
 @dataclass(frozen=True)
 class Integration:
-    """How well each form of an output runs on parts it was not fitted on: RMS, SI."""
+    """How well each form of an output runs on parts it was not fitted on: RMS, SI.
+
+    moves : by how many of its ranges the rate form would move over a recording, between one held input and another.
+    """
 
     output: Signal
     level: float
     rate: float
+    moves: float
 
     @property
     def found(self) -> bool:
-        """Whether the output integrates."""
-        return self.rate < self.level
+        """Whether the output integrates; where both forms run alike, whether it keeps moving at held inputs."""
+        return self.rate < self.level if self.clear else self.moves > 1
+
+    @property
+    def clear(self) -> bool:
+        """Whether the recordings tell the two forms apart."""
+        return max(self.rate, self.level) > CLEAR * min(self.rate, self.level)
 
     def told(self) -> dict:
         """For the provenance."""
-        return {"integrates": self.found, "rate_form": self.rate, "level_form": self.level}
+        return {"integrates": self.found, "clear": self.clear, "rate_form": self.rate, "level_form": self.level}
 
 
 def one_form(verb: str, option: str, asked: bool | None, found: Sequence[Integration]) -> bool:
@@ -83,7 +93,8 @@ def integration(
     period = max(period or choose_period(records), sum(r.duration for r in records) / MOST)
     even = [on_period(r, period, inputs) for r in records]
     u, y = ([r.array([s.name for s in part]) for r in even] for part in (inputs, outputs))
-    causes = [_causes(part, kinks_of(u), lags) for part in u]
+    kinks = kinks_of(u)
+    causes = [_causes(part, kinks, lags) for part in u]
     parts = [
         part
         for columns, values in zip(causes, y, strict=True)
@@ -91,7 +102,17 @@ def integration(
     ]
     level = [_apart(parts, k, _level_miss) for k in range(len(parts))]
     rate = [_apart(parts, k, _rate_miss) for k in range(len(parts))]
-    return [Integration(s, float(a), float(b)) for s, a, b in zip(outputs, _rms(level), _rms(rate), strict=True)]
+    held = [_causes(np.repeat(row[None], 2, axis=0), kinks, lags)[-1] for row in np.vstack([kinks, *_ends(u)])]
+    moved = np.ptp(np.array(held) @ rate_fit(parts), axis=0) * max(r.duration for r in even)
+    moves = moved / np.maximum(np.ptp(np.concatenate(y), axis=0), 1e-300)
+    return [
+        Integration(s, *map(float, found)) for s, *found in zip(outputs, _rms(level), _rms(rate), moves, strict=True)
+    ]
+
+
+def _ends(u: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The least and the largest of every input."""
+    return [side(np.concatenate(u), axis=0)[None] for side in (np.min, np.max)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +132,7 @@ def parts_of(causes: np.ndarray, integral: np.ndarray, outputs: np.ndarray) -> l
 
 def kinks_of(u: Sequence[np.ndarray]) -> np.ndarray:
     """Where the curves of every input bend, (n, nu), from the inputs (n, nu) of all recordings."""
-    return np.quantile(np.concatenate(u), KINKS, axis=0)
+    return np.column_stack([np.quantile(np.unique(column), KINKS) for column in np.concatenate(u).T])
 
 
 def rate_fit(parts: Sequence[Part]) -> np.ndarray:

@@ -19,7 +19,7 @@ from .hybrid.learn import learn_hybrid
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
-from .report_card import MODEL, card, curve, judged, shown
+from .report_card import MODEL, Words, card, curve, judged, shown
 from .symbolic.learn import learn_symbolic
 
 KINDS: Mapping[str, tuple[Callable, str]] = {
@@ -31,6 +31,9 @@ KINDS: Mapping[str, tuple[Callable, str]] = {
     "symbolic": (learn_symbolic, "a formula found by genetic programming"),
     "hybrid": (learn_hybrid, "an identified model (model=) and a network for what it lacks"),
 }
+ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
+ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
+LEARNED = {True: "its rate is learned", False: "its level is learned", None: "its change from step to step is learned"}
 PUBLISHED = {"nn": learn_rate_network}  # where the paper's procedure is another function
 
 
@@ -106,26 +109,33 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
-    notes = [*_of_form(block), *_of_rest(block)]
+    bad, notes = _of_form(block)
+    words = Words(bad, [*notes, *_of_rest(block)])
     if not split.held_out:
-        return card(split, [], notes)
+        return card(split, [], words)
     more = {} if block.provenance.get("kind") == "piecewise" else curve(split, *named)
     if model is not None:
         more = {MODEL: lambda record: simulate(model, record)} | more
-    return card(split, judged(block, split, named[1], more, records), notes)
+    return card(split, judged(block, split, named[1], more, records), words)
 
 
-def _of_form(block: Block) -> list[str]:
-    """Whether each output was found to integrate, and what was made of it."""
-    asked, words = block.provenance.get("rate", block.provenance.get("integrating", True)), []
+def _of_form(block: Block) -> tuple[list[str], list[str]]:
+    """Bad news and notes: whether each output was found to integrate, and what was made of it."""
+    provenance, bad, notes = block.provenance, [], []
+    form = provenance.get("rate", provenance.get("integrating"))
     units = {s.name: s.unit for s in block.outputs}
-    for name, found in block.provenance.get("integration", {}).items():
-        unit = units.get(name, "1")
-        rate, level = (shown(found[f"{form}_form"], unit) for form in ("rate", "level"))
-        verb = "integrates its inputs" if found["integrates"] else "does not integrate its inputs"
-        made = "its rate is learned" if asked else "its level is learned"
-        words.append(f"{name} {verb} (a simple model of its rate runs to {rate}, of its level to {level}); {made}.")
-    return words
+    for name, found in provenance.get("integration", {}).items():
+        integrates = found["integrates"]
+        rate, level = (shown(found[f"{part}_form"], units.get(name, "1")) for part in ("rate", "level"))
+        verb = "integrates" if integrates else "does not integrate"
+        if provenance.get("kind") in ONLY_RATES and not integrates:
+            bad.append(f"{name} {verb} its inputs, and this kind learns rates only: take {', '.join(ANY_FORM)}.")
+        made = LEARNED[form] + (", as asked for" if form not in (None, integrates) else "")
+        if not found["clear"]:
+            made += ". The recordings hardly tell the two apart: record commands that are held, at several levels"
+        notes.append(f"{name} {verb} its inputs (a simple model of its rate runs to {rate}, of its level to {level}); "
+                     f"{made}.")  # fmt: skip
+    return bad, notes
 
 
 def _of_rest(block: Block) -> list[str]:

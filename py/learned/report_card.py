@@ -22,7 +22,7 @@ from .grey_box.data import block_period
 from .held_out import Split
 from .piecewise.learn import learn_piecewise
 
-HOLD, MEAN, CURVE, MODEL = "holding the last sample", "its mean", "a piecewise linear curve", "the model alone"
+HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
 BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
@@ -60,21 +60,37 @@ class Row:
         return f"{self.output.name} {own} ({apart})"
 
 
-def card(split: Split, rows: Sequence[Row], notes: Sequence[str] = ()) -> dict:
-    """The card as it is stored: what was held out, a row per output, and the sentence."""
+@dataclass(frozen=True)
+class Words:
+    """Sentences of who knows the kind of block: bad news to begin with, notes to end with."""
+
+    bad: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
+    """The card as it is stored: what was held out, a row per output, and the sentences."""
     if not rows:
         says = f"Nothing was held out: {split.why}. How well the block runs freely is not known."
-        return {"held_out": [], "outputs": {}, "no_better_than": [], "says": " ".join([says, *notes])}
+        return {
+            "held_out": [],
+            "outputs": {},
+            "bad": True,
+            "no_better_than": [],
+            "says": " ".join([*words.bad, says, *words.notes]),
+        }
     worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
-    bad = [f"{row.output.name} {row.diverged}." for row in rows if row.diverged]
-    bad += [f"{name} is no better than {' and '.join(than)}." for name, than in worse.items()]
+    bad = [*words.bad]
+    bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
+    bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
     bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
     good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
     return {
         "held_out": split.told(),
         "outputs": {row.output.name: row.told() for row in rows},
+        "bad": bool(bad),
         "no_better_than": sorted({name for than in worse.values() for name in than}),
-        "says": " ".join([*bad, good, *notes]),
+        "says": " ".join([*bad, good, *words.notes]),
     }
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
 from hydrotwin.models.language.flat import Signal
@@ -20,7 +21,19 @@ from hydrotwin.simulation.propagator import Diverged
 from .block_file import LearnedBlock
 from .integrating import Part, cross_validated, integration, kinks_of, parts_of, rate_fit, told_forms
 from .resting import Rests, rests
-from .steady_step import INCREMENT, KINKS, LEVELS, RATES, WIDTH, bent, measured_states, steadied
+from .steady_step import (
+    CURVE,
+    INCREMENT,
+    KINKS,
+    LEVELS,
+    RATES,
+    REST,
+    WIDTH,
+    bent,
+    measured_states,
+    near_rest,
+    steadied,
+)
 
 SETTLED = 200  # steps of a block at a held command before its drift is looked at
 PLACES = 9  # of each output's range, at which the drift is looked at
@@ -49,7 +62,10 @@ def steady_block(block: LearnedBlock, records: Sequence[Record], what: Steady) -
     kept = [s for s in what.outputs if s.name in own]
     if not kept:
         return block
-    return _resting(_curved(block, records, kept) if what.curve else block, records, kept, what.commands)
+    deciding = [s for s in block.inputs if what.commands is None or s.name in what.commands]
+    found = rests(records, deciding, kept)
+    held = _held(block, found, kept, deciding)
+    return _curved(held, records, kept, block.step) if what.curve else held
 
 
 def steady_where_it_integrates(
@@ -65,19 +81,20 @@ def steady_where_it_integrates(
     return steady_block(block, records, Steady(integrating, **what))
 
 
-def _with(block: LearnedBlock, arrays: dict[str, np.ndarray], told: dict) -> LearnedBlock:
-    """The block with more arrays of `steady_step`, which its step does not know yet."""
-    step = steadied(block.step, arrays, block.inputs, block.outputs, block.states, block.period)
-    provenance = {**block.provenance, **told}
-    return replace(block, step=step, arrays={**block.arrays, **arrays}, provenance=provenance)
+def _with(block: LearnedBlock, arrays: dict[str, np.ndarray], told: dict, trained: ca.Function) -> LearnedBlock:
+    """The block with ``arrays`` of `steady_step` around its ``trained`` step."""
+    kept = {n: a for n, a in block.arrays.items() if n in (*CURVE, *REST)} | arrays
+    step = steadied(trained, kept, block.inputs, block.outputs, block.states, block.period)
+    return replace(block, step=step, arrays={**block.arrays, **arrays}, provenance={**block.provenance, **told})
 
 
 # -- the curve ---------------------------------------------------------------------------------------------------------
-def _curved(block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal]) -> LearnedBlock:
+def _curved(block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal], trained) -> LearnedBlock:
+    """With a curve on the rates of the outputs where that helps; it does not act where the machine rests."""
     names, inputs = [s.name for s in outputs], [s.name for s in block.inputs]
     kinks = kinks_of([r.array(inputs) for r in records])
     try:
-        parts = _parts(block, records, names, inputs, kinks)
+        parts = _parts(block, records, names, kinks)
         before, after = cross_validated(parts)
         helps = after < REPAYS * before
         if not helps.any():
@@ -87,24 +104,23 @@ def _curved(block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Si
         for k in np.flatnonzero(helps):
             rates[:, measured.index(names[k])] = found[:, k]
         told = {n: {"before": float(a), "after": float(b)} for n, a, b in zip(names, before, after, strict=True)}
-        curved = _with(block, {KINKS: kinks, RATES: rates}, {"drift": told})
-        really = _parts(curved, records, names, inputs, kinks)
+        curved = _with(block, {KINKS: kinks, RATES: rates}, {"drift": told}, trained)
+        better = _run_error(_parts(curved, records, names, kinks))[helps] < _run_error(parts)[helps]
     except Diverged:
         return block
-    better = _run_error(really)[helps] < _run_error(parts)[helps]
     return curved if better.all() else block
 
 
-def _parts(block, records, names, inputs, kinks) -> list[Part]:
+def _parts(block: LearnedBlock, records: Sequence[Record], names: Sequence[str], kinks: np.ndarray) -> list[Part]:
     """What free runs over the recordings are off by, in parts."""
     thin = max(1, sum(len(r) for r in records) // MOST)
     answer = []
     for record in records:
-        run = simulate(block, record)
-        columns = np.column_stack(bent(list(record.array(inputs).T), kinks))
+        u = record.array([s.name for s in block.inputs])
+        columns = np.column_stack(bent(list(u.T), kinks)) * ~near_rest(block.arrays, u)[:, None]
         passed = np.diff(record.time, append=record.time[-1])[:, None] * columns
         integral = np.cumsum(passed, axis=0) - passed
-        miss = record.array(names) - run.array(names)
+        miss = record.array(names) - simulate(block, record).array(names)
         answer += parts_of(columns[::thin], integral[::thin], miss[::thin])
     return answer
 
@@ -114,26 +130,22 @@ def _run_error(parts: Sequence[Part]) -> np.ndarray:
 
 
 # -- rest --------------------------------------------------------------------------------------------------------------
-def _resting(
-    block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal], commands: Sequence[str] | None
-) -> LearnedBlock:
-    deciding = [s for s in block.inputs if commands is None or s.name in commands]
-    found = rests(records, deciding, outputs)
+def _held(block: LearnedBlock, found: Rests, outputs: Sequence[Signal], commands: Sequence[Signal]) -> LearnedBlock:
+    """Held where the machine rests, if it does not drift there by so much that this would hide a bad block."""
     if not len(found.levels):
         return block
-    arrays = _arrays_of(block, found, deciding)
+    arrays = _arrays_of(block, found, commands)
     drift = drift_at_rest(block, arrays[LEVELS])
     fastest = {s.name: rate for s, rate in zip(outputs, found.fastest, strict=True)}
     names = [block.states[j].measured_by for j in measured_states(block.states)]
-    allowed = np.array([LARGEST * fastest.get(name, 0.0) for name in names])
-    holds = (drift > 0) & (drift <= allowed)
-    told = {"at": found.levels.tolist(), "commands": [s.name for s in deciding]}
+    holds = (drift > 0) & (drift <= [LARGEST * fastest.get(name, 0.0) for name in names])
+    told = {"at": found.levels.tolist(), "commands": [s.name for s in commands]}
     told["drift"] = {n: float(d) for n, d in zip(names, drift, strict=True) if n in fastest}
     told["held"] = [n for n, h in zip(names, holds, strict=True) if h]
     if not holds.any():
         return replace(block, provenance={**block.provenance, "rest": told})
     arrays[INCREMENT] = np.where(holds, ROOM * drift * block.period, 0.0)
-    return _with(block, arrays, {"rest": told})
+    return _with(block, arrays, {"rest": told}, block.step)
 
 
 def drift_at_rest(block, levels: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """The parts of a block's step that keep an integrating output from drifting; in CasADi, for every kind of block.
 
-    y[k+1] = trained(x[k], u[k]) + T c(u[k])     c: 1, u and max(u - kink, 0) of every input, by their rates
+    y[k+1] = trained(x[k], u[k]) + T c(u[k])     c: 1, u and max(u - kink, 0) of every input, by their rates; 0 at rest
     y[k+1] = y[k]     where all inputs, delayed ones too, are those of a rest, and |y[k+1] - y[k]| <= increment
 
 ``increment`` is what the step drifts by at rest. A machine that still moves faster than that runs on.
@@ -31,6 +31,13 @@ def bent(u, kinks: np.ndarray) -> list:
     larger = ca.fmax if isinstance(u[0], ca.SX | ca.MX) else np.maximum
     columns = [part for i, column in enumerate(u) for part in (column, *(larger(column - k, 0) for k in kinks[:, i]))]
     return [0 * u[0] + 1, *columns]
+
+
+def near_rest(arrays: Mapping[str, np.ndarray], u: np.ndarray) -> np.ndarray:
+    """Whether inputs (n, nu) are those of a rest, (n,)."""
+    if LEVELS not in arrays:
+        return np.zeros(len(u), dtype=bool)
+    return (np.abs(u[:, None, :] - arrays[LEVELS]) <= arrays[WIDTH]).all(axis=2).any(axis=1)
 
 
 def steady_arrays(
@@ -64,9 +71,11 @@ def steadied(
     kind = ca.SX if step.is_a("SXFunction") else ca.MX
     x, u, p = (kind.sym(name, step.size1_in(k)) for k, name in enumerate("xup"))
     x_next, y = (ca.vertsplit(part) for part in step(x, u, p))
-    resting = _resting(arrays, x, u, inputs, states) if LEVELS in arrays else None
+    rest = LEVELS in arrays
+    now = _near(arrays, [(u[i], i) for i in range(len(inputs))]) if rest else 0
+    resting = _near(arrays, _line(x, u, inputs, states)) if rest else None
     for n, j in enumerate(measured_states(states)):
-        extra = _extra(arrays, u, n) if KINKS in arrays else 0.0
+        extra = ca.if_else(now, 0, _extra(arrays, u, n)) if KINKS in arrays else 0.0
         x_next[j] = _held(x_next[j] + period * extra - x[j], resting, arrays, n) + x[j]
         for k, output in enumerate(outputs):
             if output.name == f"{states[j].measured_by}.slope":
@@ -88,18 +97,20 @@ def _held(moved, resting, arrays, n: int):
     return ca.if_else(ca.logic_and(resting, ca.fabs(moved) <= float(arrays[INCREMENT][n])), 0, moved)
 
 
-def _resting(arrays, x, u, inputs: Sequence[Signal], states: Sequence[StateVariable]):
-    """Whether every input, now and at its delays, is near one of the levels."""
+def _line(x, u, inputs: Sequence[Signal], states: Sequence[StateVariable]) -> list[tuple]:
+    """Every input, now and at its delays, with its number."""
     line = [(u[i], i) for i in range(len(inputs))]
     for i, signal in enumerate(inputs):
         line += [(x[j], i) for j, s in enumerate(states) if s.name.startswith(f"{signal.name}.lag_")]
-    near = [
-        [ca.fabs(value - float(level[i])) <= float(arrays[WIDTH][i]) for value, i in line] for level in arrays[LEVELS]
-    ]
+    return line
+
+
+def _near(arrays, values: Sequence[tuple]):
+    """Whether all of (value, number of its input) are near one of the levels."""
     answer = 0
-    for level in near:
-        together = level[0]
-        for part in level[1:]:
-            together = ca.logic_and(together, part)
+    for level in arrays[LEVELS]:
+        together = 1
+        for value, i in values:
+            together = ca.logic_and(together, ca.fabs(value - float(level[i])) <= float(arrays[WIDTH][i]))
         answer = ca.logic_or(answer, together)
     return answer

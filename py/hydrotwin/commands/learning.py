@@ -301,6 +301,5 @@ def _written(block, output: Path, as_json: bool, model: str | None = None) -> No
         print_json(told | block.provenance)
         return
     if run:
-        bad = run["no_better_than"] or not run["outputs"] or any("diverged" in o for o in run["outputs"].values())
-        mark(out, "careful:" if bad else "checked:", run["says"], "red" if bad else "green")
+        mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

@@ -24,7 +24,8 @@ from .training_data import choose_period, on_period
 FOLDS = 4  # parts of every recording, each held out once
 KINKS = (0.15, 0.35, 0.5, 0.65, 0.85)  # quantiles of the different values of an input, at which its g_i bend
 LAGS = (0, 1, 2, 3, 5, 8, 13, 20)  # periods; where the kind of model does not say how far it looks back
-CLEAR = 1.25  # times the error of the better form: below, the recordings hardly tell them apart
+CLEAR = 2.0  # times the error of the rate form, from which on that of the level form leaves no doubt
+MOVES = 3.0  # ranges of the output, between one held input and another: less is no integral, where there is doubt
 RIDGE = 1e-8  # of the mean information of a coefficient
 MOST = 4000  # samples that both forms are fitted on, over all recordings
 
@@ -43,13 +44,17 @@ class Integration:
 
     @property
     def found(self) -> bool:
-        """Whether the output integrates; where both forms run alike, whether it keeps moving at held inputs."""
-        return self.rate < self.level if self.clear else self.moves > 1
+        """Whether the output integrates: its rate runs better, and where not by much, keeps moving at held inputs.
+
+        Differences of delayed inputs make a rate that integrates to a level, so that the rate form of what settles
+        may run as well as the level form; but then it does not move at held inputs.
+        """
+        return self.rate < self.level and (self.clear or self.moves > MOVES)
 
     @property
     def clear(self) -> bool:
         """Whether the recordings tell the two forms apart."""
-        return max(self.rate, self.level) > CLEAR * min(self.rate, self.level)
+        return self.level > CLEAR * self.rate or self.rate > self.level
 
     def told(self) -> dict:
         """For the provenance."""

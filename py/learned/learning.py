@@ -14,7 +14,7 @@ from . import held_out
 from .gaussian.dual import learn_dual_gp
 from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
-from .hybrid.block import hybrid_outputs
+from .hybrid.block import HybridBlock, hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .network.learn import train_network
 from .network.rate import learn_rate_network
@@ -22,14 +22,14 @@ from .piecewise.learn import learn_piecewise
 from .report_card import MODEL, Words, card, curve, judged, shown
 from .symbolic.learn import learn_symbolic
 
-KINDS: Mapping[str, tuple[Callable, str]] = {
-    "nn": (train_network, "a small network, selected on its free-run error"),
-    "gp": (learn_gaussian_process, "a Gaussian process on delayed inputs, with its standard deviation"),
-    "dual_gp": (learn_dual_gp, "two processes: command to spool, spool to rate (needs a measured spool)"),
-    "piecewise": (learn_piecewise, "a characteristic of straight lines"),
-    "grey_box": (learn_grey_box, "dead time, hidden spool, play and a monotone characteristic; no spool sensor"),
-    "symbolic": (learn_symbolic, "a formula found by genetic programming"),
-    "hybrid": (learn_hybrid, "an identified model (model=) and a network for what it lacks"),
+KINDS: Mapping[str, Callable] = {
+    "nn": train_network,
+    "gp": learn_gaussian_process,
+    "dual_gp": learn_dual_gp,
+    "piecewise": learn_piecewise,
+    "grey_box": learn_grey_box,
+    "symbolic": learn_symbolic,
+    "hybrid": learn_hybrid,
 }
 ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
 ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
@@ -45,10 +45,10 @@ def trainer(kind: str, fit: str | None = None) -> Callable:
     if kind not in KINDS:
         raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
     if kind not in PUBLISHED:
-        return KINDS[kind][0]
+        return KINDS[kind]
     if fit not in (None, "default", "paper"):
         raise DeclarationError(f"learn {kind}: no fit '{fit}'. {nearest(str(fit), ('default', 'paper'))}")
-    return PUBLISHED[kind] if fit == "paper" else KINDS[kind][0]
+    return PUBLISHED[kind] if fit == "paper" else KINDS[kind]
 
 
 def learn(
@@ -122,8 +122,7 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
 def _of_form(block: Block) -> tuple[list[str], list[str]]:
     """Bad news and notes: whether each output was found to integrate, and what was made of it."""
     provenance, bad, notes = block.provenance, [], []
-    form = provenance.get("rate", provenance.get("integrating"))
-    units = {s.name: s.unit for s in block.outputs}
+    form, units = provenance.get("rate", provenance.get("integrating")), _units(block)
     for name, found in provenance.get("integration", {}).items():
         integrates = found["integrates"]
         rate, level = (shown(found[f"{part}_form"], units.get(name, "1")) for part in ("rate", "level"))
@@ -138,11 +137,16 @@ def _of_form(block: Block) -> tuple[list[str], list[str]]:
     return bad, notes
 
 
+def _units(block: Block) -> dict[str, str]:
+    """Units of the outputs by name, those of a hybrid's residual among them."""
+    parts = [block, block.residual] if isinstance(block, HybridBlock) else [block]
+    return {s.name: s.unit for part in parts for s in part.outputs}
+
+
 def _of_rest(block: Block) -> list[str]:
     """What the block did where the machine rests."""
     rest = block.provenance.get("rest", {})
-    units = {s.name: s.unit for s in block.outputs}
-    words = []
+    units, words = _units(block), []
     for name, drift in rest.get("drift", {}).items():
         rate = f"{shown(drift, units.get(name, '1'))}/s"
         held = f"drifted by up to {rate} and is held" if name in rest["held"] else f"drifts by up to {rate}"

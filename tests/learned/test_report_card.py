@@ -8,7 +8,6 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.learned import read_block, write_block
 from hydrotwin.learned.held_out import split
-from hydrotwin.learned.learning import KINDS
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
@@ -148,4 +147,3 @@ def test_words_that_are_not_known_are_refused():
         ht.learn("pieces", [rod()], ["u"], ["y"])
     with pytest.raises(DeclarationError, match="a model goes with hybrid"):
         ht.learn("hybrid", [rod()])
-    assert set(KINDS) == {"nn", "gp", "dual_gp", "piecewise", "grey_box", "symbolic", "hybrid"}

@@ -33,7 +33,7 @@ from .shared import (
 )
 from .showing import physical
 
-KINDS = {  # what learned.learning knows, told without importing it
+KINDS = {  # the kinds of learned.learning in words, told without importing it
     "nn": "a small network, selected on its free-run error",
     "gp": "a Gaussian process on delayed inputs, with its standard deviation",
     "dual_gp": "two processes: command to spool, spool to rate (needs a measured spool)",

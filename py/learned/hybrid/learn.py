@@ -88,6 +88,7 @@ def learn_hybrid(
         "kind": "hybrid",
         "model": flat.name,
         **{key: residual.provenance[key] for key in ("trained_on", "selected_on", "seed", "stopped", "versions")},
+        **{key: residual.provenance[key] for key in ("integration", "drift", "rest") if key in residual.provenance},
         "errors": _errors(physical, hybrid, [on_period(r, period, flat.inputs) for r in validate or records], chosen),
     }
     return replace(hybrid, provenance=provenance)

@@ -97,7 +97,11 @@ def learn(
             raise
         block = trained(records)  # its own error is about all that was given
         split = held_out.Split(records, [], f"without it there is too little to learn from: {error}")
-    return replace(block, provenance={**block.provenance, "free_run": _card(block, split, records, named, model)})
+    try:
+        told = _card(block, split, records, named, model)
+    except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
+        told = card(held_out.Split(records, [], "the free run was interrupted"), [], Words())
+    return replace(block, provenance={**block.provenance, "free_run": told})
 
 
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:
@@ -110,7 +114,7 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
-    words = Words(bad, [*notes, *_of_rest(block)])
+    words = Words(bad, [*notes, *_of_drift(block)])
     if not split.held_out:
         return card(split, [], words)
     more = {} if block.provenance.get("kind") == "piecewise" else curve(split, *named)
@@ -143,8 +147,8 @@ def _units(block: Block) -> dict[str, str]:
     return {s.name: s.unit for part in parts for s in part.outputs}
 
 
-def _of_rest(block: Block) -> list[str]:
-    """What the block did where the machine rests."""
+def _of_drift(block: Block) -> list[str]:
+    """What the block did where the machine rests, and what it drifted by."""
     rest = block.provenance.get("rest", {})
     units, words = _units(block), []
     for name, drift in rest.get("drift", {}).items():
@@ -152,4 +156,8 @@ def _of_rest(block: Block) -> list[str]:
         held = f"drifted by up to {rate} and is held" if name in rest["held"] else f"drifts by up to {rate}"
         if drift > 0:
             words.append(f"Where the machine rests, {name} {held}.")
+    for name, off in block.provenance.get("drift", {}).items():
+        before, after = (shown(off[key], units.get(name, "1")) for key in ("before", "after"))
+        words.append(f"In training the free run of {name} drifted by {before}; a curve of the inputs, which is taken out, "
+                     f"leaves {after}.")  # fmt: skip
     return words

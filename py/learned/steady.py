@@ -35,7 +35,7 @@ from .steady_step import (
     steadied,
 )
 
-SETTLED = 200  # steps of a block at a held command before its drift is looked at
+STEPS = 200  # of a block at a held command, over which its drift is looked at
 PLACES = 9  # of each output's range, at which the drift is looked at
 ROOM = 1.5  # times the largest drift seen is what the block is held against
 LARGEST = 0.1  # of the fastest rate: a block that drifts faster at rest is not to be mended by holding it
@@ -149,17 +149,17 @@ def _held(block: LearnedBlock, found: Rests, outputs: Sequence[Signal], commands
 
 
 def drift_at_rest(block, levels: np.ndarray) -> np.ndarray:
-    """The fastest rate [SI/s] of each measured state once it has settled at held inputs (n, nu), wherever it stands."""
+    """The fastest rate [SI/s] of each measured state at held inputs (n, nu), from standing still anywhere."""
     places = np.array([_places(block, s.name) for s in block.outputs])
     count, worst = len(levels) * PLACES, 0.0
     u = np.repeat(levels, PLACES, axis=0).T
     y = np.tile(places, len(levels))
     x, none = block.start.map(count)(u, y, np.zeros((0, count))).full(), np.zeros((0, count))
     step, own = block.step.map(count), measured_states(block.states)
-    for k in range(SETTLED + 1):
+    for _ in range(STEPS):
         following = step(x, u, none)[0].full()
         moved, x = following[own] - x[own], following
-        worst = np.abs(moved).max(axis=1) if k == SETTLED else worst
+        worst = np.maximum(worst, np.abs(moved).max(axis=1))
     return np.where(np.isfinite(worst), worst, np.inf) / block.period
 
 

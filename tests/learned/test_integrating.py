@@ -93,6 +93,17 @@ def test_an_output_that_settles_at_a_held_command_does_not(case, seeds):
     assert not one.found
 
 
+def test_with_two_inputs_it_is_found_for_every_output_apart():
+    one, other = steps(1), steps(2)
+    rng, n = np.random.default_rng(0), min(len(steps(1)), len(steps(2)))
+    rod, speed = integral(one[:n] - 0.2 * other[:n]), settled(other[:n], 0.1)
+    signals = {"u": one[:n], "v": other[:n], "rod": rod, "speed": speed}
+    signals |= {k: signals[k] + 1e-3 * rng.normal(size=n) for k in ("rod", "speed")}
+    record = Record(PERIOD * np.arange(n), signals, {"u": "V", "v": "V", "rod": "m", "speed": "m"}, "two")
+    inputs, outputs = (as_signals(part, record, "signals") for part in (["u", "v"], ["rod", "speed"]))
+    assert [i.found for i in integration([record], inputs, outputs)] == [True, False]
+
+
 def rmse(block, record: Record) -> float:
     """Of the free run, over the range."""
     return float(np.sqrt(np.mean((simulate(block, record)["y"] - record["y"]) ** 2)) / np.ptp(record["y"]))

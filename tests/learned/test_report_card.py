@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.learned import read_block, write_block
+from hydrotwin.learned import learning, read_block, write_block
 from hydrotwin.learned.held_out import split
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
@@ -140,6 +140,15 @@ def test_a_kind_of_rates_only_says_first_that_an_output_does_not_integrate():
     record = recording(lambda u: 0.05 * settled(u, 0.05), 1)
     told = card(ht.learn("nn", [record], ["u"], ["y"], fit="paper", iterations=20, starts=1))
     assert told["says"].startswith("y does not integrate its inputs, and this kind learns rates only: take gp")
+
+
+def test_a_free_run_that_nobody_waits_for_costs_no_trained_block(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(learning, "judged", interrupted)
+    block = ht.learn("piecewise", [rod()], ["u"], ["y"], starts=1)
+    assert block.certificate.holds and "the free run was interrupted" in card(block)["says"]
 
 
 def test_words_that_are_not_known_are_refused():

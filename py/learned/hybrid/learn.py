@@ -80,8 +80,7 @@ def learn_hybrid(
         validate=judge,
         lags=lags,
         name=f"{name}_residual",
-        commands=[s.name for s in flat.inputs],
-        **training,
+        **{"commands": [s.name for s in flat.inputs], **training},
     )
     hybrid = join(model, residual, name=name, started_by=[s.name for s in kept], **way)
     provenance = {

@@ -158,5 +158,5 @@ def _of_drift(block: Block) -> list[str]:
             words.append(f"Where the machine rests, {name} {held}.")
     for name, off in block.provenance.get("drift", {}).items():
         before, after = (shown(off[key], units.get(name, "1")) for key in ("before", "after"))
-        words.append(f"Free runs over the training drifted by {before} in {name}; a curve of the inputs leaves {after}.")
+        words.append(f"Free runs in training drifted by {before} in {name}; a curve of the inputs leaves {after}.")
     return words

@@ -32,6 +32,7 @@ _WHERE = {
     "export_fmu": "export",
     "from_control": "simulation.control_system",
     "identify": "identification",
+    "learn": "learned",
     "load": "loading",
     "modelica_text": "models.language.modelica",
     "published_formula": "learned",

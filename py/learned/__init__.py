@@ -9,6 +9,7 @@ from .hybrid.learn import learn_hybrid
 from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
 from .inverse.learn import learn_inverse
+from .learning import learn
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
@@ -25,6 +26,7 @@ __all__ = [
     "LearnedKind",
     "characteristic",
     "domain_share",
+    "learn",
     "learn_compensator",
     "learn_dual_gp",
     "learn_gaussian_process",

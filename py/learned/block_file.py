@@ -23,6 +23,8 @@ from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 from hydrotwin.models.language.writing import toml_values, write_whole
 from hydrotwin.simulation.block import Block, TrainingDomain
 
+from .steady_step import steadied, steady_arrays
+
 Shapes = Mapping[str, tuple[int, ...]]
 
 
@@ -100,6 +102,10 @@ def assemble(
     checked = {name: _checked_array(arrays, name, shape, where) for name, shape in expected.items()}
     step, start = kind.functions(checked, structure)
     _check_sizes(step, frame, where)
+    steady = steady_arrays(arrays, len(frame["inputs"]), frame["states"], where)
+    if steady:
+        checked |= steady
+        step = steadied(step, steady, frame["inputs"], frame["outputs"], frame["states"], frame["period"])
     return LearnedBlock(step=step, start=start, kind=kind.name, structure=dict(structure), arrays=checked, **frame)
 
 

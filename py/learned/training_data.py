@@ -233,3 +233,17 @@ def _linear_error(inputs, outputs, output_lags: int, input_lags: int, first: int
     A, D = np.vstack(rows), np.vstack(targets)
     miss = D - A @ np.linalg.lstsq(A, D, rcond=None)[0]
     return float(np.sqrt(np.mean((miss / np.maximum(D.std(axis=0), 1e-300)) ** 2)))
+
+
+def slope_and_error(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Slope of values over time (n,) by least squares, and its standard error."""
+    x = time - time.mean()
+    slope = float(x @ values / (x @ x))
+    left = values - values.mean() - slope * x
+    return slope, float(np.sqrt(left @ left / max(len(time) - 2, 1) / (x @ x)))
+
+
+def level_and_error(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Mean of values (n,) and its standard error, their noise taken about a straight line over time."""
+    noise = slope_and_error(time, values)[1] * float(np.sqrt(np.sum((time - time.mean()) ** 2)))
+    return float(values.mean()), noise / float(np.sqrt(len(time)))

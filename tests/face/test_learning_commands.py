@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.commands.learning import KINDS
+from hydrotwin.learned import learning
 from hydrotwin.records import Record
 from tests.face.command_line import hydrotwin
 
@@ -50,6 +53,25 @@ def test_a_characteristic_is_learnt_and_its_file_simulates():
     assert np.sqrt(np.mean((predicted - measured["position"]) ** 2)) < 0.01 * np.ptp(measured["position"])
 
 
+def test_every_kind_that_can_be_learnt_is_told_in_the_help():
+    assert KINDS.keys() == learning.KINDS.keys()
+
+
+def test_the_answer_says_first_what_a_block_is_no_better_than_and_then_how_good_it_is():
+    line = f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --set integrating=false"
+    answer = hydrotwin(*f"{line} --json --out level.toml".split())
+    assert answer.code == 0, answer.err
+    told = json.loads(answer.out)
+    assert told["says"].startswith("Of position the block is no better than ")
+    assert "holding the last sample" in told["no_better_than"] == told["free_run"]["no_better_than"]
+    assert told["integration"]["position"]["integrates"] and "its level is learned, as asked for" in told["says"]
+    screen = hydrotwin(*f"{line} --out level.toml".split())
+    assert screen.said.strip().startswith("careful: Of position the block is no better than ")
+    good = hydrotwin(*f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --out rate.toml".split())
+    assert good.said.strip().startswith("checked: Free run on what was held out (")
+    assert re.search(r"RMS error of position [\d.]+ mm, [\d.]+ % of its range", good.said)
+
+
 def test_the_published_network_is_learnt_where_it_is_asked_for():
     pytest.importorskip("torch")
     for fit, kind in (("paper", "rate_network"), ("default", "network")):
@@ -89,8 +111,10 @@ def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
     line = f"learn hybrid {train} --model cehA --output arm_angle --hidden 0 --budget 2 --json --out {tmp_path}/h.toml"
     answer = hydrotwin(*line.split(), "--set", "lags=1,3", "--set", "features=arm_angle,")
     assert answer.code == 0, answer.err
-    block, measured = ht.load(f"{tmp_path}/h.toml"), ht.read_record(train)
-    before, after = json.loads(answer.out)["errors"]["arm_angle"].values()
+    block, told = ht.load(f"{tmp_path}/h.toml"), json.loads(answer.out)
+    before, after = told["errors"]["arm_angle"].values()
+    measured = ht.read_record(train).window(None, told["free_run"]["held_out"][0]["from"])  # what was trained on
+    assert "the model alone" in told["free_run"]["outputs"]["arm_angle"]["yardsticks"]
     corrected = ht.simulate(block, measured)["arm_angle"] - measured["arm_angle"]
     assert after < before and np.sqrt(np.mean(corrected**2)) == pytest.approx(after, rel=0.05)
     assert block.residual.structure["input_lags"] == 3

@@ -33,16 +33,15 @@ from .shared import (
 )
 from .showing import physical
 
-KINDS = {
-    "nn": ("train_network", "a small network, selected on its free-run error"),
-    "gp": ("learn_gaussian_process", "a Gaussian process on delayed inputs, with its standard deviation"),
-    "dual_gp": ("learn_dual_gp", "two processes: command to spool, spool to rate (needs a measured spool)"),
-    "piecewise": ("learn_piecewise", "a characteristic of straight lines"),
-    "grey_box": ("learn_grey_box", "dead time, hidden spool, play and a monotone characteristic; no spool sensor"),
-    "symbolic": ("learn_symbolic", "a formula found by genetic programming"),
-    "hybrid": ("learn_hybrid", "an identified model (--model) and a network for what it lacks"),
+KINDS = {  # the kinds of learned.learning in words, told without importing it
+    "nn": "a small network, selected on its free-run error",
+    "gp": "a Gaussian process on delayed inputs, with its standard deviation",
+    "dual_gp": "two processes: command to spool, spool to rate (needs a measured spool)",
+    "piecewise": "a characteristic of straight lines",
+    "grey_box": "dead time, hidden spool, play and a monotone characteristic; no spool sensor",
+    "symbolic": "a formula found by genetic programming",
+    "hybrid": "an identified model (--model) and a network for what it lacks",
 }
-PUBLISHED = {"nn": "learn_rate_network"}  # where the paper's procedure is another function, for --fit paper
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
 RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
 SetOption = Annotated[
@@ -57,7 +56,7 @@ def register(app: typer.Typer) -> None:
     app.command(
         epilog=examples(
             "hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml",
-            "hydrotwin learn gp train_*.csv --input current --output position --set rate=true --out gp.toml",
+            "hydrotwin learn gp train_*.csv --input current --output position --out gp.toml",
         )
     )(learn)
     app.command(
@@ -75,7 +74,7 @@ def register(app: typer.Typer) -> None:
 
 
 def learn(
-    kind: Annotated[str, typer.Argument(metavar="KIND", help="; ".join(f"{k}: {v[1]}" for k, v in KINDS.items()))],
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="; ".join(f"{k}: {v}" for k, v in KINDS.items()))],
     records: RecordsArgument,
     output: OutOption,
     inputs: Annotated[list[str] | None, typer.Option("--input", metavar="NAME", help="input columns")] = None,
@@ -93,36 +92,31 @@ def learn(
     as_json: JsonOption = False,
 ) -> None:
     """Learn a surrogate from recordings: a block that simulates, compares and exports as a model does."""
-    import hydrotwin.learned
+    from hydrotwin.learned import train_network
+    from hydrotwin.learned.learning import PUBLISHED, trainer
+    from hydrotwin.learned.learning import learn as learn_kind
 
-    if kind not in KINDS:
-        raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
+    train = trainer(kind, fit)
     check_file(output, ".toml")
     if (kind == "hybrid") != bool(model):
         raise DeclarationError(
             f"learn {kind}: --model goes with hybrid (got {model}). Write learn hybrid --model m.toml."
         )
-    trainer = getattr(hydrotwin.learned, PUBLISHED[kind] if _published(kind, fit) else KINDS[kind][0])
     flags = {"fit": None if kind in PUBLISHED else fit, "hidden": hidden, "budget": budget}
-    more = (hydrotwin.learned.train_network,) if kind == "hybrid" else ()
-    options = _options(f"learn {kind}", trainer, settings, {k: v for k, v in flags.items() if v is not None}, *more)
-    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
+    more = (train_network,) if kind == "hybrid" else ()
+    options = _options(f"learn {kind}", train, settings, {k: v for k, v in flags.items() if v is not None}, *more)
+    records, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
     if kind == "hybrid":
-        arguments = (physical(model, "learn hybrid"), train, outputs)
+        signals, options = ((), outputs or ()), {**options, "model": physical(model, "learn hybrid")}
     else:
-        arguments = (train, *learned_signals([*train, *judged], inputs, outputs))
+        signals = learned_signals([*records, *judged], inputs, outputs)
+    if kind in PUBLISHED:
+        options["fit"] = fit
     block = _trained(
-        f"learn {kind}", trainer, arguments, as_json,
+        f"learn {kind}", learn_kind, (kind, records, *signals), as_json,
         **options, **_named(name), validate=judged, seed=seed,
     )  # fmt: skip
     _written(block, output, as_json, origin(model) if model else None)
-
-
-def _published(kind: str, fit: str | None) -> bool:
-    """Whether another function than usual is asked for; an unknown fit is refused."""
-    if kind in PUBLISHED and fit not in (None, "default", "paper"):
-        raise DeclarationError(f"learn {kind}: no fit '{fit}'. {nearest(str(fit), ('default', 'paper'))}")
-    return kind in PUBLISHED and fit == "paper"
 
 
 def invert(
@@ -300,7 +294,12 @@ def _written(block, output: Path, as_json: bool, model: str | None = None) -> No
     files = write_hybrid(block, output, model) if model else write_block(block, output)
     if block.provenance.get("stopped") == INTERRUPTED:
         mark(err, "note", f"stopped by Ctrl-C: {output} holds the best so far.")
+    run = block.provenance.get("free_run", {})
     if as_json:
-        print_json({"block": block.name, "files": [str(f) for f in files], "period": block.period, **block.provenance})
+        told = {key: run[key] for key in ("says", "no_better_than") if key in run}
+        told |= {"block": block.name, "files": [str(f) for f in files], "period": block.period}
+        print_json(told | block.provenance)
         return
+    if run:
+        mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import CtrlC
 from ..needs import needed_to_train
+from ..steady import steady_where_it_integrates
 from ..training_data import training_box
 from .delay_lines import Rows, certification_grid, delayed_rows, even_period, input_scales, training_rows
 from .dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, rate
@@ -122,6 +123,7 @@ def learn_dual_gp(
         errors = {"training": _errors(block, [rows], lead)} | (
             {"validation": _errors(block, held_out, lead)} if held_out else {}
         )
+        block = steady_where_it_integrates(block, records, both[1:], curve=True, published=fit == "paper")
         told = {"lead": lead, "errors": errors, "deviation": deviation}
         told["validation"] = free_run_errors(block, validate, both)
         return replace(block, certificate=certificate, provenance={**block.provenance, **told})

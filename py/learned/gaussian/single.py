@@ -13,8 +13,10 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..integrating import integration, one_form, told_forms
 from ..interruption import CtrlC
 from ..needs import needed_to_train
+from ..steady import Steady, steady_block
 from ..training_data import as_signals, check_excitation, training_box, usable
 from .delay_lines import certification_grid, delayed_rows, even_period, input_scales, training_rows
 from .kernel_block import GAUSSIAN_PROCESS, KERNELS, process_frame
@@ -36,7 +38,7 @@ def learn_gaussian_process(
     inputs: Sequence[Signal | str],
     outputs: Sequence[Signal | str],
     *,
-    rate: bool = False,
+    rate: bool | None = None,
     kernel: str = "rbf",
     lags: int = 5,
     fit: str = "default",
@@ -59,7 +61,8 @@ def learn_gaussian_process(
         records: training recordings, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
         rate: learn the slope between samples, (y[k+1] - y[k]) / (t[k+1] - t[k]), and integrate it in the block; adds
-            the outputs ``<output>.slope`` and ``<output>.slope.sd``.
+            the outputs ``<output>.slope`` and ``<output>.slope.sd``. None: where the outputs integrate, as the
+            recordings tell (`integration`).
         kernel: "rbf" or "matern32". lags: samples of every input, the newest included.
         fit: "default", L-BFGS on the marginal likelihood; "paper", 100 Adam steps of 1e-2 from GPyTorch's defaults.
         points: random rows that the hyper-parameters are fitted on; None: all, as the paper did (minutes each step).
@@ -84,6 +87,8 @@ def learn_gaussian_process(
     check_options("learn_gaussian_process", kernel, lags, fit, points, samples, compress, bound, period)
     inputs, outputs, records, validate = recordings(records, inputs, outputs, validate, "learn_gaussian_process")
     period = float(period or even_period(records))
+    forms = integration(records, inputs, outputs, period=period, lags=range(lags))
+    rate = one_form("learn_gaussian_process", "rate", rate, forms)
     rng = np.random.default_rng(seed)
     rows = training_rows(records, period, inputs, outputs, lags, samples, rng)
     check_size("learn_gaussian_process", len(rows), rows.features.shape[1], len(outputs), compress)
@@ -111,7 +116,9 @@ def learn_gaussian_process(
             provenance=provenance("gaussian_process", records, seed, rows, trained, options),
         )
         deviation, certificate = certify(block, trained, grid, bound)
-        told = {"deviation": deviation, "validation": free_run_errors(block, validate, outputs)}
+        block = steady_block(block, records, Steady(outputs if rate and fit != "paper" else (), curve=True))
+        told = {"rate": rate, "integration": told_forms(forms), "deviation": deviation}
+        told["validation"] = free_run_errors(block, validate, outputs)
         return replace(block, certificate=certificate, provenance={**block.provenance, **told})
 
 

@@ -14,7 +14,9 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
+from ..integrating import integration, one_form, told_forms
 from ..interruption import INTERRUPTED
+from ..steady import Steady, steady_block
 from ..training_data import named, training_box
 from .block import GREY_BOX, grey_box_states
 from .data import (
@@ -55,7 +57,7 @@ def learn_grey_box(
     validate: Sequence[Record] = (),
     knots: int = 25,
     starts: int = 4,
-    integrating: bool = True,
+    integrating: bool | None = None,
     seed: int = 0,
     effort: float = 1.0,
     name: str = "grey_box",
@@ -72,7 +74,8 @@ def learn_grey_box(
         validate: recordings that choose among the starts; none: the training loss does.
         knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, every
             other one with the play behind the spool; the best is kept.
-        integrating: the map gives the rate of the output (a position); False: the output itself (a speed).
+        integrating: the map gives the rate of the output (a position); False: the output itself (a speed); None: what
+            the recordings tell (`integration`).
         seed: spreads the starts. effort: scales the evaluations.
         progress: called with a `FitProgress` after every evaluation.
 
@@ -88,6 +91,8 @@ def learn_grey_box(
     _check_options(knots, starts, effort)
     records, validate, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate)
     period = block_period("learn_grey_box", records, period)
+    forms = integration(records, (input_,), (output,))
+    integrating = one_form("learn_grey_box", "integrating", integrating, forms)
     sign = -1.0 if falls([run_of(r, period, input_, output) for r in records], integrating) else 1.0
 
     def at(step: float, part=records) -> Problem:
@@ -104,6 +109,8 @@ def learn_grey_box(
         "kind": "grey_box",
         "trained_on": named(records),
         "selected_on": named(validate) or "the training loss",
+        "integrating": integrating,
+        "integration": told_forms(forms),
         "identified": identified,
         "play": "before the spool" if fitted.dynamics.play_first else "behind the spool",
         "walk_to_sensor_noise": "none" if problem.ratio is None else problem.ratio,
@@ -114,7 +121,8 @@ def learn_grey_box(
         "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "casadi")},
     }
     expected = [sign * _output(problem, fitted, run) for run in problem.runs]
-    return replace(block, provenance=provenance, certificate=certify(block, problem.runs, expected))
+    block = replace(block, provenance=provenance, certificate=certify(block, problem.runs, expected))
+    return steady_block(block, records, Steady((output,) if integrating else ()))
 
 
 def _identified(problem: Problem, fitted: Fitted, late: float) -> dict[str, list[float]]:

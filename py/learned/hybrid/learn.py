@@ -80,13 +80,14 @@ def learn_hybrid(
         validate=judge,
         lags=lags,
         name=f"{name}_residual",
-        **training,
+        **{"commands": [s.name for s in flat.inputs], **training},
     )
     hybrid = join(model, residual, name=name, started_by=[s.name for s in kept], **way)
     provenance = {
         "kind": "hybrid",
         "model": flat.name,
         **{key: residual.provenance[key] for key in ("trained_on", "selected_on", "seed", "stopped", "versions")},
+        **{key: residual.provenance[key] for key in ("integration", "drift", "rest") if key in residual.provenance},
         "errors": _errors(physical, hybrid, [on_period(r, period, flat.inputs) for r in validate or records], chosen),
     }
     return replace(hybrid, provenance=provenance)

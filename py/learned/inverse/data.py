@@ -18,10 +18,11 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
-from ..training_data import as_signals, named, usable
+from ..integrating import integration
+from ..training_data import as_signals, level_and_error, named, slope_and_error, usable
 from .moving import moving_curve
 
-POSITIONS = ("m", "rad")  # outputs in these units move at a rate; others settle at a value
+POSITIONS = ("m", "rad")  # of a Block or Model: outputs in these units move at a rate, others settle at a value
 FIRST_LEVELS, ROUNDS, LEVELS_PER_ROUND = 65, 3, 48
 LEAST_POINTS = 12
 COVERED = 0.8  # of the range of the command by steady stretches, or every sample counts
@@ -97,7 +98,8 @@ def characteristic(
 
     Args:
         source: a Record, several, a Block, a Model, or a Characteristic (which is answered as it is).
-        rate: whether the output's rate of change is meant; None: yes for outputs in m or rad.
+        rate: whether the output's rate of change is meant; None: where it integrates the input, as the recordings
+            tell; of a Block or Model, yes for outputs in m or rad.
         settle, window: s before a point is taken and s it is averaged over (None: 0.5 s or 10 samples).
         delay: s of dead time by which a recorded answer lags its command; None: 0 for steady stretches, found from the
             recordings where every sample counts.
@@ -141,8 +143,8 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, mov
     if not records:
         raise DataError("characteristic: no recordings (got an empty list). Give at least one Record.")
     (input,), (output,) = (as_signals([s], records[0], "signals") for s in (input, output))
-    rate = output.unit in POSITIONS if rate is None else rate
     records = usable(records, (input, output))
+    rate = integration(records, (input,), (output,))[0].found if rate is None else rate
     span = max(float(np.ptp(np.concatenate([r[input.name] for r in records]))), 1e-300)
     window = window or max(0.5, 10 * max(r.period for r in records))
     cut = [] if moving else [_stretches(r, input, output, rate, settle, window, delay or 0.0, steady * span)
@@ -176,22 +178,13 @@ def _stretches(record, input, output, rate, settle, window, delay, allowed):
         begin += window
         if high - low >= 4:
             late = slice(*np.searchsorted(t, np.array([t[low] - delay, t[low] + window - delay]) - 1e-9))
-            yield float(u[late].mean()), *_level_and_error(t[low:high], y[low:high], rate)
+            yield float(u[late].mean()), *(slope_and_error if rate else level_and_error)(t[low:high], y[low:high])
 
 
 def _spread_to_the_end(values: np.ndarray) -> np.ndarray:
     """Largest minus smallest of what follows, for every value of (n,)."""
     back = values[::-1]
     return (np.maximum.accumulate(back) - np.minimum.accumulate(back))[::-1]
-
-
-def _level_and_error(t: np.ndarray, y: np.ndarray, rate: bool) -> tuple[float, float]:
-    """Slope (or mean) of y over t (n,) and its standard error."""
-    x = t - t.mean()
-    slope, mean = float(x @ y / (x @ x)), float(y.mean())
-    left = y - mean - slope * x
-    noise = math.sqrt(float(left @ left) / max(len(t) - 2, 1))
-    return (slope, noise / math.sqrt(x @ x)) if rate else (mean, noise / math.sqrt(len(t)))
 
 
 # -- from a block --------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from hydrotwin.records import Record, noise_floor
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..needs import needed_to_train
+from ..steady import steady_where_it_integrates
 from ..training_data import (
     HELD_OUT,
     LIMIT_OVER_SEEN,
@@ -58,6 +59,7 @@ def train_network(
     effort: float = 1.0,
     budget: float = 120.0,
     name: str = "network",
+    commands: Sequence[str] | None = None,
     progress: Callable | None = None,
 ) -> LearnedBlock:
     """Train a NARX network on several recordings and answer it as a Block.
@@ -75,6 +77,7 @@ def train_network(
         hidden: tanh units; 0 gives the best linear ARX model in free run.
         seed, starts: seeds ``seed ... seed + starts - 1`` are tried on short stretches, the best is trained on.
         effort: scales the number of iterations. budget: s, after which the best so far is taken.
+        commands: inputs whose standing still lets the machine rest (see `steady`); None: all of them.
         progress: called with a `TrainingProgress` after every iteration.
 
     The same seed and data give the same network unless the budget ends the training (``provenance["stopped"]``).
@@ -121,7 +124,8 @@ def train_network(
         description=_describe(shape),
         provenance=_provenance(records, validate, trained),
     )
-    return replace(block, certificate=certify(block, training, trained.weights, shape))
+    block = replace(block, certificate=certify(block, training, trained.weights, shape))
+    return steady_where_it_integrates(block, records, outputs, commands=commands, curve=True)
 
 
 def certify(block: LearnedBlock, training, weights: np.ndarray, shape: NarxShape, points=20_000) -> Certificate:

@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..gaussian.delay_lines import certification_grid, even_period, input_scales, normalised, training_rows
 from ..needs import needed_to_train
+from ..steady import steady_where_it_integrates
 from ..training_data import checked_recordings, named, training_box
 from .rate_block import RATE_NETWORK, rate_frame
 
@@ -94,7 +95,8 @@ def learn_rate_network(
             "versions": {package: metadata.version(package) for package in ("torch", "numpy", "casadi")},
         },
     )
-    return replace(block, certificate=certify(block, adam, certification_grid([rows], len(inputs), lags, rng)))
+    block = replace(block, certificate=certify(block, adam, certification_grid([rows], len(inputs), lags, rng)))
+    return steady_where_it_integrates(block, records, outputs, published=True)
 
 
 def certify(block: LearnedBlock, adam, grid: np.ndarray) -> Certificate:

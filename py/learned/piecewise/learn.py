@@ -15,6 +15,8 @@ from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
 from ..grey_box.data import FitProgress, Watch, block_period, certify, falls, one_in_one_out, run_of, seen_late
+from ..integrating import integration, one_form, told_forms
+from ..steady import Steady, steady_block
 from ..training_data import named, training_box
 from .block import PIECEWISE, piecewise_states, whole_and_share
 from .fit import Curve, CurveProblem, fit_curve, output_of
@@ -32,7 +34,7 @@ def learn_piecewise(
     period: float | None = None,
     validate: Sequence[Record] = (),
     dead_time: float | None = None,
-    integrating: bool = True,
+    integrating: bool | None = None,
     starts: int = 3,
     seed: int = 0,
     name: str = "piecewise",
@@ -49,7 +51,8 @@ def learn_piecewise(
         period: s between steps of the block; None: as `grey_box_data.block_period` finds it.
         validate: recordings that choose among the starts; none: the training loss does.
         dead_time: s; None: found with the rest; 0: none.
-        integrating: the characteristic gives the rate of the output (a position); False: the output itself (a speed).
+        integrating: the characteristic gives the rate of the output (a position); False: the output itself (a speed);
+            None: what the recordings tell (`integration`).
         starts: curves refined, from the best of a scan. seed: kept for the record; nothing here is random.
         progress: called with a `FitProgress` after every evaluation.
 
@@ -64,6 +67,8 @@ def learn_piecewise(
     dead_time = 0.0 if fit == "paper" else dead_time
     records, validate, input_, output = one_in_one_out("learn_piecewise", records, inputs, outputs, validate)
     period = block_period("learn_piecewise", records, period)
+    forms = integration(records, (input_,), (output,))
+    integrating = one_form("learn_piecewise", "integrating", integrating, forms)
     runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
     sign = -1.0 if falls(runs, integrating) else 1.0
     runs, judges = ([replace(r, output=sign * r.output) for r in part] for part in (runs, judges))
@@ -77,6 +82,8 @@ def learn_piecewise(
         "fit": fit,
         "trained_on": named(records),
         "selected_on": named(validate) or "the training loss",
+        "integrating": integrating,
+        "integration": told_forms(forms),
         "identified": _identified(curve, seen_late(records, period, input_) if dead_time is None else 0.0),
         "seed": seed,
         "evaluations": watch.evaluations,
@@ -85,7 +92,8 @@ def learn_piecewise(
         "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "casadi")},
     }
     expected = [output_of(problem, curve, run) + sign * run.output[0] * integrating for run in runs]
-    return replace(block, provenance=provenance, certificate=certify(block, runs, expected))
+    block = replace(block, provenance=provenance, certificate=certify(block, runs, expected))
+    return steady_block(block, records, Steady((output,) if integrating and fit != "paper" else ()))
 
 
 def _identified(curve: Curve, late: float) -> dict[str, float]:

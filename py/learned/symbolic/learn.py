@@ -17,6 +17,7 @@ from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED
 from ..needs import needed_to_train
 from ..network.narx import network_states, random_steps
+from ..steady import steady_where_it_integrates
 from ..training_data import HELD_OUT, checked_recordings, choose_period, named, training_box
 from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula, formula_shape
 from .data import Prepared, prepare
@@ -105,7 +106,8 @@ def learn_symbolic(
     text, latex = printing.equation_text(formula, inputs, outputs, data.shape, data.scales, whole_value=paper)
     provenance = _provenance(fit, records, validate, seed, found) | {"equation": text, "latex": latex}
     block = replace(block, description=text, provenance=provenance)
-    return replace(block, certificate=certify(block, formula))
+    block = replace(block, certificate=certify(block, formula))
+    return steady_where_it_integrates(block, records, outputs, published=paper)
 
 
 def _search(searching, data: Prepared, rules, seeds, paper: bool, names, until: float, progress):

@@ -1,0 +1,162 @@
+"""`learn`: any kind of learned block by name, run freely on a part of the recordings that took no part in training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+from hydrotwin.simulation import Block, simulate
+
+from . import held_out
+from .gaussian.dual import learn_dual_gp
+from .gaussian.single import learn_gaussian_process
+from .grey_box.learn import learn_grey_box
+from .hybrid.block import HybridBlock, hybrid_outputs
+from .hybrid.learn import learn_hybrid
+from .network.learn import train_network
+from .network.rate import learn_rate_network
+from .piecewise.learn import learn_piecewise
+from .report_card import MODEL, Words, card, curve, judged, shown
+from .symbolic.learn import learn_symbolic
+
+KINDS: Mapping[str, Callable] = {
+    "nn": train_network,
+    "gp": learn_gaussian_process,
+    "dual_gp": learn_dual_gp,
+    "piecewise": learn_piecewise,
+    "grey_box": learn_grey_box,
+    "symbolic": learn_symbolic,
+    "hybrid": learn_hybrid,
+}
+ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
+ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
+LEARNED = {True: "its rate is learned", False: "its level is learned", None: "its change from step to step is learned"}
+PUBLISHED = {"nn": learn_rate_network}  # where the paper's procedure is another function
+
+
+def trainer(kind: str, fit: str | None = None) -> Callable:
+    """The function that trains a kind; ``fit`` "paper" is the published procedure.
+
+    Raises `DeclarationError` for a kind or a fit that is not known.
+    """
+    if kind not in KINDS:
+        raise DeclarationError(f"learn: no kind '{kind}'. {nearest(kind, KINDS)}")
+    if kind not in PUBLISHED:
+        return KINDS[kind]
+    if fit not in (None, "default", "paper"):
+        raise DeclarationError(f"learn {kind}: no fit '{fit}'. {nearest(str(fit), ('default', 'paper'))}")
+    return PUBLISHED[kind] if fit == "paper" else KINDS[kind]
+
+
+def learn(
+    kind: str,
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str] = (),
+    outputs: Sequence[Signal | str] = (),
+    *,
+    model=None,
+    fit: str | None = None,
+    **options,
+) -> Block:
+    """Train a block of ``kind`` and run it freely on what was held out: the end of every recording.
+
+    ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the last sample, of the
+    mean, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of these the block does not
+    beat (``"no_better_than"``), and all of it in a sentence (``"says"``). The recordings of ``validate`` have no part
+    in this. Where nothing can be held out, all is trained on and the sentence says so.
+
+    Args:
+        kind: one of `KINDS`. records: training recordings. inputs, outputs: signals, or names of columns.
+        model: the identified model of a hybrid, whose inputs are those of the model and whose outputs may be left out.
+        fit: "paper": the published procedure. options: those of the trainer of that kind, ``validate`` among them.
+
+    Raises: as the trainer of that kind, and `DeclarationError` for a kind that is not known.
+    """
+    train = trainer(kind, fit)
+    if (kind == "hybrid") != (model is not None):
+        raise DeclarationError(
+            f"learn {kind}: a model goes with hybrid (got {model}). Give learn('hybrid', model=...)."
+        )
+    options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
+    records = list(records)
+    named = _names(model, records, inputs, outputs)
+    split = held_out.split(records, *named)
+
+    def trained(on: Sequence[Record]) -> Block:
+        if kind == "hybrid":
+            return train(model, on, list(outputs) or None, **options)
+        return train(on, inputs, outputs, **options)
+
+    try:
+        block = trained(split.fit)
+    except DataError as error:
+        if not split.held_out:
+            raise
+        block = trained(records)  # its own error is about all that was given
+        split = held_out.Split(records, [], f"without it there is too little to learn from: {error}")
+    try:
+        told = _card(block, split, records, named, model)
+    except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
+        told = card(held_out.Split(records, [], "the free run was interrupted"), [], Words())
+    return replace(block, provenance={**block.provenance, "free_run": told})
+
+
+def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:
+    if model is not None:
+        flat = getattr(model, "flat", model)
+        chosen = hybrid_outputs(flat, list(outputs) or None, lambda n: all(n in r for r in records))
+        return [s.name for s in flat.inputs], [s.name for s in chosen]
+    return tuple([getattr(s, "name", s) for s in part] for part in (inputs, outputs))
+
+
+def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
+    bad, notes = _of_form(block)
+    words = Words(bad, [*notes, *_of_drift(block)])
+    if not split.held_out:
+        return card(split, [], words)
+    more = {} if block.provenance.get("kind") == "piecewise" else curve(split, *named)
+    if model is not None:
+        more = {MODEL: lambda record: simulate(model, record)} | more
+    return card(split, judged(block, split, named[1], more, records), words)
+
+
+def _of_form(block: Block) -> tuple[list[str], list[str]]:
+    """Bad news and notes: whether each output was found to integrate, and what was made of it."""
+    provenance, bad, notes = block.provenance, [], []
+    form, units = provenance.get("rate", provenance.get("integrating")), _units(block)
+    for name, found in provenance.get("integration", {}).items():
+        integrates = found["integrates"]
+        rate, level = (shown(found[f"{part}_form"], units.get(name, "1")) for part in ("rate", "level"))
+        verb = "integrates" if integrates else "does not integrate"
+        if provenance.get("kind") in ONLY_RATES and not integrates:
+            bad.append(f"{name} {verb} its inputs, and this kind learns rates only: take {', '.join(ANY_FORM)}.")
+        made = LEARNED[form] + (", as asked for" if form not in (None, integrates) else "")
+        if not found["clear"]:
+            made += ". The recordings hardly tell the two apart: record commands that are held, at several levels"
+        notes.append(f"{name} {verb} its inputs (a simple model of its rate runs to {rate}, of its level to {level}); "
+                     f"{made}.")  # fmt: skip
+    return bad, notes
+
+
+def _units(block: Block) -> dict[str, str]:
+    """Units of the outputs by name, those of a hybrid's residual among them."""
+    parts = [block, block.residual] if isinstance(block, HybridBlock) else [block]
+    return {s.name: s.unit for part in parts for s in part.outputs}
+
+
+def _of_drift(block: Block) -> list[str]:
+    """What the block did where the machine rests, and what it drifted by."""
+    rest = block.provenance.get("rest", {})
+    units, words = _units(block), []
+    for name, drift in rest.get("drift", {}).items():
+        rate = f"{shown(drift, units.get(name, '1'))}/s"
+        held = f"drifted by up to {rate} and is held" if name in rest["held"] else f"drifts by up to {rate}"
+        if drift > 0:
+            words.append(f"Where the machine rests, {name} {held}.")
+    for name, off in block.provenance.get("drift", {}).items():
+        before, after = (shown(off[key], units.get(name, "1")) for key in ("before", "after"))
+        words.append(f"Free runs in training drifted by {before} in {name}; a curve of the inputs leaves {after}.")
+    return words

@@ -1,0 +1,189 @@
+"""How good a block runs freely on what was held out, beside what costs nothing: holding the last sample, a curve.
+
+The card is written into the block (``provenance["free_run"]``) and said in one sentence, which begins with the bad news
+where there is some.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.units import display_units, from_si
+from hydrotwin.records import Record
+from hydrotwin.simulation import Block, simulate
+from hydrotwin.simulation.propagator import Diverged
+
+from .grey_box.data import block_period
+from .held_out import Split
+from .piecewise.learn import learn_piecewise
+
+HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
+BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
+BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
+SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
+ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
+Run = Callable[[Record], Record]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One output: RMS error of the free run and of each yardstick, SI; range in the recordings; where it diverged."""
+
+    output: Signal
+    rmse: float
+    range: float
+    yardsticks: Mapping[str, float]
+    diverged: str = ""
+
+    @property
+    def no_better_than(self) -> list[str]:
+        """The yardsticks that the block does not beat."""
+        return [name for name, error in self.yardsticks.items() if not self.rmse < BETTER * error]
+
+    def told(self) -> dict:
+        """For the provenance and JSON: SI, and as a share of the range."""
+        answer = {"unit": self.output.unit, "range": self.range, "yardsticks": dict(self.yardsticks)}
+        answer["no_better_than"] = self.no_better_than
+        if np.isfinite(self.rmse):
+            answer |= {"rmse": self.rmse, "percent_of_range": 100 * self.rmse / self.range}
+        return answer | ({"diverged": self.diverged} if self.diverged else {})
+
+    def said(self) -> str:
+        """In the unit that a person reads."""
+        apart = ", ".join(f"{name} {shown(error, self.output.unit)}" for name, error in self.yardsticks.items())
+        own = f"{shown(self.rmse, self.output.unit)}, {100 * self.rmse / self.range:.2g} % of its range"
+        return f"{self.output.name} {own} ({apart})"
+
+
+@dataclass(frozen=True)
+class Words:
+    """Sentences of who knows the kind of block: bad news to begin with, notes to end with."""
+
+    bad: Sequence[str] = ()
+    notes: Sequence[str] = ()
+
+
+def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
+    """The card as it is stored: what was held out, a row per output, and the sentences."""
+    if not rows:
+        says = f"Nothing was held out: {split.why}. How well the block runs freely is not known."
+        return {
+            "held_out": [],
+            "outputs": {},
+            "bad": True,
+            "no_better_than": [],
+            "says": " ".join([*words.bad, says, *words.notes]),
+        }
+    worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
+    bad = [*words.bad]
+    bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
+    bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
+    bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
+    good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
+    return {
+        "held_out": split.told(),
+        "outputs": {row.output.name: row.told() for row in rows},
+        "bad": bool(bad),
+        "no_better_than": sorted({name for than in worse.values() for name in than}),
+        "says": " ".join([*bad, good, *words.notes]),
+    }
+
+
+def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str, Run], seen: Sequence[Record]) -> list:
+    """A `Row` for each of ``outputs``: the block and the yardsticks over ``split.held_out``.
+
+    more : yardsticks by name, each with what it answers to a recording. seen : all training recordings, for the range.
+    """
+    mean = {
+        s.name: float(np.mean(np.concatenate([r[s.name] for r in split.fit])))
+        for s in block.outputs
+        if s.name in outputs
+    }
+    yardsticks = {HOLD: _held, MEAN: lambda r: _constant(r, mean)} | dict(more)
+    misses = {name: _misses(run, split.held_out, outputs) for name, run in yardsticks.items()}
+    found, diverged = _runs(block, split.held_out)
+    rows = []
+    for signal in (s for s in block.outputs if s.name in outputs):
+        name, values = signal.name, np.concatenate([r[signal.name] for r in seen])
+        range_ = float(np.ptp(values))
+        miss = np.concatenate([run[name] - r[name] for run, r in zip(found, split.held_out[: len(found)], strict=True)]
+                              or [[np.inf]])  # fmt: skip
+        rmse = np.inf if diverged else float(np.sqrt(np.mean(miss**2)))
+        far = diverged or _left(found, signal, values.min(), values.max())
+        errors = {yardstick: per[name] for yardstick, per in misses.items() if name in per}
+        rows.append(Row(signal, rmse, range_, errors, far))
+    return rows
+
+
+def curve(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
+    """The piecewise linear yardstick, fitted on what is trained on; none where it cannot be."""
+    if len(inputs) != 1 or len(outputs) != 1 or not split.held_out:
+        return {}
+    try:
+        period = max(block_period("", split.fit, None), sum(r.duration for r in split.fit) / SAMPLES)
+        block = learn_piecewise(split.fit, inputs, outputs, period=period, starts=1)
+    except DataError:
+        return {}
+    return {CURVE: lambda record: simulate(block, record)}
+
+
+def _held(record: Record) -> Record:
+    """Every signal as it was at first."""
+    return _constant(record, {name: values[0] for name, values in record.signals.items()})
+
+
+def _constant(record: Record, values: Mapping[str, float]) -> Record:
+    return record.with_signals({name: np.full(len(record), value) for name, value in values.items()})
+
+
+def _misses(run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
+    """RMS of a yardstick by output; none where it cannot run."""
+    try:
+        runs = [(run(r), r) for r in records]
+    except (DataError, Diverged):
+        return {}
+    return {
+        n: float(np.sqrt(np.mean(np.concatenate([found[n] - r[n] for found, r in runs]) ** 2)))
+        for n in outputs
+        if all(n in found for found, _ in runs)
+    }
+
+
+def _runs(block: Block, records: Sequence[Record]) -> tuple[list[Record], str]:
+    """Free runs, and what ended them where they left the finite numbers."""
+    found = []
+    for record in records:
+        try:
+            found.append(simulate(block, record))
+        except Diverged as error:
+            return found, f"diverges in free run, beyond the finite numbers {error.time:g} s into '{record.name}'"
+    return found, ""
+
+
+def _left(runs: Sequence[Record], signal: Signal, low: float, high: float) -> str:
+    """Words for a run far outside what was seen, else empty."""
+    values = np.concatenate([run[signal.name] for run in runs])
+    worst = float(values[np.argmax(np.maximum(low - values, values - high))])
+    if max(low - worst, worst - high) <= BEYOND * (high - low):
+        return ""
+    ends = f"{shown(low, signal.unit)} to {shown(high, signal.unit)}"
+    return f"diverges in free run: it reaches {shown(worst, signal.unit)}, in training it was {ends}"
+
+
+def _parts(split: Split) -> str:
+    seconds = sum(r.duration for r in split.held_out)
+    return f"{seconds:.3g} s of {len(split.held_out)} recording{'s' if len(split.held_out) > 1 else ''}"
+
+
+def shown(value: float, unit: str) -> str:
+    """A difference in the unit that a person reads."""
+    if unit == "1":
+        return f"{value:.3g}"
+    read = display_units(unit)[0]
+    apart = from_si(float(value), read) - from_si(0.0, read) if np.isfinite(value) else value
+    return f"{apart:.3g} {read}"

@@ -1,0 +1,158 @@
+"""What `learn` says of a block: its free run on what was held out, beside what costs nothing, the bad news first."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.learned import learning, read_block, write_block
+from hydrotwin.learned.held_out import split
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.records import Record
+from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
+
+SMALL = {"points": 100, "samples": 400, "compress": 30}
+HOLD, MEAN, CURVE = "holding the last sample", "the mean", "a piecewise linear curve"
+
+
+def rod(seed: int = 1) -> Record:
+    return recording(lambda u: integral(0.1 * np.tanh(2 * u)), seed)
+
+
+def card(block) -> dict:
+    return block.provenance["free_run"]
+
+
+@pytest.fixture(scope="module")
+def piecewise():
+    return ht.learn("piecewise", [rod(1), rod(2)], ["u"], ["y"], starts=1)
+
+
+def test_the_card_is_the_free_run_over_what_took_no_part(piecewise):
+    parts = split([rod(1), rod(2)], ["u"], ["y"])
+    miss = np.concatenate([ht.simulate(piecewise, r)["y"] - r["y"] for r in parts.held_out])
+    still = np.concatenate([r["y"] - r["y"][0] for r in parts.held_out])
+    told = card(piecewise)["outputs"]["y"]
+    assert told["rmse"] == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-12)
+    assert told["yardsticks"][HOLD] == pytest.approx(np.sqrt(np.mean(still**2)), rel=1e-12)
+    assert told["no_better_than"] == [] and not card(piecewise)["bad"]
+    assert [p["samples"] for p in card(piecewise)["held_out"]] == [len(r) for r in parts.held_out]
+    trained = [t["samples"] for t in piecewise.provenance["trained_on"]]
+    assert trained == [len(r) for r in parts.fit] and max(trained) < 0.9 * len(rod())
+    assert f"RMS error of y {1e3 * told['rmse']:.3g} mm" in card(piecewise)["says"]
+
+
+def test_the_card_is_in_the_file(piecewise, tmp_path):
+    again = read_block(write_block(piecewise, tmp_path / "block.toml")[0])
+    assert card(again) == card(piecewise)
+
+
+def test_what_is_held_out_changes_no_trained_number():
+    """The last tenth of the recording is replaced: the same block, another card."""
+    record = rod()
+    early = np.arange(len(record)) < 0.9 * len(record)
+    bent = record.with_signals({"y": np.where(early, record["y"], np.median(record["y"]))})
+    blocks = [ht.learn("piecewise", [r], ["u"], ["y"], starts=1) for r in (record, bent)]
+    assert all(np.array_equal(blocks[0].arrays[k], blocks[1].arrays[k]) for k in blocks[0].arrays)
+    assert card(blocks[0])["outputs"] != card(blocks[1])["outputs"]
+
+
+def test_recordings_to_validate_with_have_no_part_in_the_card(piecewise):
+    other = ht.learn("piecewise", [rod(1), rod(2)], ["u"], ["y"], starts=1, validate=[rod(9)])
+    assert card(other) == card(piecewise)
+
+
+def test_a_level_learnt_of_what_integrates_is_told_first():
+    pytest.importorskip("gpytorch")
+    block = ht.learn("gp", [rod()], ["u"], ["y"], rate=False, **SMALL)
+    assert {HOLD, CURVE} & set(card(block)["no_better_than"]) and card(block)["bad"]
+    assert card(block)["says"].startswith("Of y the block is no better than ")
+    assert "its level is learned, as asked for" in card(block)["says"]
+
+
+def test_its_rate_is_learnt_by_default_and_said():
+    pytest.importorskip("gpytorch")
+    says = card(ht.learn("gp", [rod()], ["u"], ["y"], **SMALL))["says"]
+    assert "y integrates its inputs" in says and "its rate is learned." in says
+
+
+@pytest.mark.parametrize(
+    "output",
+    [
+        lambda u, rng: rng.normal(size=len(u)),
+        lambda u, rng: np.cumsum(rng.normal(size=len(u))),
+        lambda u, rng: np.sin(3.1 * PERIOD * np.arange(len(u))),
+    ],
+    ids=["noise", "a random walk", "a motion of its own"],
+)
+def test_an_output_that_the_input_does_not_move_is_said_to_be_learnt_no_better(output):
+    u = steps(1)
+    y = output(u, np.random.default_rng(3))
+    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "1"}, "deaf")
+    told = card(ht.learn("piecewise", [record], ["u"], ["y"], starts=1))
+    assert {HOLD, MEAN} & set(told["no_better_than"])
+    assert told["says"].startswith("Of y the block is no better than ") and "Record more" in told["says"]
+
+
+def test_a_free_run_that_diverges_is_said_with_where_it_went():
+    """Trained on slow strokes between two stops, run where nothing stops it: the end of the recording holds one way."""
+    n = 2000
+    u = np.where(np.arange(n) < 1600, np.sign(np.sin(2 * np.pi * np.arange(n) / 80)), 1.0)
+    y = integral(0.5 * u)
+    y[1600:] = y[1600] + 0.02 * np.sin(np.arange(n - 1600) / 60)
+    record = Record(PERIOD * np.arange(n), {"u": u, "y": y}, {"u": "V", "y": "m"}, "stops")
+    told = card(ht.learn("piecewise", [record], ["u"], ["y"], starts=1, integrating=True))
+    assert "diverges in free run: it reaches" in told["says"].split(".")[0] and told["bad"]
+    assert told["outputs"]["y"]["diverged"]
+
+
+def test_too_little_to_hold_anything_out_is_learnt_from_whole_and_said():
+    record = rod().window(0, 2.2)  # 111 samples: with nine tenths of them nothing is learnt
+    told = card(ht.learn("piecewise", [record], ["u"], ["y"], starts=1))
+    assert told["bad"] and told["says"].startswith("Nothing was held out: ") and "too few samples" in told["says"]
+    with pytest.raises(DataError, match=r"too few samples to train on \(got 51\)"):
+        ht.learn("piecewise", [rod().window(0, 1.0)], ["u"], ["y"])
+
+
+def test_the_cut_lies_where_the_machine_is_quiet():
+    u = steps(1)
+    u[len(u) * 79 // 100 : len(u) * 81 // 100] = 0.0
+    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": integral(settled(u, 0.1))}, {"u": "V", "y": "m"}, "rod")
+    at = len(split([record], ["u"], ["y"]).fit[0])
+    assert np.ptp(record["u"][at - 10 : at]) == 0.0 and abs(at / len(u) - 0.8) < 0.06
+
+
+def test_an_end_at_rest_is_no_test_and_more_is_held_out():
+    record = rod()
+    y = np.where(np.arange(len(record)) > 0.76 * len(record), record["y"][len(record) * 3 // 4], record["y"])
+    parts = split([record.with_signals({"y": y})], ["u"], ["y"])
+    assert np.ptp(parts.held_out[0]["y"]) > 0.1 * np.ptp(y)
+
+
+def test_of_many_recordings_whole_ones_are_held_out():
+    parts = split([rod(k) for k in range(6)], ["u"], ["y"])
+    assert [r.name for r in parts.held_out] == ["run_5"] and len(parts.fit) == 5
+
+
+def test_a_kind_of_rates_only_says_first_that_an_output_does_not_integrate():
+    pytest.importorskip("torch")
+    record = recording(lambda u: 0.05 * settled(u, 0.05), 1)
+    told = card(ht.learn("nn", [record], ["u"], ["y"], fit="paper", iterations=20, starts=1))
+    assert told["says"].startswith("y does not integrate its inputs, and this kind learns rates only: take gp")
+
+
+def test_a_free_run_that_nobody_waits_for_costs_no_trained_block(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(learning, "judged", interrupted)
+    block = ht.learn("piecewise", [rod()], ["u"], ["y"], starts=1)
+    assert block.certificate.holds and "the free run was interrupted" in card(block)["says"]
+
+
+def test_words_that_are_not_known_are_refused():
+    with pytest.raises(DeclarationError, match=r"no kind 'pieces'.*'piecewise'"):
+        ht.learn("pieces", [rod()], ["u"], ["y"])
+    with pytest.raises(DeclarationError, match="a model goes with hybrid"):
+        ht.learn("hybrid", [rod()])

@@ -224,6 +224,15 @@ def _starting(job: RefitJob) -> list[str]:
     return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
 
 
+def _judging(task: Task, job: RefitJob) -> Task:
+    """The task of runs through the recordings of ``job`` that select, whichever start states those measure."""
+    states, q = _starting(job), job.question
+    if not q.select or states == list(task.propagator.free_states):
+        return task
+    propagator = prepare(job.flat, free_parameters=task.free.names, free_states=states, step=q.step)
+    return dataclasses.replace(task, propagator=propagator)
+
+
 def _prior(free: FreeParameters, q: Question) -> Prior:
     """Positive base parameters are known to within a factor of two (one sigma); nothing is known of the others.
 
@@ -376,7 +385,8 @@ class Concluded:
 def conclude(job: RefitJob) -> Concluded | str:
     """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part.
 
-    A sentence when every start diverges. Pure and picklable.
+    No bit of what is fitted depends on what judges: not even the compiled equations know of it. A sentence when every
+    start diverges. Pure and picklable.
     """
     try:
         return _conclude(job)
@@ -386,10 +396,11 @@ def conclude(job: RefitJob) -> Concluded | str:
 
 def _conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
-    task = _weighed(job, np.fmax(q.noise if job.size is None else job.size, q.noise))
-    found = _from_starts(task, job)[0]
+    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()))
+    task = _weighed(alone, np.fmax(q.noise if job.size is None else job.size, q.noise))
+    found = _from_starts(task, alone)[0]
     task, found, left, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)
-    refitted = _answer(q, task, found, left, value)
+    refitted = _answer(q, _judging(task, job), found, left, value)
     return Concluded(fit, refitted, refitted.residuals_select)

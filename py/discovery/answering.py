@@ -136,8 +136,16 @@ def answer(search: Search, data: Split, found: Found, model: Model) -> Discovery
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
         screened=len(search.candidates),
+        fitted=len(_fitted(found)),
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
+
+
+def _fitted(found: Found) -> set[str]:
+    """The candidates that were fitted, alone or with others, in any look."""
+    looks = [*(tried for _, _, tried in found.screens), *(s.tried for s in found.steps)]
+    looks += [again.tried for s in found.steps for again in s.revised.values()]
+    return {c.label for tried in looks for t in tried if t.structure for c in t.members}
 
 
 def _without_name(search: Search, data: Split, found: Found, elsewhere: Sequence[str], change: Change | None) -> str:
@@ -335,8 +343,11 @@ def _shifts(search: Search, before: Concluded, after: Concluded) -> tuple[Shift,
 
 
 def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Rung, ...]:
-    """What is left in units of the noise, base first, after every step, on held-out recordings."""
-    noise = search.question.noise
+    """What the search left in units of the sensors' noise, base first, after every step, on the recordings that chose.
+
+    Behind the last step stands where the search ended: what became idle on the way is not in it any more.
+    """
+    noise = search.sensors
 
     def left(structure: Structure) -> float:
         residuals = structure.fitted.residuals_select or structure.fitted.residuals_fit
@@ -350,5 +361,5 @@ def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Run
         if len(best.members) > 1 and alone:
             first = max(alone, key=lambda t: t.evidence.closed)
             rungs.append(Rung(label(first), left(first.structure)))
-        rungs.append(Rung(label(best), left(best.structure)))
+        rungs.append(Rung(label(best), left(found.last if step is steps[-1] else best.structure)))
     return tuple(rungs)

@@ -93,7 +93,8 @@ def discover(
         search, found = explained_together(search, data, found, max_effects)
         said = answer(search, data, confirmed(search, found), asked.model)
     earlier = 0.0 if memory is None else memory.earlier
-    return dataclasses.replace(said, seconds=time.perf_counter() - began + earlier)
+    given = {"train": len(records), "validate": len(validate)}
+    return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
 
 
 def inside(model: Model, wanted: Wanted) -> Asked:

@@ -32,7 +32,15 @@ def write_friction_test(fit, folder: str | Path, *, recordings: Sequence[str] = 
         answer=f"The Stribeck curve meets the measured forces to {number_text(fit.rmse)} N.",
         headline=coefficients(fit),
         sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit), made),
-        data={"values": fit.values, "rmse": fit.rmse, "velocity": fit.velocity, "force": fit.force},
+        data={
+            "values": fit.values,
+            "intervals": {c.name: c.interval for c in fit.coefficients},
+            "confidence": fit.confidence,
+            "rmse": fit.rmse,
+            "velocity": fit.velocity,
+            "force": fit.force,
+            "findings": fit.findings,
+        },
     )
     return write_page(page, folder, stem="friction", data_name="friction.json")
 

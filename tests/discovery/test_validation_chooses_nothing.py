@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import json
+from functools import cache
 
 import numpy as np
 import pytest
 
 from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.resume import Memory
 from hydrotwin.discovery.verdict import DOUBTED
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.models.language import Model
@@ -59,17 +61,41 @@ VALIDATION = {
 }
 
 
+CASES = [("two effects", judging) for judging in VALIDATION]
+CASES += [("a pulse that no effect explains", "another machine"), ("nothing missing", "one far outside")]
+
+
+class Kept(Memory):
+    """A memory of what is data: final fits carry equations and are made anew."""
+
+    def put(self, key, answer):
+        with contextlib.suppress(TypeError):
+            super().put(key, answer)
+
+
 @pytest.fixture(scope="module")
-def alone():
-    """What is learned without any recording to validate, by what was hidden."""
-    return {name: found(records(3, **more), EFFECTS, noise={"speed": NOISE}) for name, more in LEARNED.items()}
+def alone(tmp_path_factory):
+    """What is learned without any recording to validate, and every fit of the search, by what was hidden."""
+
+    @cache
+    def learned_from(hidden):
+        memory = Kept(tmp_path_factory.mktemp("fits"))
+        return searched(records(3, **LEARNED[hidden]), memory), memory
+
+    return learned_from
 
 
-@pytest.mark.parametrize("hidden", LEARNED)
-@pytest.mark.parametrize("judging", VALIDATION)
+def searched(runs, memory=None, validate=()):
+    return found(runs, EFFECTS, validate=validate, memory=memory, noise={"speed": NOISE})
+
+
+@pytest.mark.parametrize(("hidden", "judging"), CASES)
 def test_whatever_validates_what_is_learned_is_the_same_to_the_bit(alone, hidden, judging):
-    more, first = LEARNED[hidden], alone[hidden]
-    answer = found(records(3, **more), EFFECTS, validate=VALIDATION[judging](more), noise={"speed": NOISE})
+    """No fit of the search is another one, and neither is what follows from them."""
+    more, (first, memory) = LEARNED[hidden], alone(hidden)
+    fits = len(memory)
+    answer = searched(records(3, **more), memory, VALIDATION[judging](more))
+    assert len(memory) == fits > 0
     assert answer.verdict in (first.verdict, "unknown")
     if answer.verdict == first.verdict:
         assert learned(answer) == learned(first)
@@ -82,51 +108,61 @@ def test_whatever_validates_what_is_learned_is_the_same_to_the_bit(alone, hidden
 def test_a_start_that_only_validation_measures_does_not_reach_the_fit():
     """With it the equations of the fit would be compiled for one more free start."""
     runs = [late_to_begin(r) for r in records(3, dry=DRY)]
-    first = found(runs, EFFECTS, noise={"speed": NOISE})
-    answer = found(runs, EFFECTS, validate=records(1, first=7, dry=DRY), noise={"speed": NOISE})
-    assert [s.effect for s in answer.steps] == ["coulomb_friction"]
-    assert learned(answer) == learned(first)
+    answers = [
+        found(runs, EFFECTS[:1], validate=judged, noise={"speed": NOISE}) for judged in ((), records(1, first=7))
+    ]
+    assert all([s.effect for s in a.steps] == ["coulomb_friction"] or not a.steps for a in answers)
+    fits = [[(p.name, p.value, p.sigma) for p in a.fit_before.parameters] for a in answers]
+    assert fits[0] == fits[1]
 
 
 def test_an_effect_that_validation_speaks_against_stays_less_probable_and_with_a_warning(alone):
-    judged = VALIDATION["one without the dead time"](LEARNED["two effects"])
-    answer = found(records(3, dry=DRY, late=LATE), EFFECTS, validate=judged, noise={"speed": NOISE})
-    before, after = ({s.effect: s.probability for s in a.steps} for a in (alone["two effects"], answer))
-    assert after["dead_time"] < 0.1 * before["dead_time"]
-    assert after["coulomb_friction"] > 0.9 * before["coulomb_friction"]
-    (note,) = [f for f in answer.findings if DOUBTED in f]
-    assert "dead_time at force is named by what was learned from" in note
-    confirmed = found(records(3, dry=DRY, late=LATE), EFFECTS, validate=records(2, first=7, dry=DRY, late=LATE),
-                      noise={"speed": NOISE})  # fmt: skip
-    assert not [f for f in confirmed.findings if DOUBTED in f]
+    first, memory = alone("two effects")
+    for late in (0, LATE):
+        judged = records(2, first=7, dry=DRY, late=late)
+        answer = searched(records(3, **LEARNED["two effects"]), memory, judged)
+        before, after = ({s.effect: s.probability for s in a.steps} for a in (first, answer))
+        assert set(after) == {"coulomb_friction", "dead_time"}
+        assert after["coulomb_friction"] > 0.9 * before["coulomb_friction"]
+        notes = [f for f in answer.findings if DOUBTED in f]
+        assert [n.partition(" is named")[0] for n in notes] == ["gap: dead_time at force"] * (not late)
+        assert (after["dead_time"] < 0.1 * before["dead_time"]) == (not late)
 
 
 # -- around an FMU -----------------------------------------------------------------------------------------------------
 @pytest.fixture(scope="module")
-def two_sensors(tmp_path_factory):
-    """The drive as it is, measured twice, as an FMU."""
-    path = tmp_path_factory.mktemp("fmus") / "two_sensors.fmu"
-    export_fmu(Model(TwoSensors(), step=2e-3).with_parameters({"gain": 10.0, "time_constant": 0.3}), path)
-    return read_fmu(path)
+def around(tmp_path_factory):
+    """An FMU of the drive, measured twice, what stands around it, and every fit of the search."""
+    folder = tmp_path_factory.mktemp("fmus")
+    export_fmu(Model(TwoSensors(), step=2e-3).with_parameters({"gain": 10.0, "time_constant": 0.3}), folder / "two.fmu")
+    fmu, memory = read_fmu(folder / "two.fmu"), Kept(folder / "fits")
+    return fmu, drives_around(fmu, memory), memory
 
 
-def biased(count, first, bias=0.3, shift=0.8):
-    return drive_records(count, first, command=lambda u: u + bias, other=lambda w, time: w + shift)
+def drives(count, first, late=3, shift=0.8):
+    def later(u):
+        return np.concatenate([np.full(late, u[0]), u[: len(u) - late]])
+
+    return drive_records(count, first, command=later, other=lambda w, time: w + shift)
 
 
-@pytest.mark.parametrize("judging", ["more of the same", "one without the bias", "another machine"])
-def test_around_an_fmu_what_validates_chooses_as_little(two_sensors, judging):
-    judged = {
-        "more of the same": biased(1, 7),
-        "one without the bias": biased(1, 7, shift=0.0),
-        "another machine": [dataclasses.replace(r, signals={**r.signals, "rate": -r["rate"]}) for r in biased(1, 7)],
-    }[judging]
-    asked = {"effects": ["sensor_bias", "null_bias"], "executor": Inline()}
-    first = discover(two_sensors, biased(3, 0), **asked)
-    answer = discover(two_sensors, biased(3, 0), validate=judged, **asked)
-    assert {(s.effect, s.site) for s in first.steps} == {("sensor_bias", "other"), ("null_bias", "command")}
-    if answer.verdict == "unknown":
-        assert not answer.steps and judging == "another machine"
+def drives_around(fmu, memory, validate=()):
+    asked = {"effects": ["dead_time", "sensor_bias"], "executor": Inline(), "memory": memory}
+    return discover(fmu, drives(3, 0), validate=validate, **asked)
+
+
+@pytest.mark.parametrize(
+    ("judging", "doubts"),
+    [(drives(1, 7), []), (drives(1, 7, shift=0.3), ["sensor_bias at other"]), (drives(1, 7, late=9, shift=-5.0), None)],
+)
+def test_around_an_fmu_what_validates_chooses_as_little(around, judging, doubts):
+    fmu, first, memory = around
+    fits = len(memory)
+    answer = drives_around(fmu, memory, judging)
+    assert len(memory) == fits > 3
+    assert {(s.effect, s.site) for s in first.steps} == {("dead_time", "command"), ("sensor_bias", "other")}
+    if doubts is None:
+        assert (answer.verdict, answer.steps) == ("unknown", ())
         return
     assert learned(answer) == learned(first)
-    assert bool([f for f in answer.findings if DOUBTED in f]) == (judging == "one without the bias")
+    assert [f.partition(" is named")[0] for f in answer.findings if DOUBTED in f] == [f"gap: {d}" for d in doubts]

@@ -40,7 +40,7 @@ def gap_data(discovery: Discovery) -> dict:
         "locations": [_location(place) for place in discovery.locations],
         "regions": [asdict(r) for r in discovery.regions],
         "shifts": [asdict(s) for s in discovery.shifts],
-        "parameters": [asdict(r) for r in parameter_rows(discovery.fit_after)],
+        "parameters": [asdict(r) for r in parameter_rows(discovery.fit_after)] if discovery.fit_after else [],
         "fit_records": [_fitted_to(r) for r in getattr(discovery.fit_after, "records", ())],
         "waterfall": [asdict(r) for r in discovery.waterfall],
         "unknown": [asdict(u) for u in discovery.unknown],

@@ -32,6 +32,7 @@ class Wanted:
     initial_states: str
     outputs: Sequence[str] | None
     noise: Mapping[str, float] | None
+    step: float | None
 
 
 @dataclass(frozen=True, eq=False)

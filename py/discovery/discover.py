@@ -25,6 +25,7 @@ from .progress import reporting
 from .recordings import split
 from .refit import Led, Question, Refitted, conclude
 from .resume import recalled
+from .search import Search
 from .structure import Structure
 from .together import explained_together
 
@@ -78,23 +79,28 @@ def discover(
         raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
     if memory is not None:
         memory.begin()
-    wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise)
+    wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise, step)
     asked = around(model, wanted) if getattr(model, "kind", "") == "fmu" else inside(model, wanted)
-    flat, data = asked.bounded.flat, asked.data
-    usual = usual_of(asked.model.flat, asked.names)
-    question = Question(data.fit, data.select, data.noise, asked.initial_states, step, usual)
-    with reporting(progress, flat.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory, 1 if flat.black_box else cores_of(pool))
-        report("identify the base", 0, 1, asked.note)
-        told = tuple(n.name in (noise or {}) for n in flat.outputs)
-        search = asked.search(asked.bounded, asked.names, asked.candidates, question, run, report, told)
-        base = _or_refused(identified(search, search.models_ahead()))
-        found = searched(search, begun(search, Structure((), base)), max_effects)
-        search, found = explained_together(search, data, found, max_effects)
-        said = answer(search, data, confirmed(search, found), asked.model)
+    with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
+        run = _runner(pool, report, memory, 1 if asked.model.flat.black_box else cores_of(pool))
+        search, base = _begin(asked, wanted, run, report)
+        found = searched(search, begun(search, base), max_effects)
+        search, found = explained_together(search, asked.data, found, max_effects)
+        said = answer(search, asked.data, confirmed(search, found), asked.model)
     earlier = 0.0 if memory is None else memory.earlier
     given = {"train": len(records), "validate": len(validate)}
     return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
+
+
+def _begin(asked: Asked, wanted: Wanted, run: Callable, report: Callable) -> tuple[Search, Structure]:
+    """The search and its identified base."""
+    data, outputs = asked.data, asked.model.flat.outputs
+    usual = usual_of(asked.model.flat, asked.names)
+    question = Question(data.fit, data.select, data.noise, asked.initial_states, wanted.step, usual)
+    told = tuple(o.name in (wanted.noise or {}) for o in outputs)
+    report("identify the base", 0, 1, asked.note)
+    search = asked.search(asked.bounded, asked.names, asked.candidates, question, run, report, told)
+    return search, Structure((), _or_refused(identified(search, search.models_ahead())))
 
 
 def inside(model: Model, wanted: Wanted) -> Asked:

@@ -138,11 +138,6 @@ class Refitted:
         """RMSE over the fit recordings, (ny,), SI."""
         return pooled_rmse(self.residuals_fit)
 
-    @property
-    def rmse_select(self) -> np.ndarray:
-        """RMSE over the select recordings, (ny,), SI."""
-        return pooled_rmse(self.residuals_select)
-
 
 def pooled_rmse(residuals: Sequence[np.ndarray]) -> np.ndarray:
     """Root mean square of every column over recordings: nan where nothing was measured, inf where one diverged."""
@@ -318,10 +313,6 @@ def _runs(task: Task, shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray
     return [np.full(s, np.inf) if r is None else r / unit for r, s in zip(runs, shapes, strict=True)]
 
 
-def _sizes(left: Sequence[np.ndarray], q: Question) -> np.ndarray:
-    return np.fmax(pooled_rmse(left), q.noise)
-
-
 def _rmse(task: Task, found: Minimum) -> np.ndarray:
     """RMSE (ny,) over the fit recordings, SI, from what the minimum summed there where it did; nan: not measured."""
     squares = found.at.squares
@@ -362,7 +353,7 @@ def _answer(q: Question, task: Task, found: Minimum, left: Sequence[np.ndarray],
     return Refitted(
         values=dict(zip(free.names, values.tolist(), strict=True)),
         states=tuple(dict(zip(names, (z * shooting.start.nominal).tolist(), strict=True)) for z in found.z),
-        size=_sizes(left, q),
+        size=np.fmax(pooled_rmse(left), q.noise),
         residuals_fit=tuple(left),
         residuals_select=tuple(residuals_of(task, found, q.select)) if q.select else (),
         likelihood=value,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -30,6 +29,7 @@ from .unknown import describe_unknown
 from .verdict import (
     CONFIRMED,
     closed_where_it_counts,
+    doubted,
     findings_of,
     likeliest,
     not_excited,
@@ -71,7 +71,7 @@ class Found:
     screens: tuple
 
 
-def answer(search: Search, data: Split, found: Found, model: Model, began: float) -> Discovery:
+def answer(search: Search, data: Split, found: Found, model: Model) -> Discovery:
     """The Discovery of a finished search; ``model`` is what the user gave, with its own bounds."""
     q = search.question
     data = dataclasses.replace(data, fit=q.fit, select=q.select, noise=search.sensors)  # as the search left them
@@ -81,28 +81,30 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
     verdict = "unknown" if change else verdict
     kept = found.last if verdict in ("named", "class") else found.base
     rivals = _rivals(found.steps) if verdict in ("named", "class") else {}
-    before, after, rivals = _concluded(search, data, found.base, kept, rivals)
+    parts = {f"without {c.label}": kept.without(c) for c in kept.members if data.report and len(kept.members) > 1}
+    final = dataclasses.replace(q, fit=data.train, select=data.report)
+    before, after, others = _concluded(search, final, found.base, kept, {**rivals, **parts})
     shown = closed_where_it_counts(before, after, data)
     elsewhere = only_elsewhere(search, found.base, before, data)
     verdict = "unknown" if verdict == "none" and elsewhere else verdict
     if kept is found.last and shown < CONFIRMED:
         verdict, kept, after = "unknown", found.base, before
     steps = found.steps if kept is found.last else ()
+    doubts = doubted(kept.members, others, after, final)
     flat = search.base.flat
-    judging = data.report or tuple(r for r in data.train if r in data.select)
     view = View(flat, data, before, after)
     share = max(min(closed(found.last.fitted, found.base.fitted, search.question), shown), 0.0)
     known = {p.name: p for p in search.big.parameters} if found.screens or steps else {}
     members = [
         named
         for step in steps
-        for named in _named(step, after, share * _weight(search, found.base, step), known, rivals)
+        for named in _named(step, after, share * _weight(search, found.base, step), known, others, doubts)
     ]
     experiment = _experiment(search, data, steps) if verdict == "class" and not flat.black_box else None
     residual = after.refitted.residuals_fit
     unknown = ()
     if verdict == "unknown" or has_gap(residual, data.noise, CLEARLY).any():
-        unknown = describe_unknown(flat, data.train, residual, judging, _seen(after, data), data.noise)
+        unknown = describe_unknown(flat, *_by_role(data, residual), data.noise)
     last = found.screens[-1] if found.screens else (None, (), ())
     named = any(c in kept.members for t in last[2] for c in t.members)  # what was looked at last was not in vain
     added = search.model(kept.members).additions[len(model.additions) :]  # an answer may be asked what it lacks
@@ -129,14 +131,21 @@ def answer(search: Search, data: Split, found: Found, model: Model, began: float
         experiment=experiment,
         findings=(
             *data.findings,
-            *findings_of(search, found, verdict, shown, change is not None),
+            *findings_of(search, found, verdict, shown, change is not None, [*doubts]),
             *_of_fit(after),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
         screened=len(search.candidates),
-        seconds=time.perf_counter() - began,
+        fitted=len(_fitted(found)),
         provenance={r.name: r.digest for r in (*data.train, *data.report) if r.digest},
     )
+
+
+def _fitted(found: Found) -> set[str]:
+    """The candidates that were fitted, alone or with others, in any look."""
+    looks = [*(tried for _, _, tried in found.screens), *(s.tried for s in found.steps)]
+    looks += [again.tried for s in found.steps for again in s.revised.values()]
+    return {c.label for tried in looks for t in tried if t.structure for c in t.members}
 
 
 def _without_name(search: Search, data: Split, found: Found, elsewhere: Sequence[str], change: Change | None) -> str:
@@ -154,20 +163,19 @@ def _rivals(steps: Sequence[Step]) -> dict[str, Structure]:
     return {label(t): t.structure for t in others[:MOST_RIVALS]}
 
 
-def _concluded(search: Search, data: Split, base: Structure, last: Structure, rivals: Mapping[str, Structure]):
-    """Structures fitted to all training recordings and run on those to report on: base, last, and rivals by label."""
-    q = dataclasses.replace(search.question, fit=data.train, select=data.report)
+def _concluded(search: Search, q: Question, base: Structure, last: Structure, others: Mapping[str, Structure]):
+    """Structures fitted to the recordings of ``q`` and run on those that judge: base, last, and others by name."""
     needed = [base] if last is base else [base, last]
-    jobs = [final_job(search, q, structure) for structure in (*needed, *rivals.values())]
+    jobs = [fitted_to(search, q, structure) for structure in (*needed, *others.values())]
     answers = search.run(conclude, jobs, "final fit")
     for one in answers[: len(needed)]:
         if isinstance(one, str):
             raise SolveError(one)
-    others = zip(rivals, answers[len(needed) :], strict=True)
-    return answers[0], answers[len(needed) - 1], {name: one for name, one in others if not isinstance(one, str)}
+    named = zip(others, answers[len(needed) :], strict=True)
+    return answers[0], answers[len(needed) - 1], {name: one for name, one in named if not isinstance(one, str)}
 
 
-def final_job(search: Search, q: Question, structure: Structure) -> RefitJob:
+def fitted_to(search: Search, q: Question, structure: Structure) -> RefitJob:
     """Its fit to the recordings of ``q``, from where it stands in those of the search."""
     known = dict(zip((r.name for r in search.question.fit), structure.fitted.states, strict=True))
     states = tuple(known.get(r.name, {}) for r in q.fit)
@@ -189,10 +197,14 @@ def _with_fit(model: Model, concluded: Concluded) -> Model:
     return model.with_settings(settings, {"recordings": dict(concluded.fit.provenance)})
 
 
-def _seen(after: Concluded, data: Split) -> tuple[np.ndarray, ...]:
-    """What is left on the recordings that judge; where none does, on those that selected."""
-    left = zip(data.train, after.refitted.residuals_fit, strict=True)
-    return after.residuals_report or tuple(residual for recording, residual in left if recording in data.select)
+def _by_role(data: Split, left: Sequence[np.ndarray]):
+    """Recordings and what is ``left`` of them, of those that were fitted to; the same of those that only chose.
+
+    Those that judge choose no description either.
+    """
+    of = dict(zip((r.name for r in data.train), left, strict=True))
+    chose = tuple(r for r in data.select if r.name not in {f.name for f in data.fit})
+    return data.fit, [of[r.name] for r in data.fit], chose, [of[r.name] for r in chose]
 
 
 # -- steps -------------------------------------------------------------------------------------------------------------
@@ -207,7 +219,12 @@ def _weight(search: Search, base: Structure, step: Step) -> float:
 
 
 def _named(
-    step: Step, after: Concluded, explained: float, known: Mapping, rivals: Mapping[str, Concluded]
+    step: Step,
+    after: Concluded,
+    explained: float,
+    known: Mapping,
+    rivals: Mapping[str, Concluded],
+    doubts: Mapping[str, float],
 ) -> list[NamedStep]:
     """The named effect of a step; two for a pair, the one that explains more alone first."""
     best = step.choice.best
@@ -224,6 +241,7 @@ def _named(
         last = step.revised.get(c.label, step)
         choice = last.choice
         final = {**rivals, label(choice.best): after}
+        sure = explained * doubts.get(c.label, 1.0)
         alike = [t for t in choice.members if len(t.members) == 1]
         members = [(t.members[0].id, t.members[0].site.name) for t in alike] or [(c.id, c.site.name)]
         named.append(
@@ -234,10 +252,10 @@ def _named(
                 equation=c.effect.equation,
                 source=c.effect.source,
                 members=tuple(members),
-                probability=choice.probability[label(choice.best)] * explained,
+                probability=choice.probability[label(choice.best)] * sure,
                 parameters=concluded_values(c, after),
                 gap_closed=closed_alone,
-                ranked=ranking(last.ranked, last.tried, choice, known, explained, final),
+                ranked=ranking(last.ranked, last.tried, choice, known, sure, final),
                 together=tuple((o.id, o.site.name) for o in order if o is not c),
                 sentence=c.effect.experiment,
                 beside=tuple((m.id, m.site.name) for m in last.before.members),
@@ -325,8 +343,11 @@ def _shifts(search: Search, before: Concluded, after: Concluded) -> tuple[Shift,
 
 
 def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Rung, ...]:
-    """What is left in units of the noise, base first, after every step, on held-out recordings."""
-    noise = search.question.noise
+    """What the search left in units of the sensors' noise, base first, after every step, on the recordings that chose.
+
+    Behind the last step stands where the search ended: what became idle on the way is not in it any more.
+    """
+    noise = search.sensors
 
     def left(structure: Structure) -> float:
         residuals = structure.fitted.residuals_select or structure.fitted.residuals_fit
@@ -340,5 +361,5 @@ def _waterfall(search: Search, found: Found, steps: Sequence[Step]) -> tuple[Run
         if len(best.members) > 1 and alone:
             first = max(alone, key=lambda t: t.evidence.closed)
             rungs.append(Rung(label(first), left(first.structure)))
-        rungs.append(Rung(label(best), left(best.structure)))
+        rungs.append(Rung(label(best), left(found.last if step is steps[-1] else best.structure)))
     return tuple(rungs)

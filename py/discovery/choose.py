@@ -179,5 +179,10 @@ def _weight(tried: Tried, best: Tried, q: Question) -> float:
         return 1.0
     over = compared(best.structure.fitted, tried.structure.fitted, q)
     decides = _exact(best, q) or not as_good(tried, best, q)
-    behind = max(over.bic_gain * decides, 0.0) + max(np.nan_to_num(over.paired_t), 0.0) ** 2
+    return against(over.paired_t, over.bic_gain * decides)
+
+
+def against(paired_t: float, bic_gain: float = 0.0) -> float:
+    """How much less likely one is than another that is better by so much, 0..1."""
+    behind = max(bic_gain, 0.0) + max(np.nan_to_num(paired_t), 0.0) ** 2
     return float(np.exp(-behind / (2 * TEMPERATURE)))

@@ -12,13 +12,14 @@ from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
-from hydrotwin.models.language.units import compatible
 
 from .answering import answer
+from .asked import Asked, Wanted, bounded, free_names
 from .base import identified
 from .confirm import confirmed
 from .discovery import Discovery
 from .executor import Starts, cores_of, executor_for
+from .foreign import around
 from .forward import begun, searched
 from .progress import reporting
 from .recordings import split
@@ -30,7 +31,6 @@ from .together import explained_together
 
 MOST_EFFECTS = 3
 KEPT = (Refitted, Led)  # answers that an interrupted search need not find again
-NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
 
 def discover(
@@ -54,8 +54,9 @@ def discover(
 
     The model is identified on ``records``; every effect of the catalogue that fits somewhere in it is screened, the
     promising ones are refitted together with the base parameters, and one is named only when it is better by far on the
-    recordings it was fitted to, better on those held out, and closes a worthwhile part of the gap. ``validate`` takes
-    part in nothing but the final figures.
+    recordings it was fitted to, better on those held out, and closes a worthwhile part of the gap. ``validate`` chooses
+    nothing: with other recordings there, or none, the effects, their classes, order and values are the same to the bit.
+    It may lower how sure that is, and turn an answer into "unknown".
 
     Args:
         model: what the machine is thought to be; of an FMU, effects before its inputs and after its outputs.
@@ -68,7 +69,7 @@ def discover(
         noise: sensor noise by output, SI, in place of the estimate.
         executor: where refits run, see `executor_for`.
         progress: True for a bar, or a function ``(stage, done, total, note)``.
-        memory: a `Memory` of finished refits, to go on after an interruption.
+        memory: a `Memory` of finished refits, to go on after an interruption; ``seconds`` counts all parts.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
     diverges from every start).
@@ -76,66 +77,50 @@ def discover(
     began = time.perf_counter()
     if max_effects < 1:
         raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
-    if getattr(model, "kind", "") == "fmu":
-        from .foreign import discover_around  # made of what stands here
+    if memory is not None:
+        memory.begin()
+    wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise, step)
+    asked = around(model, wanted) if getattr(model, "kind", "") == "fmu" else inside(model, wanted)
+    with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
+        run = _runner(pool, report, memory, 1 if asked.model.flat.black_box else cores_of(pool))
+        search, base = _begin(asked, wanted, run, report)
+        found = searched(search, begun(search, base), max_effects)
+        search, found = explained_together(search, asked.data, found, max_effects)
+        said = answer(search, asked.data, confirmed(search, found), asked.model)
+    earlier = 0.0 if memory is None else memory.earlier
+    given = {"train": len(records), "validate": len(validate)}
+    return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
 
-        return discover_around(
-            model, records, validate=validate, free=free, effects=effects, exclude=exclude, max_effects=max_effects,
-            initial_states=initial_states, outputs=outputs, noise=noise, step=step, executor=executor,
-            progress=progress, memory=memory,
-        )  # fmt: skip
+
+def _begin(asked: Asked, wanted: Wanted, run: Callable, report: Callable) -> tuple[Search, Structure]:
+    """The search and its identified base."""
+    data, outputs = asked.data, asked.model.flat.outputs
+    usual = usual_of(asked.model.flat, asked.names)
+    question = Question(data.fit, data.select, data.noise, asked.initial_states, wanted.step, usual)
+    told = tuple(o.name in (wanted.noise or {}) for o in outputs)
+    report("identify the base", 0, 1, asked.note)
+    search = asked.search(asked.bounded, asked.names, asked.candidates, question, run, report, told)
+    return search, Structure((), _or_refused(identified(search, search.models_ahead())))
+
+
+def inside(model: Model, wanted: Wanted) -> Asked:
+    """What is asked of a model whose equations are known: effects stand anywhere in it."""
     if not isinstance(model, Model):
         raise DeclarationError(
             f"gap: '{getattr(model, 'name', model)}' is no component model, so no effect can be added inside it. "
             "Wrap it, or compare it only: hydrotwin compare."
         )
-    flat = model.flat
-    data = split(flat, records, validate, outputs, noise)
-    if len(records) == 1 and initial_states == "auto":
-        initial_states = "free"  # the pieces of a lone recording begin in motion
-    names = _free_names(flat, free)
-    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(flat, names))
-    bounded = _bounded(model, names)
-    flat = bounded.flat
-    with reporting(progress, flat.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory, cores_of(pool))
-        report("identify the base", 0, 1, "")
-        told = tuple(n.name in (noise or {}) for n in flat.outputs)
-        search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
-        base = _or_refused(identified(search, search.models_ahead()))
-        found = searched(search, begun(search, Structure((), base)), max_effects)
-        search, found = explained_together(search, data, found, max_effects)
-        found = confirmed(search, data, found)
-        return answer(search, data, found, model, began)
-
-
-def _bounded(model: Model, names: Sequence[str]) -> Model:
-    """The model with what is to be identified free, and bounds around the start values of what is always positive.
-
-    A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
-    stiffness. Volumes and pressures stay within a factor of 1.6, the rest within thirty.
-    """
-    changes = {}
-    for p in model.flat.parameters:
-        low, high = p.bounds
-        if p.name in names and not p.free:
-            changes[p.name] = {"free": True}
-        if p.name in names and low > 0 and p.value > 0:
-            factor = NARROW if any(compatible(p.unit, unit) for unit in ("m3", "m3/rad", "Pa")) else WIDE
-            bounds = max(low, p.value / factor), min(high, p.value * factor)
-            changes.setdefault(p.name, {}).update(bounds=bounds, unit=p.unit)
-    return model.with_settings(changes, model.provenance) if changes else model
+    data = split(model.flat, wanted.records, wanted.validate, wanted.outputs, wanted.noise)
+    lone = len(wanted.records) == 1 and wanted.initial_states == "auto"  # its pieces begin in motion
+    names = free_names(model.flat, wanted.free)
+    within = bounded(model, names)
+    fitting = fitting_candidates(within, wanted.effects, wanted.exclude)
+    return Asked(model, within, names, data, fitting, "free" if lone else wanted.initial_states)
 
 
 def usual_of(flat: FlatModel, names: Sequence[str]) -> dict[str, float]:
     """The values of these parameters that a model comes with."""
     return {p.name: p.value for p in flat.parameters if p.name in names}
-
-
-def _free_names(flat, free: Sequence[str] | None) -> tuple[str, ...]:
-    from hydrotwin.identification.problem import free_parameters
-
-    return free_parameters(flat, free).names
 
 
 def _or_refused(found: Refitted | str) -> Refitted:
@@ -162,8 +147,8 @@ def _runner(pool, report, memory, cores: int = 1):
         last = len(jobs) % cores
         threads = [cores // last if len(jobs) - i <= last else 1 for i in range(len(jobs))]
         ready = [_portable(*job) for job in zip(jobs, threads, strict=True)]
-        kept = None if function is conclude else memory  # a final fit holds functions, and is soon done again
-        return list(recalled(kept, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile))
+        kept = function is not conclude  # a final fit holds functions, and is soon done again
+        return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile, kept=kept))
 
     return run
 

@@ -180,7 +180,10 @@ class Shift:
 
 @dataclass(frozen=True)
 class Rung:
-    """One bar of the waterfall: what is left after this effect, root of the pooled (RMSE/noise)^2 on unseen data."""
+    """One bar of the waterfall: root of the pooled (RMSE/noise)^2 that the search left after this effect.
+
+    On the recordings that chose; where none did, on those that were fitted to.
+    """
 
     label: str
     times_noise: float
@@ -190,7 +193,8 @@ class Rung:
 class Unknown:
     """What is left without a physical name: a regression of the projected residual on what was seen.
 
-    explained : share of the squared residual the description explains on select recordings.
+    explained : share of the squared residual the description explains on the recordings that chose; where none did, on
+    the second half of each.
     """
 
     output: str
@@ -225,7 +229,9 @@ class Discovery:
     base, model : the identified model before, and with the named effects (the same when nothing was named).
     fit_before, fit_after : the `Fit` of each on all fit recordings.
     outputs : per role ("train", "validate") the pooled OutputGap of every output.
-    screened : how many candidates were looked at, each an effect at a place.
+    screened : how many candidates were looked at, each an effect at a place; fitted : how many of them were fitted.
+    given : how many recordings were given by role, a lone one counted once though it is cut into parts.
+    seconds : of the whole search [s], of all its parts when it was interrupted.
     reason : why there is no name, where more is known than the verdict says.
     """
 
@@ -250,6 +256,8 @@ class Discovery:
     findings: tuple[str, ...] = ()
     not_testable: tuple[Ranked, ...] = ()
     screened: int = 0
+    fitted: int = 0
+    given: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)

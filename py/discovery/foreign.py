@@ -1,11 +1,9 @@
-"""discover_around: the gap workflow for an FMU, which effect sits before its inputs or after its outputs."""
+"""around: what is asked of an FMU: which effect sits before its inputs or after its outputs."""
 
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -15,21 +13,14 @@ from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
 
-from .answering import answer
-from .base import identified
-from .discover import MOST_EFFECTS, _bounded, _free_names, _or_refused, _runner, usual_of
-from .discovery import Discovery
-from .executor import executor_for
-from .forward import begun, searched
+from .asked import Asked, Wanted, bounded, free_names
 from .probing import ProbeJob, amplitudes, best_amplitude, cost_of, probe, seen_by_parts
-from .progress import reporting
 from .recordings import split
-from .refit import Question, pooled_rmse
+from .refit import pooled_rmse
 from .screen import Screen, Screened
 from .search import Search
 from .structure import Structure
 from .surroundings import SurroundedFmu, around_only, ready, sized, surrounded
-from .together import explained_together
 
 AMPLITUDES = 5  # of a candidate, over its usual range
 USUAL_PERIOD, MUCH_SLOWER = 0.01, 5.0  # s, times it
@@ -39,51 +30,26 @@ CLOSER = 8  # further amplitudes around the best
 SHORTLIST = 10  # each of them is a fit that runs the FMU again and again
 
 
-def discover_around(
-    fmu: FmuBlock | SurroundedFmu,
-    records: Sequence,
-    *,
-    validate: Sequence = (),
-    free: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    exclude: Sequence[str] = (),
-    max_effects: int = MOST_EFFECTS,
-    initial_states: str = "auto",
-    outputs: Sequence[str] | None = None,
-    noise: Mapping[str, float] | None = None,
-    step: float | None = None,
-    executor: str | Executor | None = None,
-    progress: bool | Callable | None = None,
-    memory=None,
-) -> Discovery:
-    """Name what stands between a machine and an FMU of it, from recordings of the machine.
+def around(fmu: FmuBlock | SurroundedFmu, wanted: Wanted) -> Asked:
+    """What is asked of an FMU: effects stand before its inputs and after its outputs.
 
     free : globs over the parameters of the FMU to identify along; None: none. Everything else as in `discover`.
 
     Raises DeclarationError for an FMU without inputs or outputs, DataError for recordings that lack a signal,
     SolveError where the FMU fails, crashes or hangs.
     """
-    began = time.perf_counter()
-    model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
-    pieces, said, seconds = ready(model, records, validate, free)
+    model, records = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu), wanted.records
+    pieces, said, seconds = ready(model, records, wanted.validate, wanted.free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
     period = min(float(np.median(np.diff(r.time))) for r in records)
-    fitting = [at_pace(c, period) for c in around_only(model, candidates(model, effects, exclude), seen)]
-    data = split(model.flat, pieces, validate, outputs, noise)
+    fitting = [at_pace(c, period) for c in around_only(model, candidates(model, wanted.effects, wanted.exclude), seen)]
+    data = split(model.flat, pieces, wanted.validate, wanted.outputs, wanted.noise)
     data = dataclasses.replace(data, findings=(*said, *data.findings))
-    names = _free_names(model.flat, free or ())
-    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(model.flat, names))
-    bounded = _bounded(model, names)
-    with reporting(progress, model.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory)
-        report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
-        told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
-        search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
-        base = _or_refused(identified(search))
-        found = searched(search, begun(search, Structure((), base)), max_effects)
-        search, found = explained_together(search, data, found, max_effects)
-        return answer(search, data, found, model, began)
+    names = free_names(model.flat, wanted.free or ())
+    note = f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them"
+    within = bounded(model, names)
+    return Asked(model, within, names, data, tuple(fitting), wanted.initial_states, AroundSearch, note)
 
 
 def at_pace(candidate: Candidate, period: float) -> Candidate:

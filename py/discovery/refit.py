@@ -138,11 +138,6 @@ class Refitted:
         """RMSE over the fit recordings, (ny,), SI."""
         return pooled_rmse(self.residuals_fit)
 
-    @property
-    def rmse_select(self) -> np.ndarray:
-        """RMSE over the select recordings, (ny,), SI."""
-        return pooled_rmse(self.residuals_select)
-
 
 def pooled_rmse(residuals: Sequence[np.ndarray]) -> np.ndarray:
     """Root mean square of every column over recordings: nan where nothing was measured, inf where one diverged."""
@@ -222,6 +217,15 @@ def _starting(job: RefitJob) -> list[str]:
     if job.coarse or q.initial_states == "free" or job.flat.black_box:
         return [s.name for s in states]
     return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
+
+
+def _judging(task: Task, job: RefitJob) -> Task:
+    """The task of runs through the recordings of ``job`` that select, whichever start states those measure."""
+    states, q = _starting(job), job.question
+    if not q.select or states == list(task.propagator.free_states):
+        return task
+    propagator = prepare(job.flat, free_parameters=task.free.names, free_states=states, step=q.step)
+    return dataclasses.replace(task, propagator=propagator)
 
 
 def _prior(free: FreeParameters, q: Question) -> Prior:
@@ -309,10 +313,6 @@ def _runs(task: Task, shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray
     return [np.full(s, np.inf) if r is None else r / unit for r, s in zip(runs, shapes, strict=True)]
 
 
-def _sizes(left: Sequence[np.ndarray], q: Question) -> np.ndarray:
-    return np.fmax(pooled_rmse(left), q.noise)
-
-
 def _rmse(task: Task, found: Minimum) -> np.ndarray:
     """RMSE (ny,) over the fit recordings, SI, from what the minimum summed there where it did; nan: not measured."""
     squares = found.at.squares
@@ -353,7 +353,7 @@ def _answer(q: Question, task: Task, found: Minimum, left: Sequence[np.ndarray],
     return Refitted(
         values=dict(zip(free.names, values.tolist(), strict=True)),
         states=tuple(dict(zip(names, (z * shooting.start.nominal).tolist(), strict=True)) for z in found.z),
-        size=_sizes(left, q),
+        size=np.fmax(pooled_rmse(left), q.noise),
         residuals_fit=tuple(left),
         residuals_select=tuple(residuals_of(task, found, q.select)) if q.select else (),
         likelihood=value,
@@ -376,7 +376,8 @@ class Concluded:
 def conclude(job: RefitJob) -> Concluded | str:
     """Fit a structure to ``question.fit`` for good, and judge it on ``question.select``, which takes no part.
 
-    A sentence when every start diverges. Pure and picklable.
+    No bit of what is fitted depends on what judges: not even the compiled equations know of it. A sentence when every
+    start diverges. Pure and picklable.
     """
     try:
         return _conclude(job)
@@ -386,10 +387,11 @@ def conclude(job: RefitJob) -> Concluded | str:
 
 def _conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
-    task = _weighed(job, np.fmax(q.noise if job.size is None else job.size, q.noise))
-    found = _from_starts(task, job)[0]
+    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()))
+    task = _weighed(alone, np.fmax(q.noise if job.size is None else job.size, q.noise))
+    found = _from_starts(task, alone)[0]
     task, found, left, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     fit = answer(task, [found], (), settings, began)
-    refitted = _answer(q, task, found, left, value)
+    refitted = _answer(q, _judging(task, job), found, left, value)
     return Concluded(fit, refitted, refitted.residuals_select)

@@ -7,6 +7,7 @@ import hashlib
 import json
 import shutil
 import struct
+import time
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -30,10 +31,18 @@ class Memory:
 
     An answer is a mapping of names to arrays, numbers, strings, None, and lists and mappings of these; arrays come
     back as arrays with the same bits.
+
+    Beside each stands how long a search waited for it. ``earlier`` : seconds [s] that earlier parts of the search which
+    has begun spent on what it found here: with its own they are those of the whole search.
     """
 
     def __init__(self, folder: Path | str):
         self.folder = Path(folder)
+        self.begin()
+
+    def begin(self) -> None:
+        """A search begins."""
+        self.earlier, self._counted, self._noted = 0.0, set(), time.perf_counter()
 
     def __len__(self) -> int:
         return len(list(self.folder.glob("*.npz")))
@@ -54,14 +63,34 @@ class Memory:
         with replacing(self._path(key)) as beside, beside.open("wb") as file:
             np.savez(file, **arrays, **{_TEXT: np.array(text)})
 
+    def count(self, key: str) -> None:
+        """Count the seconds that earlier parts of this search waited for an answer, each once."""
+        if key not in self._counted:
+            self._counted.add(key)
+            self.earlier += self._seconds(key)
+
+    def note(self, key: str) -> None:
+        """An answer has come: the seconds since the last one, beside those of parts that were lost with it."""
+        now = time.perf_counter()
+        path, seconds = self._path(key, ".seconds"), self._seconds(key) + now - self._noted
+        self._noted = now
+        with replacing(path) as beside:
+            beside.write_text(repr(seconds), encoding="ascii")
+
+    def _seconds(self, key: str) -> float:
+        try:
+            return float(self._path(key, ".seconds").read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            return 0.0
+
     def remove(self) -> None:
         """Forget everything: the work is done."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def _path(self, key: str) -> Path:
+    def _path(self, key: str, suffix: str = ".npz") -> Path:
         if not key or not set(key) <= set("0123456789abcdef"):
             raise DeclarationError(f"memory: '{key}' is no key. Make one with key_of(...).")
-        return self.folder / f"{key}.npz"
+        return self.folder / f"{key}{suffix}"
 
 
 def recalled(
@@ -72,10 +101,12 @@ def recalled(
     on_done: Callable[[int, object], None] | None = None,
     kinds: Iterable[type] = (),
     meanwhile: Iterable = (),
+    kept: bool = True,
 ) -> list:
     """``function(job)`` of every job in order, as `mapped`; what ``memory`` knows is not computed again.
 
-    kinds : the dataclasses that answers are made of.
+    kinds : the dataclasses that answers are made of. kept : False for answers that are soon found again, of which the
+    memory knows but the seconds.
     """
     if memory is None:
         return list(mapped(executor, function, jobs, on_done, meanwhile))
@@ -83,7 +114,8 @@ def recalled(
     known = {kind.__name__: kind for kind in kinds}
     found: dict[int, object] = {}
     for index, key in enumerate(keys):
-        stored = memory.get(key)
+        memory.count(key)
+        stored = memory.get(key) if kept else None
         if stored is not None:
             found[index] = unpacked(stored["answer"], known)
             if on_done:
@@ -92,7 +124,9 @@ def recalled(
 
     def done(position: int, answer) -> None:
         index = open_jobs[position]
-        memory.put(keys[index], {"answer": packed(answer)})
+        if kept:
+            memory.put(keys[index], {"answer": packed(answer)})
+        memory.note(keys[index])
         if on_done:
             on_done(index, answer)
 

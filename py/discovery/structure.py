@@ -25,6 +25,10 @@ class Structure:
     def key(self) -> tuple[str, ...]:
         return tuple(c.label for c in self.members)
 
+    def without(self, member: Candidate) -> Structure:
+        """The other members, as they stand beside it: where a fit without it begins."""
+        return Structure(tuple(m for m in self.members if m is not member), self.fitted)
+
     def holds(self, candidate: Candidate) -> bool:
         """Whether it is a member, or at its place a part of a member that is a finer form of it."""
         return any(m.label == candidate.label or m.refines(candidate) for m in self.members)

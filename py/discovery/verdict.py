@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .choose import label
-from .decide import CLEARLY, LARGE, SHOWN, beyond_noise, bic_gain, closed, gap_closed, has_gap
+from hydrotwin.models.effects import Candidate
+
+from .choose import against, label
+from .decide import (
+    CLEARLY,
+    LARGE,
+    SHOWN,
+    T_NEEDED,
+    WORTH,
+    beyond_noise,
+    bic_gain,
+    closed,
+    compared,
+    gap_closed,
+    has_gap,
+)
 from .recordings import Split
-from .refit import Concluded, Refitted, pooled_rmse
+from .refit import Concluded, Question, Refitted, pooled_rmse
 from .search import Search
 from .structure import Structure
 
@@ -22,7 +36,8 @@ if TYPE_CHECKING:
 FLOOR = 1.1  # of a sensor's noise: a floor worth telling
 CONFIRMED = 0.5  # of the gap on recordings that took no part at all: less takes a name back
 FURTHER = 0.1  # of the range that was fitted: beyond it a model is not what was tested
-AGAINST = "the recordings that judge are explained better without it"
+AGAINST = "recordings that were left out of the fit are explained better without it"
+DOUBTED = "the recordings that judge are explained better without it"
 NAMED = 0.75  # of the gap on held-out recordings: less is no explanation where it leaves something in those fitted, too
 
 
@@ -122,8 +137,28 @@ def closed_where_it_counts(before: Concluded, after: Concluded, data: Split) -> 
     return gap_closed(was, now, data.noise) if np.any(was**2 > LARGE * data.noise**2) else 1.0
 
 
-def findings_of(search: Search, found: Found, verdict: str, shown: float, changing: bool) -> list[str]:
-    """What is to be said of candidates, noise and verdict, unless ``changing``: then the answer has the reason."""
+def doubted(members: Sequence[Candidate], others: Mapping[str, Concluded], after: Concluded, q: Question) -> dict:
+    """What is left of the probability of an effect, by label, where the recordings that judge speak against it.
+
+    members : the effects that were named; others : among them the fits "without LABEL"; ``after`` has them all. They
+    are told as found: what judges lowers how sure that is, by as much as what chose would have.
+    """
+    left = {}
+    for c in members:
+        other = others.get(f"without {c.label}")
+        over = other and compared(other.refitted, after.refitted, q)
+        if over and over.paired_t > T_NEEDED and over.closed > WORTH:
+            left[c.label] = against(over.paired_t)
+    return left
+
+
+def findings_of(
+    search: Search, found: Found, verdict: str, shown: float, changing: bool, doubts: Sequence[str] = ()
+) -> list[str]:
+    """What is to be said of candidates, noise and verdict, unless ``changing``: then the answer has the reason.
+
+    doubts : labels of named effects that the recordings which judge speak against.
+    """
     said = [f"gap: {name} cannot be added here ({why})." for name, why in search.unusable.items()]
     tested = [c for c in search.candidates if c.label not in search.not_testable]
     if not tested:
@@ -143,6 +178,11 @@ def findings_of(search: Search, found: Found, verdict: str, shown: float, changi
         f"gap: {label(t)} would explain a part of what is left where the model was fitted, but {AGAINST}. It was taken "
         "back; the law of what is named may be the cause."
         for t in refuted
+    ]
+    said += [
+        f"gap: {name} is named by what was learned from, but {DOUBTED}. They choose nothing: it stays, and is less "
+        "probable. The law of what is named may be the cause. Learn from one of those recordings, too, to decide it."
+        for name in doubts
     ]
     if verdict in ("named", "class") and not search.question.held_out:
         said.append(

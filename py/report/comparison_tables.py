@@ -53,8 +53,10 @@ def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str
     more = f" {left} more output{'s are' if left > 1 else ' is'} below." if left > 0 else ""
     count = len(comparison.records)
     trained_on = {r.digest or r.name for r in comparison.train_records}
-    role = "training" if all((r.digest or r.name) in trained_on for r in comparison.records) else "validation"
-    over = f"mean over the {count} {role} recordings" if count > 1 else f"on the {role} recording"
+    known = sum((r.digest or r.name) in trained_on for r in comparison.records)
+    role = "training" if known == count else "" if known else "validation"
+    over = f"mean over the {count} {role} recordings".replace("  ", " ") if count > 1 else f"on the {role} recording"
+    over += f" ({known} of them trained on)" if 0 < known < count else ""
     note = f"RMSE in {mode}, {over}; the best is bold.{more}"
     return table("headline", "", columns, note)
 

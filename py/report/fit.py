@@ -70,14 +70,19 @@ def fit_warning(fit) -> str:
     if not left:
         return ""
     worst = max(left, key=lambda r: r.chi2_per_sample)
-    moved = max(parameter_rows(fit), key=lambda r: abs(r.shift), default=None)
+    moved = max((r for r in parameter_rows(fit) if r.start), key=lambda r: abs(r.shift), default=None)
     far = moved is not None and abs(moved.shift) > FAR
-    example = f" ({moved.name} moved by {number_text(100.0 * moved.shift, 2)} %)" if far else ""
+    example = f" ({moved.name} moved by {number_text(_moved(moved), 2)} %)" if far else ""
     return (
         f"The fit of {fit.name} leaves {number_text(math.sqrt(worst.chi2_per_sample), 2)} times the noise on "
         f"{worst.output}: the model lacks something, and its parameters make up for it{example}. Take them as numbers "
         "that fit these recordings, not as properties of the machine."
     )
+
+
+def _moved(row: ParameterRow) -> float:
+    """How far it moved in percent of its start; nan for one that started at zero, of which nothing is a share."""
+    return 100.0 * row.shift if row.start else math.nan
 
 
 def parameter_table(rows: Sequence[ParameterRow], id: str = "parameters") -> Table:
@@ -101,7 +106,7 @@ def parameter_table(rows: Sequence[ParameterRow], id: str = "parameters") -> Tab
         column("value", "Value"),
         column("low", "95 % from"),
         column("high", "to"),
-        numbers("shift", "Shift", [100.0 * r.shift for r in rows], "%", common=False),
+        numbers("shift", "Shift", [_moved(r) for r in rows], "%", common=False),
         warned(texts("remark", "Remark", bound), [bool(b) for b in bound]),
     ]
     return table(id, "Parameters", columns)

@@ -36,6 +36,8 @@ def write_friction_test(fit, folder: str | Path, *, recordings: Sequence[str] = 
         sections=(Section("curve", "Force against speed", (_figure(fit),)), *_findings(fit), *_left_out(fit), made),
         data={
             "values": {c.name: c.value for c in fit.told},
+            "intervals": {c.name: c.interval for c in fit.told},
+            "confidence": fit.confidence,
             "rmse": fit.rmse,
             "velocity": fit.velocity,
             "force": fit.force,

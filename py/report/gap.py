@@ -106,7 +106,7 @@ TITLES = {
 
 
 def _eyebrow(discovery: Discovery, date: datetime) -> str:
-    records = len(discovery.recordings)
+    records = sum(discovery.given.values())
     tried = discovery.screened
     words = [f"Gap of {discovery.name}"]
     words += [f"{records} recording{'s' * (records != 1)}"] * bool(records)
@@ -134,7 +134,7 @@ def _candidates(discovery: Discovery) -> Section:
     lead = (
         "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
         "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
-        f"the fit, paired t and gap closed on {chosen_by}."
+        f"that fit, paired t and gap closed on {chosen_by}."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
@@ -168,7 +168,10 @@ def _effects(discovery: Discovery) -> Section:
         if len(step.members) > 1:
             parts.append(member_table(step, f"members_{k}"))
     title = "The missing effect" if len(discovery.steps) == 1 else "The missing effects"
-    lead = "Fitted together with the base parameters on all recordings of the fit; intervals allow for coloured errors."
+    lead = (
+        "Fitted together with the base parameters to all recordings but the never used; intervals allow for coloured "
+        "errors. The gap that it closes is that of the search."
+    )
     return Section("effects", title, tuple(parts), lead)
 
 
@@ -195,10 +198,14 @@ def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 def _waterfall(discovery: Discovery) -> Section:
     parts = (waterfall_figure(discovery), waterfall_table(discovery)) if len(discovery.waterfall) > 1 else ()
     lead = (
-        "The root of the mean squared error over noise of all outputs on unseen recordings: 1 is the noise of the "
-        "sensors. Gap closed is the share of the squared gap."
+        f"The root of the mean squared error over noise of all outputs on {_judges_of_the_search(discovery)}, as the "
+        "search left it: 1 is the noise of the sensors. Gap closed is the share of the squared gap."
     )
     return Section("waterfall", "What each effect closes", parts, lead)
+
+
+def _judges_of_the_search(discovery: Discovery) -> str:
+    return "the recordings for choosing" if chose(discovery) else "the recordings of the fit"
 
 
 def _shifts(discovery: Discovery) -> Section:
@@ -209,7 +216,9 @@ def _shifts(discovery: Discovery) -> Section:
     parts: list = [shift_table(discovery), *([shift_figure(discovery.shifts)] if known else [])]
     if getattr(discovery.fit_after, "parameters", ()):
         rows = parameter_table(parameter_rows(discovery.fit_after), "fit_after")
-        parts.append(replace(rows, title="All free parameters of the model with its effects", folded=True))
+        note = "Intervals of the fit alone. Those of the effects above also allow for the form of the law."
+        title = "All free parameters of the model with its effects"
+        parts.append(replace(rows, title=title, note=note, folded=True))
     return Section("shifts", "How the base parameters moved", tuple(parts), lead)
 
 
@@ -225,7 +234,8 @@ def _apart(discovery: Discovery) -> Section:
 def _recordings(discovery: Discovery, shown: Mapping[str, str]) -> Section:
     lead = (
         "Every recording is an operating point: an effect that helps one and ruins another is not the effect. "
-        "“Never used” recordings are neither fitted to nor used for choosing among the candidates."
+        "“Never used” recordings are neither fitted to nor used for choosing among the candidates. The errors are "
+        "those of the final fits, which are to all the others."
     )
     return Section("recordings", "Recording by recording", tuple(recording_tables(discovery, shown)), lead)
 
@@ -234,10 +244,11 @@ def _unknown(discovery: Discovery) -> Section:
     rows = discovery.unknown
     told = tuple(capital(sentence(u.sentence)) for u in rows if u.sentence)
     lead = "What is left, described by what was recorded. It has no physical name: take it as a hint where to look."
-    parts = (*((Note(told),) if told else ()), *((unknown_table(rows),) if rows else ()))
+    parts = (*((Note(told),) if told else ()), *((unknown_table(rows, chose(discovery)),) if rows else ()))
     if discovery.verdict == "unknown" and not rows:
         near = tried_last(discovery)
-        parts = (Note((f"None of {len(near)} candidates explains what is left, and no description of it was found.",)),)
+        last = f"None of the {len(near)} candidates of the last look explains what is left"
+        parts = (Note((f"{last}, and no description of it was found.",)),)
     return Section("unknown", "What remains unknown", parts, lead if rows else "")
 
 
@@ -253,7 +264,10 @@ def _findings(discovery: Discovery) -> Section:
 
 
 def _noise(discovery: Discovery, shown: Mapping[str, str]) -> Section:
-    lead = "From the fourth differences of the measured signals, in quiet blocks: what no model can explain."
+    lead = (
+        "What no model can explain: from the fourth differences, in quiet blocks, of the measured signals and of what "
+        "the model leaves of them, whichever is less; or as it was told."
+    )
     return Section("noise", "Noise of the sensors", (noise_table(discovery, shown),) if discovery.noise else (), lead)
 
 

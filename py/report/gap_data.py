@@ -8,6 +8,8 @@ from dataclasses import asdict
 from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
 
+from .fit import parameter_rows
+
 
 def gap_data(discovery: Discovery) -> dict:
     """The content of gap.json, only what JSON knows: numbers that do not exist are null.
@@ -24,6 +26,8 @@ def gap_data(discovery: Discovery) -> dict:
         "validate": _outputs(discovery.outputs.get("validate", ())),
         "separating_experiment": _experiment(discovery.experiment),
         "screened": discovery.screened,
+        "fitted": discovery.fitted,
+        "given": dict(discovery.given),
         "seconds": discovery.seconds,
         "candidates": [
             *(_candidate(r, k) for k, s in enumerate(discovery.steps, 1) for r in s.ranked),
@@ -36,6 +40,8 @@ def gap_data(discovery: Discovery) -> dict:
         "locations": [_location(place) for place in discovery.locations],
         "regions": [asdict(r) for r in discovery.regions],
         "shifts": [asdict(s) for s in discovery.shifts],
+        "parameters": [asdict(r) for r in parameter_rows(discovery.fit_after)] if discovery.fit_after else [],
+        "fit_records": [_fitted_to(r) for r in getattr(discovery.fit_after, "records", ())],
         "waterfall": [asdict(r) for r in discovery.waterfall],
         "unknown": [asdict(u) for u in discovery.unknown],
         "findings": [str(f) for f in discovery.findings],
@@ -64,6 +70,10 @@ def _step(step: Step) -> dict:
         "gap_closed": step.gap_closed,
         "sentence": step.sentence,
     }
+
+
+def _fitted_to(record) -> dict:
+    return {"record": record.name, "role": record.role, "samples": record.samples, "sha256": record.digest}
 
 
 def _parameters(rows: Iterable[EffectParameter]) -> dict:

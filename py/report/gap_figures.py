@@ -262,7 +262,8 @@ def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
     plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.25]}
     plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
     plan["yaxis"] |= {"range": [-0.6, len(rows) - 0.2]}
-    caption = "On the recordings that chose. Dark: named. Light blue: explains them as well. Grey: turned down."
+    caption = "On the recordings that chose, of the fits of the search. "
+    caption += "Dark: named. Light blue: explains them as well. Grey: turned down."
     return Figure(id, "", {"data": [bars], "layout": plan}, caption=caption)
 
 

@@ -243,15 +243,16 @@ def _by_recording(output: str, recordings: Sequence[RecordingGap], shown: Mappin
     return table(f"recordings_{output}", output, columns)
 
 
-def unknown_table(rows: Sequence[Unknown]) -> Table:
-    """What was left without a name: what it follows, and how much of it that explains."""
+def unknown_table(rows: Sequence[Unknown], chose: bool = True) -> Table:
+    """What was left without a name: what it follows, how much of it that explains, where some recordings ``chose``."""
     columns = [
         texts("output", "Output", [u.output for u in rows]),
         texts("inputs", "Described by", [joined(u.inputs) for u in rows]),
         _percents("explained", "Explains of it", [u.explained for u in rows]),
         texts("formula", "Formula", [u.formula for u in rows]),
     ]
-    note = "Shares of the squared residual on the recordings for choosing; formulas in SI."
+    where = "the recordings for choosing" if chose else "the second half of each recording"
+    note = f"Shares of the squared residual on {where}; formulas in SI."
     return table("unknown", "", _told(columns), note)
 
 

@@ -214,7 +214,7 @@ def tried_sentence(discovery: Discovery) -> str:
     if not tried:
         return ""
     refitted = [r for r in tried if math.isfinite(r.bic_gain)]
-    words = f"{discovery.screened} candidates were screened and {len(refitted)} of them fitted"
+    words = f"{discovery.screened} candidates were screened and {discovery.fitted} of them fitted"
     if discovery.verdict == "none" or not refitted:
         return f"{words}; none is needed."
     best = max(refitted, key=lambda r: r.gap_closed if math.isfinite(r.gap_closed) else -math.inf)

@@ -9,7 +9,7 @@ from pathlib import Path
 import control
 import numpy as np
 
-from hydrotwin.models.language.linearisation import Modes
+from hydrotwin.models.language.linearisation import Mode, Modes
 
 from .figure import PALETTE, Figure, FigureGroup, layout, line
 from .format import pretty_unit
@@ -46,9 +46,16 @@ def write_linearisation(
             Section("provenance", "Provenance", (made_table(command_line(), date),)),
         ),
         data={name: getattr(system, name) for name in "ABCD"}
-        | {"inputs": system.input_labels, "outputs": system.output_labels, "states": system.state_labels},
+        | {"inputs": system.input_labels, "outputs": system.output_labels, "states": system.state_labels}
+        | {"modes": [_mode(m) for m in found.modes], "point": dict(point), "units": dict(units)},
     )
     return write_page(page, folder, stem="linearisation", data_name="linearisation.json")
+
+
+def _mode(mode: Mode) -> dict:
+    pole = {"real": mode.pole.real, "imaginary": mode.pole.imag}
+    shares = dict(mode.participation)
+    return {"pole": pole, "frequency": mode.frequency, "damping": mode.damping, "participation": shares}
 
 
 def answer(found: Modes) -> str:

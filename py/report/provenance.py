@@ -40,7 +40,8 @@ def command_line() -> str:
 
 def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Table:
     """Every recording with its role, length and content hash."""
-    rows = [(r, "validation") for r in validate] + [(r, "training") for r in train]
+    words = {"validate": "validation", "train": "training"}
+    rows = [(r, words[role]) for r, role in used(validate, train)]
     columns = [
         texts("record", "Recording", [r.name for r, _ in rows]),
         texts("role", "Used for", [role for _, role in rows]),
@@ -51,6 +52,13 @@ def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Tabl
         texts("sha256", "SHA-256", [r.digest or "" for r, _ in rows]),
     ]
     return table("recordings", "Recordings", columns)
+
+
+def used(compared: Sequence[Record], train: Sequence[Record]) -> list[tuple[Record, str]]:
+    """Every recording once, with what it was used for: one that was trained on validates nothing."""
+    trained_on = {r.digest or r.name for r in train}
+    unseen = [r for r in compared if (r.digest or r.name) not in trained_on]
+    return [*((r, "validate") for r in unseen), *((r, "train") for r in train)]
 
 
 def model_table(entrants: Sequence) -> Table | None:

@@ -26,7 +26,7 @@ from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
 from .page import Page, Section, write_page
-from .provenance import command_line, provenance_section, versions
+from .provenance import command_line, provenance_section, used, versions
 
 
 def write_report(
@@ -104,8 +104,7 @@ def comparison_data(comparison: Comparison, fits: Iterable, command: str, date: 
         "modes": comparison.modes,
         "best": [asdict(w) for w in winners(comparison)],
         "models": [_entrant(e) for e in comparison.entrants],
-        "recordings": [_recording(r, "validate") for r in comparison.records]
-        + [_recording(r, "train") for r in comparison.train_records],
+        "recordings": [_recording(r, role) for r, role in used(comparison.records, comparison.train_records)],
         "scores": [asdict(s) for s in comparison.scores],
         "means": [asdict(s) for s in comparison.means],
         "run_time": [asdict(t) for t in comparison.timings],
@@ -227,6 +226,7 @@ def _recording(record, role: str) -> dict:
         "sha256": record.digest,
         "seconds": record.duration,
         "samples": len(record.time),
+        "period": record.period,
     }
 
 
@@ -237,6 +237,14 @@ def _fit(fit) -> dict:
         "noise": dict(fit.noise),
         "cost": fit.cost,
         "chi2": fit.chi2,
+        "chi2_per_dof": getattr(fit, "chi2_per_dof", None),
+        "residuals": [_residual(r) for r in getattr(fit, "residuals", ())],
+        "recordings": [{"name": r.name, "role": r.role} for r in getattr(fit, "records", ())],
         "findings": [str(f) for f in fit.findings],
         "seconds": fit.seconds,
     }
+
+
+def _residual(residual) -> dict:
+    names = ("output", "record", "role", "rmse", "noise", "unit", "samples", "chi2_per_sample", "lag_one", "white")
+    return {name: getattr(residual, name) for name in names}

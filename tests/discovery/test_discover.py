@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -275,13 +276,18 @@ def test_an_interrupted_search_goes_on_from_its_memory_and_says_the_same(rubbing
         if stage == "refit" and done == 2:
             raise KeyboardInterrupt
 
+    began = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
         found(runs, LIBRARY, validate=judged, memory=Kept(tmp_path), progress=interrupting)
+    first = time.perf_counter() - began
     kept = len(Kept(tmp_path))
     assert kept >= 3
     whole, rest = Counting(), Counting()
     found(runs, LIBRARY, validate=judged, executor=whole)
+    began = time.perf_counter()
     again = found(runs, LIBRARY, validate=judged, memory=Kept(tmp_path), executor=rest)
+    second = time.perf_counter() - began
+    assert again.seconds == pytest.approx(first + second, rel=0.1), "of both parts"
     assert figures(again) == figures(rubbing)
     assert len(rest.asked) == len(whole.asked) - kept
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -150,6 +154,79 @@ def test_an_interrupted_list_of_jobs_goes_on_where_it_stopped(tmp_path, kept):
         answers[3].values["square"],
     ]
     assert sorted(told) == [0, 1, 2, 3]
+
+
+# -- seconds -----------------------------------------------------------------------------------------------------------
+TICK = 0.15  # s
+
+
+def waited(x: float) -> Fitted:
+    """A job that takes a while."""
+    time.sleep(TICK)
+    return Fitted({"square": x * x}, ())
+
+
+def through(memory: Memory, jobs, **more) -> float:
+    """Seconds that a search through these jobs takes by itself."""
+    began = time.perf_counter()
+    memory.begin()
+    with executor_for("threads", workers=1) as pool:
+        recalled(memory, pool, waited, jobs, kinds=[Fitted], **more)
+        return time.perf_counter() - began
+
+
+@pytest.mark.parametrize("kept", [True, False])
+def test_the_seconds_of_a_search_are_those_of_all_its_parts(tmp_path, kept):
+    """Whether answers are kept, or found again in no time and only their seconds known."""
+    first = through(Memory(tmp_path), [1.0, 2.0], kept=kept)
+    memory = Memory(tmp_path)
+    second = through(memory, [1.0, 2.0, 3.0], kept=kept)
+    assert first > 2 * TICK and memory.earlier == pytest.approx(first, abs=0.1)
+    assert second > (1 if kept else 3) * TICK
+    memory = Memory(tmp_path)
+    through(memory, [1.0, 2.0, 3.0], kept=kept)
+    assert memory.earlier == pytest.approx(first + second, abs=0.1)
+
+
+def test_what_a_search_asks_twice_counts_once_and_another_search_counts_what_it_found(tmp_path):
+    memory = Memory(tmp_path)
+    through(memory, [1.0, 2.0])
+    assert memory.earlier == 0.0
+    with executor_for("threads", workers=1) as pool:
+        recalled(memory, pool, waited, [1.0, 2.0], kinds=[Fitted])
+    assert memory.earlier == 0.0, "of this very search"
+    through(memory, [2.0, 2.0])
+    assert TICK <= memory.earlier < 2 * TICK, "what is not asked again is of no search"
+
+
+def test_a_killed_search_loses_the_seconds_of_one_job_at_most(tmp_path):
+    killed = f"""
+import os, signal, time
+from tests.discovery.test_resume import Memory, waited, recalled, executor_for, Fitted
+def now_and_then(index, answer):
+    if index == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+memory = Memory({str(tmp_path)!r})
+with executor_for("threads", workers=1) as pool:
+    recalled(memory, pool, waited, [1.0, 2.0, 3.0, 4.0], now_and_then, kinds=[Fitted])
+"""
+    ended = subprocess.run([sys.executable, "-c", killed], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    memory = Memory(tmp_path)
+    assert len(memory) == 3
+    through(memory, [1.0, 2.0, 3.0])
+    assert memory.earlier >= 3 * TICK
+
+
+def test_seconds_that_cannot_be_read_are_none(tmp_path):
+    memory = Memory(tmp_path)
+    through(memory, [1.0])
+    (path,) = tmp_path.glob("*.seconds")
+    path.write_text("soon")
+    through(memory, [1.0])
+    assert memory.earlier == 0.0
+    memory.remove()
+    assert not tmp_path.exists()
 
 
 def test_what_has_no_content_is_refused():

@@ -210,6 +210,8 @@ def discovery(verdict, steps=(), *, after=0.0, **more):
         "waterfall": (),
         "not_testable": (AIR,),
         "screened": 74,
+        "fitted": 2,
+        "given": {"train": 3, "validate": 2},
         "seconds": 31.4,
         "timings": {"locate": 1.2, "screen": 2.9, "refit": 19.8},
         "provenance": {"version": "0.3.0", "thresholds": {"bic": 10.0, "paired_t": 2.0}},

@@ -248,9 +248,10 @@ def test_a_fit_that_makes_up_for_a_missing_effect_is_a_notice(fit):
 
 def test_scores_on_the_recordings_of_the_fit_are_not_called_validation():
     records = [recording(1), recording(2)]
-    for train, role in ((records, "training"), (records[:1], "validation"), ([], "validation")):
+    mixed = "2 recordings (1 of them trained on)"
+    for train, over in ((records, "2 training recordings"), (records[:1], mixed), ([], "2 validation recordings")):
         page = comparison_page(compare([Toy("a")], records, train_records=train))
-        assert f"mean over the 2 {role} recordings" in page.headline.note
+        assert f"mean over the {over}; " in page.headline.note
 
 
 def test_what_is_left_is_told_once(fit):

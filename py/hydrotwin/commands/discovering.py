@@ -124,7 +124,7 @@ def gap(
                 max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
             )  # fmt: skip
         except HydrotwinError as error:
-            write_failure(thing.name, str(error), output, time.perf_counter() - began)
+            write_failure(thing.name, str(error), output, time.perf_counter() - began + memory.earlier)
             raise
         except KeyboardInterrupt:
             err.print(f"stopped; finished fits kept: {len(memory)}. The same command goes on from there.", style="dim")

@@ -1,0 +1,78 @@
+"""What is asked: the recordings and wishes of a caller, and the search that a model of either kind makes of them.
+
+A model whose equations are known and an FMU with its surroundings differ in how recordings are cut, where effects fit
+and how candidates are looked at. From there on the way to an answer is one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.model import Model
+from hydrotwin.models.language.units import compatible
+
+from .recordings import Split
+from .search import Search
+
+NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """What the caller said, as in `discover`."""
+
+    records: Sequence
+    validate: Sequence
+    free: Sequence[str] | None
+    effects: Sequence[str] | None
+    exclude: Sequence[str]
+    initial_states: str
+    outputs: Sequence[str] | None
+    noise: Mapping[str, float] | None
+    step: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What a search begins with.
+
+    model : as it was given, with its own bounds; bounded: as it is searched. names : what is identified along.
+    search : how candidates are looked at. note : what the user should know before it begins.
+    """
+
+    model: Model
+    bounded: Model
+    names: tuple[str, ...]
+    data: Split
+    candidates: tuple[Candidate, ...]
+    initial_states: str
+    search: type[Search] = Search
+    note: str = ""
+
+
+def bounded(model: Model, names: Sequence[str]) -> Model:
+    """The model with what is to be identified free, and bounds around the start values of what is always positive.
+
+    A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
+    stiffness. Volumes and pressures stay within a factor of 1.6, the rest within thirty.
+    """
+    changes = {}
+    for p in model.flat.parameters:
+        low, high = p.bounds
+        if p.name in names and not p.free:
+            changes[p.name] = {"free": True}
+        if p.name in names and low > 0 and p.value > 0:
+            factor = NARROW if any(compatible(p.unit, unit) for unit in ("m3", "m3/rad", "Pa")) else WIDE
+            bounds = max(low, p.value / factor), min(high, p.value * factor)
+            changes.setdefault(p.name, {}).update(bounds=bounds, unit=p.unit)
+    return model.with_settings(changes, model.provenance) if changes else model
+
+
+def free_names(flat: FlatModel, free: Sequence[str] | None) -> tuple[str, ...]:
+    """The parameters that these globs name; None: those the model declares free."""
+    from hydrotwin.identification.problem import free_parameters
+
+    return free_parameters(flat, free).names

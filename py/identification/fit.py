@@ -57,8 +57,10 @@ class OutputResidual:
 
     @property
     def explained(self) -> bool:
-        """Nothing is left but noise: the size is right, and neighbours say nothing of each other or hardly anything."""
-        return self.chi2_per_sample < 1.1 and (self.white or abs(self.lag_one) < FAINT)
+        """Nothing is left but noise: less than that, or as much and neighbours say nothing of each other, or little."""
+        return self.chi2_per_sample < 1.0 or (
+            self.chi2_per_sample < 1.1 and (self.white or abs(self.lag_one) < FAINT)
+        )
 
 
 @dataclass(frozen=True)

@@ -97,14 +97,13 @@ def _differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list
 
 
 def explains(task: Task, found: Minimum) -> bool:
-    """Nothing is left but noise on any output of any training recording."""
-    shooting, _ = whole_runs(task)
-    rows = [
-        row
-        for i, recording in enumerate(task.recordings)
-        for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train")
-    ]
-    return found.converged and all(row.explained for row in rows)
+    """Nothing is left but noise on any output of any training recording, and none of them diverges."""
+    shooting, _ = whole_runs(undecided(task))
+    left = [shooting.residuals(i, found.q, found.z[i]) for i in range(len(task.recordings))]
+    if not found.converged or any(r is None for r in left):
+        return False
+    rows = zip(task.recordings, left, strict=True)
+    return all(row.explained for recording, r in rows for row in _output_residuals(task, r, recording, "train"))
 
 
 def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Minimum]):

@@ -11,7 +11,8 @@ import numpy as np
 from hydrotwin.models.language.errors import SolveError
 
 from .descent import Task, held_out_run, undecided, whole_runs
-from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
+from .ending import doubts
+from .fit import SIZE, Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
 from .problem import FreeParameters, Recording
@@ -20,6 +21,7 @@ from .uncertainty import correlation, uncertainty, without_starts
 from .valley import TROUBLE, margin
 from .whiteness import SIGNIFICANCE, ljung_box
 
+ROUNDED, WITHIN = 0.55, 0.99  # of a step, and of the samples: how far rounding takes so many
 RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
 
 
@@ -32,15 +34,19 @@ def answer(
     at_bound = _at_bound(free, best)
     shooting, _ = whole_runs(task)
     rows, lost = _differentiated(task, shooting, best)
+    doubted = doubts(task, best, at_bound)
     known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
     sandwich, ambiguous = _widened(sandwich, free, minima)
+    if doubted:  # a number that means nothing is not told
+        sandwich, white, ambiguous = np.full_like(sandwich, np.nan), np.full_like(white, np.nan), []
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged)
     findings = [
         *lost,
+        *doubted,
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
         *([] if ambiguous else _rough(best)),
@@ -65,8 +71,8 @@ def answer(
         allowed={s.name: 1 / float(w) for s, w in zip(flat.outputs, task.weights, strict=True) if w > 0},
         findings=tuple(findings),
         history=tuple(task.history),
-        converged=best.converged,
-        message=best.message,
+        converged=best.converged and not doubted,
+        message="no minimum was found" if doubted else best.message,
         seconds=time.perf_counter() - began,
         settings=dict(settings),
     )
@@ -264,6 +270,15 @@ def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, ro
         rmse, noise = float(np.sqrt(np.mean(r**2)) / task.weights[j]), float(task.noise[j])
         rows.append(OutputResidual(
             recording.name, signal.name, role, rmse, noise, signal.unit, len(r), (rmse / noise) ** 2, lag_one, p_value,
-            p_value > SIGNIFICANCE,
+            p_value > SIGNIFICANCE, _is_rounding(r / task.weights[j], noise, float(recording.steps[j])),
         ))  # fmt: skip
     return rows
+
+
+def _is_rounding(left: np.ndarray, noise: float, step: float) -> bool:
+    """Whether rounding to a step makes most of the noise, and may make residuals (n,): neither are they independent."""
+    other = noise**2 - step**2 / 12
+    if not other < step**2 / 12:
+        return False
+    within = np.mean(np.abs(left) <= ROUNDED * step + 3 * np.sqrt(max(other, 0.0))) > WITHIN
+    return bool(within or np.mean(left**2) < SIZE * noise**2)

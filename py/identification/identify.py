@@ -13,7 +13,7 @@ from hydrotwin.records import distinct
 from hydrotwin.simulation import prepare
 
 from .answer import answer
-from .descent import Task
+from .descent import Task, undecided
 from .fit import Fit
 from .loss import Loss
 from .noise import output_noise
@@ -103,7 +103,7 @@ def identify(
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
             "method": method, "weights": weights,
         }  # fmt: skip
-        return answer(task, minima, judged, settings, began)
+        return answer(undecided(task), minima, judged, settings, began)
 
 
 def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:

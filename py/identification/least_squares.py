@@ -156,7 +156,12 @@ class DampedStep:
             return self._inside(g_q, low, high), np.zeros_like(g_z)
         alone = np.linalg.solve(self._H_zz, g_z[:, :, None])[:, :, 0]
         dq = self._inside(g_q - np.einsum("szq,sz->q", self._H_zq, alone), low, high)
-        return dq, -(alone + self._carried @ dq)
+        return dq, self.beside(dq) - alone
+
+    def beside(self, dq: np.ndarray) -> np.ndarray:
+        """How the start states go along with a step in q. (segments, private)"""
+        private = self._at.hessian.shape[1] - self._shared
+        return -(self._carried @ dq) if private else np.zeros((len(self._at.hessian), 0))
 
     def promise(self, dq: np.ndarray, dz: np.ndarray) -> float:
         """Decrease of cost that the expansion predicts for a step."""

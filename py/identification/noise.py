@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records.noise import channel_noise, recorded_step
+from hydrotwin.records.noise import channel_noise
 
 from .problem import Recording
 
@@ -49,8 +49,8 @@ def floor(measured: Sequence[Recording]) -> np.ndarray:
 
 
 def quanta(measured: Sequence[Recording]) -> np.ndarray:
-    """Step (ny,) in which every output is recorded, by its sensor or by the digits of a file, SI; 0: none."""
-    return np.max([[recorded_step(c[np.isfinite(c)]) for c in r.y.T] for r in measured], axis=0)
+    """The coarsest step (ny,) in which any recording holds an output, SI; 0: none."""
+    return np.max([r.steps for r in measured], axis=0)
 
 
 def accuracy(measured: Sequence[Recording]) -> np.ndarray:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records.noise import recorded_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,11 @@ class Recording:
     time: np.ndarray
     u: np.ndarray
     y: np.ndarray
+
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Step (ny,) in which every output is recorded, by its sensor or by the digits of a file, SI; 0: none."""
+        return np.array([recorded_step(column[np.isfinite(column)]) for column in self.y.T])
 
 
 def free_parameters(

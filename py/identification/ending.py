@@ -42,7 +42,8 @@ def doubts(task: Task, best: Minimum, at_bound: np.ndarray) -> list[Finding]:
         d *= _room(shooting, best.q, d)
         said = 0.5 * float(d @ step.matrix @ d)
         if said > TELLING * unit:
-            ends = [shooting.cost(best.q + s * d, shooting.clip(best.z + s * step.beside(d))) for s in (1.0, -1.0)]
+            dz = step.beside(d) if shooting.locals else 0.0
+            ends = [shooting.cost(best.q + s * d, shooting.clip(best.z + s * dz)) for s in (1.0, -1.0)]
             bend = (sum(ends) - 2 * here) / 2
             if not FOLLOWS[0] * said < bend < FOLLOWS[1] * said:
                 return [_not_followed(shooting.free.names, d, bend / said)]

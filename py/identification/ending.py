@@ -1,6 +1,6 @@
 """Whether a fit ended at a minimum that its derivatives describe: only there is (J^T J)^-1 an uncertainty.
 
-    promise(d) small,   cost(q + d) + cost(q - d) - 2 cost(q) = d^T S d        d one sigma along an axis of the ellipsoid
+    promise(d) small,   cost(q + d) + cost(q - d) - 2 cost(q) = d^T S d,   d along an axis of the ellipsoid
 
 S is the information of the parameters once the start states have adapted. Where a run is chaotic, or derivatives
 explode at a contact, the cost does not follow. A few such points are run, and nothing is believed that they refute.
@@ -13,14 +13,15 @@ import numpy as np
 
 from .descent import Task, undecided, whole_runs
 from .fit import Finding
-from .least_squares import DampedStep, Minimum
+from .least_squares import DampedStep, Minimum, without_blocked
 from .shooting import Shooting
 from .uncertainty import LEAST_SIGHT
 
 AXES = 3  # of the ellipsoid that are run, the shortest and the longest among them
 FARTHEST = 0.1  # of a parameter, or of its unit: what is known worse is tried nearer, where a parabola may still hold
 TELLING = 0.02  # half a chi-square: what a point so near must still promise to tell anything
-FOLLOWS = (0.1, 10.0)  # times what the derivatives say: within it a sigma is right within a factor of three
+REACH = (1.0, 3.0)  # sigmas: a cost that is rough on the scale of one may follow further out
+FOLLOWS = (0.04, 25.0)  # times what the derivatives say: within it a sigma is right within a factor of five
 UNFINISHED = 2.0  # half a chi-square: what is still promised where the minimum is two sigmas away
 
 
@@ -32,28 +33,35 @@ def doubts(task: Task, best: Minimum, at_bound: np.ndarray) -> list[Finding]:
     shooting, _ = whole_runs(undecided(task))
     here = shooting.cost(best.q, best.z)
     unit = max(1.0, 2 * here / shooting.count)  # sigmas grow with what is left
-    step = DampedStep(best.at, len(best.q), np.einsum("sii->si", best.at.hessian), 1e-9)
-    promised = _promised(task, best, step)
+    at = without_blocked(best.at, shooting, best.z)
+    step = DampedStep(at, len(best.q), np.einsum("sii->si", at.hessian), 1e-9)
+    promised = _promised(task, best, step, at.gradient)
     if promised > UNFINISHED * unit:
         return [_unfinished(np.sqrt(2 * promised / unit))]
     for axis in _axes(step.matrix[np.ix_(inside, inside)]):
         d = np.zeros(len(best.q))
         d[inside] = axis * np.sqrt(unit)
-        d *= _room(shooting, best.q, d)
-        said = 0.5 * float(d @ step.matrix @ d)
-        if said > TELLING * unit:
-            dz = step.beside(d) if shooting.locals else 0.0
-            ends = [shooting.cost(best.q + s * d, shooting.clip(best.z + s * dz)) for s in (1.0, -1.0)]
-            bend = (sum(ends) - 2 * here) / 2
-            if not FOLLOWS[0] * said < bend < FOLLOWS[1] * said:
-                return [_not_followed(shooting.free.names, d, bend / said)]
+        ratios = [_followed(shooting, best, step, reach * d, here, unit) for reach in REACH]
+        if not any(FOLLOWS[0] < ratio < FOLLOWS[1] for ratio in ratios):
+            return [_not_followed(shooting.free.names, d, ratios[0])]
     return []
 
 
-def _promised(task: Task, best: Minimum, step: DampedStep) -> float:
-    """Decrease of cost that the derivatives promise inside the bounds."""
+def _followed(shooting: Shooting, best: Minimum, step: DampedStep, d: np.ndarray, here: float, unit: float) -> float:
+    """What the cost does along +-d, start states with it, over what the derivatives say; 1 where that tells nothing."""
+    d = d * _room(shooting, best.q, d)
+    said = 0.5 * float(d @ step.matrix @ d)
+    if said < TELLING * unit:
+        return 1.0
+    dz = step.beside(d) if shooting.locals else 0.0
+    ends = [shooting.cost(best.q + s * d, shooting.clip(best.z + s * dz)) for s in (1.0, -1.0)]
+    return (sum(ends) - 2 * here) / 2 / said
+
+
+def _promised(task: Task, best: Minimum, step: DampedStep, gradient: np.ndarray) -> float:
+    """Decrease of cost that the derivatives promise inside the bounds of the parameters."""
     lower, upper = (task.free.scaled(b) - best.q for b in (task.free.lower, task.free.upper))
-    dq, dz = step.towards(best.at.gradient, np.minimum(lower, 0.0), np.maximum(upper, 0.0))
+    dq, dz = step.towards(gradient, np.minimum(lower, 0.0), np.maximum(upper, 0.0))
     return step.promise(dq, dz)
 
 

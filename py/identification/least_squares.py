@@ -84,7 +84,7 @@ def minimise(
     descending, costs, poor = True, [at.cost], 0
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
-        inside = _without_blocked(at, shooting, z)
+        inside = without_blocked(at, shooting, z)
         step = DampedStep(inside, len(q), size, damping)
         longest = LONGEST_STEP * np.where(logarithmic, 1.0, np.maximum(np.abs(q), 1.0))
         dq, dz = step.towards(inside.gradient, np.maximum(lower - q, -longest), np.minimum(upper - q, longest))
@@ -117,7 +117,7 @@ def _diagonal(at: Linearisation) -> np.ndarray:
     return np.einsum("sii->si", at.hessian)
 
 
-def _without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Linearisation:
+def without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Linearisation:
     """The expansion for start states that may still move: one on its bound that the gradient pushes outwards stays.
 
     Clipped afterwards it would take the shared parameters along with a step that it does not make.

@@ -15,6 +15,7 @@ from .ending import doubts
 from .fit import SIZE, Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
+from .noise import accuracy
 from .problem import FreeParameters, Recording
 from .shooting import Shooting
 from .uncertainty import correlation, uncertainty, without_starts
@@ -35,7 +36,8 @@ def answer(
     shooting, _ = whole_runs(task)
     rows, lost = _differentiated(task, shooting, best)
     doubted = doubts(task, best, at_bound)
-    known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
+    *weighted, errors = _weighted_rows(rows, shooting)
+    known = uncertainty(*weighted, at_bound, errors)
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
@@ -179,8 +181,9 @@ def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
 
 
 def _weighted_rows(rows, shooting: Shooting):
-    """Residuals, projected Jacobians, sample numbers per recording, under the loss."""
-    residuals, jacobians, samples = [], [], []
+    """Residuals, projected Jacobians, sample numbers, error of the runs per recording, under the loss."""
+    residuals, jacobians, samples, errors = [], [], [], []
+    error = np.nan_to_num(accuracy(shooting.recordings)) * shooting.weights
     for row, segment in zip(rows, shooting.segments, strict=True):
         if row is None:
             continue
@@ -188,8 +191,10 @@ def _weighted_rows(rows, shooting: Shooting):
         measured = np.isfinite(shooting.recordings[segment.recording].y) & (shooting.weights > 0)
         residuals.append(r)
         jacobians.append(without_starts(J, len(shooting.free.names)))
-        samples.append(np.nonzero(measured)[0])
-    return residuals, jacobians, samples
+        sample, output = np.nonzero(measured)
+        samples.append(sample)
+        errors.append(error[output])
+    return residuals, jacobians, samples, errors
 
 
 def _fitted(free: FreeParameters, values, at_bound, sandwich, white) -> tuple[FittedParameter, ...]:

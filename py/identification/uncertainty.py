@@ -42,10 +42,11 @@ def without_starts(J: np.ndarray, shared: int) -> np.ndarray:
 
 
 def uncertainty(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray], samples: Sequence[np.ndarray],
-                at_bound: np.ndarray) -> Uncertainty:  # fmt: skip
+                at_bound: np.ndarray, accuracies: Sequence[np.ndarray] = ()) -> Uncertainty:  # fmt: skip
     """Covariances from weighted residuals (m,) and projected Jacobians (m, np) of each recording.
 
     ``samples`` (m,) tells which residuals share a sample instant. Parameters at a bound are taken as known.
+    ``accuracies`` (m,) : weighted error of the runs themselves, which parameters absorb before a residual shows it.
     """
     information = sum(J.T @ J for J in jacobians)
     n = sum(len(r) for r in residuals)
@@ -53,6 +54,7 @@ def uncertainty(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
     white, undetermined = _inverse(information, inside)
     inflation = n / max(n - int(inside.sum()), 1)
     meat = inflation * sum(_meat(_scores(r, J, s)) for r, J, s in zip(residuals, jacobians, samples, strict=True))
+    meat = meat + sum((J * a[:, None]).T @ (J * a[:, None]) for J, a in zip(jacobians, accuracies, strict=False))
     usable = inside & ~undetermined
     bread = np.where(np.outer(usable, usable), np.nan_to_num(white), 0.0)
     sandwich = np.where(np.outer(usable, usable), bread @ meat @ bread, np.nan)

@@ -26,9 +26,7 @@ ROUNDED, WITHIN = 0.55, 0.99  # of a step, and of the samples: how far rounding 
 RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
 
 
-def answer(
-    task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], settings: Mapping, began: float
-) -> Fit:
+def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], settings: Mapping, began: float) -> Fit:
     """Everything a Fit knows, from the minima of the training runs, the lowest first."""
     free, flat, best = task.free, task.flat, minima[0]
     values = free.values(best.q)

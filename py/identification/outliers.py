@@ -27,6 +27,7 @@ SUSPECT, FAR = 5.0, 8.0  # sigmas, as the median of what is left tells them: wor
 TO_SIGMA = 1.4826  # the median of normal absolute values
 MOST = 0.1  # of the samples of an output
 ALONE = 5  # samples: what lasts longer is motion
+NEARLY_ALL = 0.9  # of the squares of an output
 ROBUST = Loss("soft_l1")
 SHOWN = 3  # times that a sentence names
 
@@ -43,14 +44,25 @@ def spared(
     plain = dataclasses.replace(task, weights=weights(task.noise))
     try:
         robust = dataclasses.replace(plain, loss=ROBUST)
-        masks = outlying(robust, descent(robust, effort, task.free.scaled(task.free.start)), FAR)
+        led = descent(robust, effort, task.free.scaled(task.free.start))
+        masks = outlying(robust, led, FAR)
         if not any(m.any() for m in masks):
             return task, minima, []
         again, found = search(without(plain, masks), effort, adaptable)
     except SolveError:
         return task, minima, []
-    left_out = explains(again, found[0])
-    return (*((again, found) if left_out else (task, minima)), told(task, masks, left_out))
+    if explains(again, found[0]):
+        return again, found, told(task, masks, left_out=True)
+    return task, minima, told(task, _ruling(robust, led, masks), left_out=False)
+
+
+def _ruling(task: Task, found: Minimum, masks: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Those samples that make nearly all of what is left of their output in a recording."""
+    ruling = []
+    for mask, run in zip(masks, runs_of(task, found), strict=True):
+        squares = np.nan_to_num(np.square(run)) if run is not None else np.zeros(mask.shape)
+        ruling.append(mask & ((squares * mask).sum(axis=0) > NEARLY_ALL * squares.sum(axis=0)))
+    return ruling
 
 
 def outlying(task: Task, found: Minimum, far: float) -> list[np.ndarray]:

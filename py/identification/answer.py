@@ -17,8 +17,9 @@ from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
 from .noise import accuracy
 from .problem import FreeParameters, Recording
+from .rounded_inputs import moved_by_rounding, noise_of_rounding
 from .shooting import Shooting
-from .uncertainty import correlation, uncertainty, without_starts
+from .uncertainty import Errors, correlation, uncertainty, without_starts
 from .valley import TROUBLE, margin
 from .whiteness import SIGNIFICANCE, ljung_box
 
@@ -35,7 +36,10 @@ def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], s
     rows, lost = _differentiated(task, shooting, best)
     doubted = doubts(task, best, at_bound)
     *weighted, errors = _weighted_rows(rows, shooting)
-    known = uncertainty(*weighted, at_bound, errors)
+    moved = moved_by_rounding(task, best, rows)
+    known = uncertainty(*weighted, at_bound, Errors(errors, moved))
+    if moved:
+        task = dataclasses.replace(task, noise=np.hypot(task.noise, noise_of_rounding(task, rows, moved)))
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))

@@ -24,6 +24,7 @@ from .valley import TROUBLE, margin
 from .whiteness import SIGNIFICANCE, ljung_box
 
 ROUNDED, WITHIN = 0.55, 0.99  # of a step, and of the samples: how far rounding takes so many
+MOSTLY, SCATTER = 0.7, 2.0  # of the noise: rounded inputs that make so much of it may leave so much: they are few
 RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
 
 
@@ -39,7 +40,8 @@ def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], s
     moved = moved_by_rounding(task, best, rows)
     known = uncertainty(*weighted, at_bound, Errors(errors, moved))
     if moved:
-        task = dataclasses.replace(task, noise=np.hypot(task.noise, noise_of_rounding(task, rows, moved)))
+        rounded = noise_of_rounding(task, rows, moved)
+        task = dataclasses.replace(task, noise=np.hypot(task.noise, rounded), rounded=rounded)
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
@@ -275,9 +277,12 @@ def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, ro
             continue
         lag_one, p_value = ljung_box(r)
         rmse, noise = float(np.sqrt(np.mean(r**2)) / task.weights[j]), float(task.noise[j])
+        step = float(recording.steps[j])
+        rounded = task.rounded is not None and np.hypot(task.rounded[j], step / np.sqrt(12)) > MOSTLY * noise
+        rounding = (rounded and rmse < SCATTER * noise) or _is_rounding(r / task.weights[j], noise, step)
         rows.append(OutputResidual(
             recording.name, signal.name, role, rmse, noise, signal.unit, len(r), (rmse / noise) ** 2, lag_one, p_value,
-            p_value > SIGNIFICANCE, _is_rounding(r / task.weights[j], noise, float(recording.steps[j])),
+            p_value > SIGNIFICANCE, bool(rounding),
         ))  # fmt: skip
     return rows
 

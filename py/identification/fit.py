@@ -42,8 +42,8 @@ class OutputResidual:
 
     ``rmse`` and ``noise`` are in ``unit``; ``chi2_per_sample`` is (rmse/noise)^2, 1 when only noise is left.
     ``white`` is the verdict of a Ljung-Box test (``p_value``), ``lag_one`` the correlation of neighbouring residuals.
-    ``rounding``: the output is so coarsely recorded that what is left may be its rounding, which repeats itself where a
-    signal rests.
+    ``rounding``: the output, or an input, is so coarsely recorded that what is left may be rounding, which repeats
+    itself where a signal rests.
     """
 
     record: str

@@ -77,6 +77,12 @@ def test_data_that_a_file_or_a_sensor_rounds_is_explained(how):
     require_the_truth(identify(drive(), [written(r, how) for r in exact()], start=OFF))
 
 
+@pytest.mark.parametrize("number", [2, 3, 4])
+def test_a_file_that_rounds_its_inputs_too_is_explained(number):
+    rounded = [written(r, digits(number, "m"), (*OUTPUTS, "command")) for r in exact((1, 2, 3))]
+    require_the_truth(identify(drive(), rounded, start=OFF, starts=1))
+
+
 def test_an_exact_output_beside_a_noisy_one_is_explained():
     noisy = [recorded(drive(), k, noise={"motor_speed": 0.1}) for k in (1, 2)]
     fit = identify(drive(), noisy, start=OFF)

@@ -177,7 +177,7 @@ def fit_answer(fit) -> dict:
 def print_fit(fit, path: Path) -> None:
     """The fit for a reader."""
     rows = [
-        [p.name, float(p.start), float(p.value), f"± {p.sigma:.2g}", p.unit, "at its bound" if p.at_bound else ""]
+        [p.name, float(p.start), float(p.value), _plus_minus(p.sigma), p.unit, "at its bound" if p.at_bound else ""]
         for p in fit.parameters
     ]
     table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
@@ -194,6 +194,10 @@ def print_fit(fit, path: Path) -> None:
     if unexplained:
         mark(out, "note", f"not explained: {', '.join(unexplained)}. Look for a missing effect, or free more.")
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
+
+
+def _plus_minus(sigma: float) -> str:
+    return f"± {sigma:.2g}" if math.isfinite(sigma) else "unknown"
 
 
 def friction(

@@ -15,12 +15,12 @@ import numpy as np
 from hydrotwin.models.language.errors import SolveError
 
 from .answer import explains
-from .descent import Task
+from .descent import Task, undecided, whole_runs
 from .fit import Finding
-from .least_squares import Minimum
+from .least_squares import Minimum, minimise
 from .loss import Loss
 from .noise import weights
-from .search import Effort, descent, search
+from .search import Effort, search
 from .weighing import runs_of
 
 SUSPECT, FAR = 5.0, 8.0  # sigmas, as the median of what is left tells them: worth a second fit, and left out
@@ -44,7 +44,7 @@ def spared(
     plain = dataclasses.replace(task, weights=weights(task.noise))
     try:
         robust = dataclasses.replace(plain, loss=ROBUST)
-        led = descent(robust, effort, task.free.scaled(task.free.start))
+        led = minimise(whole_runs(undecided(robust))[0], minima[0].q, minima[0].z, most=effort.iterations)
         masks = outlying(robust, led, FAR)
         if not any(m.any() for m in masks):
             return task, minima, []

@@ -84,6 +84,8 @@ def free_parameters(
     bounds = dict(bounds or {})
     for name in bounds:
         flat.index_of(name)
+        if name not in chosen:
+            raise DeclarationError(f"{flat.name}.{name}: bounds were given, but it is not free. Free it as well.")
     rows = [p for p in flat.parameters if p.name in chosen]
     index = np.array([flat.index_of(p.name) for p in rows], dtype=int)
     limits = [bounds.get(p.name, p.bounds) for p in rows]

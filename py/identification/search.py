@@ -69,7 +69,7 @@ def _searched(task: Task, effort: Effort, adaptable: np.ndarray) -> tuple[Task, 
 
 def _first(task: Task, effort: Effort, relative: float) -> tuple[list[Minimum], SolveError | None]:
     try:
-        return [descent(task, effort, task.free.scaled(task.free.start), relative)], None
+        return [_descent(task, effort, task.free.scaled(task.free.start), relative)], None
     except SolveError as error:
         return [], error
 
@@ -83,7 +83,7 @@ def _by_noise(task: Task, effort: Effort, found: list[Minimum], stopped) -> list
     """More starts under the sensors' noise, until one explains the recordings or two agree."""
     for q in _others(task, effort.starts):
         try:
-            latest = descent(task, effort, q)
+            latest = _descent(task, effort, q)
         except SolveError as error:
             stopped = stopped or error
             continue
@@ -114,7 +114,7 @@ def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: M
         if number + 1 >= max(effort.starts, 2):
             break
         try:
-            reached = descent(broad, effort, q, ON_THE_WAY, thorough=False)
+            reached = _descent(broad, effort, q, ON_THE_WAY, thorough=False)
             latest = weighed_by_residual(task, reached, adaptable, effort.iterations)
         except SolveError:
             continue
@@ -127,7 +127,7 @@ def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: M
     return best
 
 
-def descent(task: Task, effort: Effort, q: np.ndarray, relative: float = LAST, thorough: bool = True) -> Minimum:
+def _descent(task: Task, effort: Effort, q: np.ndarray, relative: float = LAST, thorough: bool = True) -> Minimum:
     """Where a start leads. Raises SolveError where that is nowhere: it costs itself only."""
     lengths = effort.windows
     if lengths is None:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from hydrotwin.identification.noise import floor
 from hydrotwin.records.noise import channel_noise
 
 from .answering import Found, Step
@@ -14,7 +15,6 @@ from .choose import Choice, as_good, choose, label, refines, worth_refining
 from .decide import MEASURABLE, PART, T_NEEDED, WORTH, closed, compared
 from .ends import both_ends, without_idle_ends
 from .look_back import LOOK_BACK, along_valleys, from_the_beginning, pruned, settled
-from .recordings import quanta
 from .refinements import more_of_the_same, more_than_inexact, one_for_two, with_refinements
 from .refit import Question, RefitJob, Refitted, refit
 from .revise import revised
@@ -300,5 +300,5 @@ def _noise_of_residuals(fitted: Refitted, q: Question, noise: np.ndarray) -> np.
         columns = [(r, np.isfinite(r)) for r in residual.T]
         found.append([channel_noise(recording.time[s], r[s]).sigma if s.any() else np.nan for r, s in columns])
     with np.errstate(invalid="ignore"):
-        left = np.fmax(np.sqrt(np.mean(np.square(found), axis=0)), quanta(q.fit) / np.sqrt(12))
+        left = np.fmax(np.sqrt(np.mean(np.square(found), axis=0)), floor(q.fit))
         return np.where((left > 0) & (left < SHARPER * noise), left, noise)

@@ -13,12 +13,11 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from hydrotwin.identification.noise import output_noise
+from hydrotwin.identification.noise import output_noise, quanta
 from hydrotwin.identification.problem import Recording, recordings
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import distinct
-from hydrotwin.records.noise import quantisation_step
 
 SHORTEST = 200  # samples of a recording that can tell effects apart
 PIECES = 12  # of a lone recording of something that integrates
@@ -79,18 +78,12 @@ def split(
     floor = output_noise(flat, train, noise)
     steps = quanta(train)
     findings += [
-        f"gap: {o.name} is recorded in steps of {q:.3g} {o.unit} (quantisation of the sensor). They make most of its "
-        "noise, and no effect is looked for below them."
+        f"gap: {o.name} is recorded in steps of {q:.3g} {o.unit} (quantisation of the sensor, or the digits of the "
+        "file). They make most of its noise, and no effect is looked for below them."
         for o, q, s in zip(flat.outputs, steps, floor, strict=True)
         if q > COARSE * s
     ]
     return Split(fit, select, train, report, floor, tuple(wanted), tuple(findings))
-
-
-def quanta(measured: Sequence[Recording]) -> np.ndarray:
-    """Step (ny,) in which every output is recorded, SI; 0 where there is none."""
-    steps = [[quantisation_step(column[np.isfinite(column)]) for column in r.y.T] for r in measured]
-    return np.max(steps, axis=0)
 
 
 def _in_pieces(flat: FlatModel, train: tuple[Recording, ...]) -> tuple[Recording, ...]:

@@ -279,16 +279,24 @@ def _first(task: Task, job: RefitJob, q: np.ndarray, z: np.ndarray, most: int) -
 
 def _settled(task: Task, q: Question, found: Minimum, most: int):
     """Weights and minimum in turns until they agree: ``(task, minimum, its residuals, likelihood)``."""
-    size, further = np.fmax(_rmse(undecided(task), found), q.noise), max(LONGEST, 2 * most)
+    size, further = _size(undecided(task), q, found), max(LONGEST, 2 * most)
     for number in range(ROUNDS):
         task = dataclasses.replace(undecided(task), weights=weights(size))
         shooting, _ = whole_runs(task)
         found = minimise(shooting, found.q, found.z, **(TOLERANCE if number else FIRST), most=min(most, further))
         further -= found.iterations
-        before, size = size, np.fmax(_rmse(task, found), q.noise)
+        before, size = size, _size(task, q, found)
         if further <= 0 or (number and np.nanmax(np.abs(np.log(size / before))) < STEADY):
             break
     return task, found, residuals_of(task, found), _likelihood(task, q, found)
+
+
+def _size(task: Task, q: Question, found: Minimum) -> np.ndarray:
+    """Size (ny,) of the errors that a minimum leaves, SI. Raises SolveError where a run diverges: it weighs nothing."""
+    size = np.fmax(_rmse(task, found), q.noise)
+    if np.isinf(size[task.weights > 0]).any():
+        raise SolveError(f"{task.flat.name}: a run diverges where the fit ended. Start it elsewhere.")
+    return size
 
 
 def residuals_of(task: Task, found: Minimum, recordings: Sequence[Recording] | None = None) -> list[np.ndarray]:

@@ -49,7 +49,7 @@ for room in (showing, fitting, learning, discovering, comparing, exporting, demo
 
 def main() -> None:
     """Run the command line."""
-    console = Console(stderr=True, soft_wrap=True, highlight=False)
+    console = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("default", category=UserWarning)

@@ -13,38 +13,50 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation.control import Accuracy
 
 from .descent import Task, held_out_run, undecided, whole_runs
-from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
+from .ending import doubts
+from .fit import SIZE, Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
+from .noise import solver_error
 from .problem import FreeParameters, Recording
+from .rounded_inputs import moved_by_rounding, noise_of_rounding
 from .shooting import Shooting
-from .uncertainty import correlation, uncertainty, without_starts
+from .uncertainty import Errors, correlation, uncertainty, without_starts
 from .valley import TROUBLE, margin
 from .whiteness import SIGNIFICANCE, ljung_box
 
+ROUNDED, WITHIN = 0.55, 0.99  # of a step, and of the samples: how far rounding takes so many
+MOSTLY, SCATTER = 0.7, 2.0  # of the noise: rounded inputs that make so much of it may leave so much: they are few
 RULED = 3.0  # times the noise left somewhere: then weights by noise are worth a word
 
 
-def answer(
-    task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], settings: Mapping, began: float
-) -> Fit:
+def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], settings: Mapping, began: float) -> Fit:
     """Everything a Fit knows, from the minima of the training runs, the lowest first."""
     free, flat, best = task.free, task.flat, minima[0]
     values = free.values(best.q)
     at_bound = _at_bound(free, best)
     shooting, _ = whole_runs(task)
     rows, lost = _differentiated(task, shooting, best)
-    known = uncertainty(*_weighted_rows(rows, shooting), at_bound)
+    doubted = doubts(task, best, at_bound)
+    *weighted, errors = _weighted_rows(rows, shooting)
+    moved = moved_by_rounding(task, best, rows)
+    known = uncertainty(*weighted, at_bound, Errors(errors, moved))
+    if moved:
+        rounded = noise_of_rounding(task, rows, moved)
+        task = dataclasses.replace(task, noise=np.hypot(task.noise, rounded), rounded=rounded)
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)
     sandwich, white = (C * np.outer(slope, slope) for C in (known.sandwich, known.white))
     sandwich, ambiguous = _widened(sandwich, free, minima)
+    if doubted:  # a number that means nothing is not told
+        sandwich, white, ambiguous = np.full_like(sandwich, np.nan), np.full_like(white, np.nan), []
     parameters = _fitted(free, values, at_bound, sandwich, white)
     records, residuals, findings = _judged(task, shooting, best, judged)
     accuracy = _accuracy(shooting, best)
     findings = [
         *lost,
         *_inaccurate(accuracy, task),
+        *doubted,
         *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
         *ambiguous,
         *([] if ambiguous else _rough(best)),
@@ -69,8 +81,8 @@ def answer(
         allowed={s.name: 1 / float(w) for s, w in zip(flat.outputs, task.weights, strict=True) if w > 0},
         findings=tuple(findings),
         history=tuple(task.history),
-        converged=best.converged,
-        message=best.message,
+        converged=best.converged and not doubted,
+        message="no minimum was found" if doubted else best.message,
         seconds=time.perf_counter() - began,
         settings=dict(settings),
         accuracy=accuracy,
@@ -126,14 +138,13 @@ def _differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list
 
 
 def explains(task: Task, found: Minimum) -> bool:
-    """Nothing is left but noise on any output of any training recording."""
-    shooting, _ = whole_runs(task)
-    rows = [
-        row
-        for i, recording in enumerate(task.recordings)
-        for row in _output_residuals(task, shooting.residuals(i, found.q, found.z[i]), recording, "train")
-    ]
-    return found.converged and all(row.explained for row in rows)
+    """Nothing is left but noise on any output of any training recording, and none of them diverges."""
+    shooting, _ = whole_runs(undecided(task))
+    left = [shooting.residuals(i, found.q, found.z[i]) for i in range(len(task.recordings))]
+    if not found.converged or any(r is None for r in left):
+        return False
+    rows = zip(task.recordings, left, strict=True)
+    return all(row.explained for recording, r in rows for row in _output_residuals(task, r, recording, "train"))
 
 
 def _widened(covariance: np.ndarray, free: FreeParameters, minima: Sequence[Minimum]):
@@ -203,8 +214,9 @@ def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
 
 
 def _weighted_rows(rows, shooting: Shooting):
-    """Residuals, projected Jacobians, sample numbers per recording, under the loss."""
-    residuals, jacobians, samples = [], [], []
+    """Residuals, projected Jacobians, sample numbers, error of the runs per recording, under the loss."""
+    residuals, jacobians, samples, errors = [], [], [], []
+    error = np.nan_to_num(solver_error(shooting.recordings)) * shooting.weights
     for row, segment in zip(rows, shooting.segments, strict=True):
         if row is None:
             continue
@@ -212,8 +224,10 @@ def _weighted_rows(rows, shooting: Shooting):
         measured = np.isfinite(shooting.recordings[segment.recording].y) & (shooting.weights > 0)
         residuals.append(r)
         jacobians.append(without_starts(J, len(shooting.free.names)))
-        samples.append(np.nonzero(measured)[0])
-    return residuals, jacobians, samples
+        sample, output = np.nonzero(measured)
+        samples.append(sample)
+        errors.append(error[output])
+    return residuals, jacobians, samples, errors
 
 
 def _fitted(free: FreeParameters, values, at_bound, sandwich, white) -> tuple[FittedParameter, ...]:
@@ -292,8 +306,20 @@ def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, ro
             continue
         lag_one, p_value = ljung_box(r)
         rmse, noise = float(np.sqrt(np.mean(r**2)) / task.weights[j]), float(task.noise[j])
+        step = float(recording.steps[j])
+        rounded = task.rounded is not None and np.hypot(task.rounded[j], step / np.sqrt(12)) > MOSTLY * noise
+        rounding = (rounded and rmse < SCATTER * noise) or _is_rounding(r / task.weights[j], noise, step)
         rows.append(OutputResidual(
             recording.name, signal.name, role, rmse, noise, signal.unit, len(r), (rmse / noise) ** 2, lag_one, p_value,
-            p_value > SIGNIFICANCE,
+            p_value > SIGNIFICANCE, bool(rounding),
         ))  # fmt: skip
     return rows
+
+
+def _is_rounding(left: np.ndarray, noise: float, step: float) -> bool:
+    """Whether rounding to a step makes most of the noise, and may make residuals (n,): neither are they independent."""
+    other = noise**2 - step**2 / 12
+    if not other < step**2 / 12:
+        return False
+    within = np.mean(np.abs(left) <= ROUNDED * step + 3 * np.sqrt(max(other, 0.0))) > WITHIN
+    return bool(within or np.mean(left**2) < SIZE * noise**2)

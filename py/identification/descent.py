@@ -37,6 +37,7 @@ class Task:
     """What stays the same over a descent; noise (ny,) is the sensors', weights (ny,) what a residual costs.
 
     prior : what is known of the parameters beforehand.
+    rounded : (ny,), SI, what of the noise is the rounding of the inputs; None where it does not matter.
     """
 
     flat: FlatModel
@@ -51,6 +52,7 @@ class Task:
     noise: np.ndarray
     history: list[Iteration] = field(default_factory=list)
     prior: Prior | None = None
+    rounded: np.ndarray | None = None
 
     def step_report(self, stage: str):
         """What the solver calls after each accepted step."""

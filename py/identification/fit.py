@@ -10,6 +10,7 @@ import numpy as np
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation.control import Accuracy
 
+SIZE = 1.1  # of the noise, squared: as much may be noise
 FAINT = 0.1  # correlation of neighbouring residuals that a test can see and an engineer need not mind
 
 
@@ -42,6 +43,8 @@ class OutputResidual:
 
     ``rmse`` and ``noise`` are in ``unit``; ``chi2_per_sample`` is (rmse/noise)^2, 1 when only noise is left.
     ``white`` is the verdict of a Ljung-Box test (``p_value``), ``lag_one`` the correlation of neighbouring residuals.
+    ``rounding``: the output, or an input, is so coarsely recorded that what is left may be rounding, which repeats
+    itself where a signal rests.
     """
 
     record: str
@@ -55,11 +58,13 @@ class OutputResidual:
     lag_one: float
     p_value: float
     white: bool
+    rounding: bool = False
 
     @property
     def explained(self) -> bool:
-        """Nothing is left but noise: the size is right, and neighbours say nothing of each other or hardly anything."""
-        return self.chi2_per_sample < 1.1 and (self.white or abs(self.lag_one) < FAINT)
+        """Nothing is left but noise: less than that, or as much and neighbours say nothing of each other, or little."""
+        as_noise = self.chi2_per_sample < SIZE and (self.white or abs(self.lag_one) < FAINT)
+        return self.chi2_per_sample < 1.0 or self.rounding or as_noise
 
 
 @dataclass(frozen=True)

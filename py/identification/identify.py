@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -13,11 +14,12 @@ from hydrotwin.records import distinct
 from hydrotwin.simulation import prepare
 
 from .answer import answer
-from .descent import Task
+from .descent import Task, undecided
 from .fit import Fit
 from .loss import Loss
 from .noise import output_noise
 from .noise import weights as by_noise
+from .outliers import spared
 from .problem import free_parameters, recordings
 from .progress import reporting
 from .search import Effort, search
@@ -36,7 +38,7 @@ def identify(
     noise: Mapping[str, float] | None = None,
     weights: str = "auto",
     starts: int = 4,
-    loss: str = "linear",
+    loss: str = "auto",
     loss_scale: float = 2.0,
     initial_states: str = "auto",
     windows: Sequence[float] | None = None,
@@ -64,7 +66,8 @@ def identify(
         weights: "noise" weighs every residual by its sensor's noise; "residual" weighs an output that the model cannot
             bring to its noise by what it leaves of it; "auto" does so unless that output's noise was given.
         starts: most starts to try; 1 for the given one alone.
-        loss: "linear", "soft_l1" or "huber", beyond ``loss_scale`` sigmas.
+        loss: "linear", "soft_l1" or "huber", beyond ``loss_scale`` sigmas; "auto" is linear, and leaves out samples
+            that stand alone far from all others where nothing but noise is left without them (a finding says which).
         initial_states: "auto" estimates those an output measures (its first sample is a measurement among others) and
             takes the rest from the model; "free" estimates all; "fixed" takes the first samples as exact.
         windows: lengths [s] of the shooting windows, () for free runs alone, None to choose from the model's modes.
@@ -92,18 +95,22 @@ def identify(
         propagator = prepare(
             flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step, method=method
         )
+        cost = Loss("linear" if loss == "auto" else loss, loss_scale)
         task = Task(
-            flat, parameters, propagator, train, by_noise(sigma), Loss(loss, loss_scale), initial_states,
-            threads or _processors(), report, sigma,
+            flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or _processors(),
+            report, sigma,
         )  # fmt: skip
         adaptable = _adaptable(flat, weights, noise) & np.isfinite(sigma)
-        task, minima = search(task, Effort(windows, starts, iterations), adaptable)
+        effort = Effort(windows, starts, iterations)
+        task, minima = search(task, effort, adaptable)
+        task, minima, said = spared(task, minima, effort, adaptable) if loss == "auto" else (task, minima, [])
         report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
             "method": method, "weights": weights,
         }  # fmt: skip
-        return answer(task, minima, judged, settings, began)
+        fit = answer(undecided(task), minima, judged, settings, began)
+        return dataclasses.replace(fit, findings=(*said, *fit.findings))
 
 
 def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:

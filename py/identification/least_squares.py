@@ -84,7 +84,7 @@ def minimise(
     descending, costs, poor = True, [at.cost], 0
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
-        inside = _without_blocked(at, shooting, z)
+        inside = without_blocked(at, shooting, z)
         step = DampedStep(inside, len(q), size, damping)
         longest = LONGEST_STEP * np.where(logarithmic, 1.0, np.maximum(np.abs(q), 1.0))
         dq, dz = step.towards(inside.gradient, np.maximum(lower - q, -longest), np.minimum(upper - q, longest))
@@ -117,7 +117,7 @@ def _diagonal(at: Linearisation) -> np.ndarray:
     return np.einsum("sii->si", at.hessian)
 
 
-def _without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Linearisation:
+def without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Linearisation:
     """The expansion for start states that may still move: one on its bound that the gradient pushes outwards stays.
 
     Clipped afterwards it would take the shared parameters along with a step that it does not make.
@@ -156,7 +156,12 @@ class DampedStep:
             return self._inside(g_q, low, high), np.zeros_like(g_z)
         alone = np.linalg.solve(self._H_zz, g_z[:, :, None])[:, :, 0]
         dq = self._inside(g_q - np.einsum("szq,sz->q", self._H_zq, alone), low, high)
-        return dq, -(alone + self._carried @ dq)
+        return dq, self.beside(dq) - alone
+
+    def beside(self, dq: np.ndarray) -> np.ndarray:
+        """How the start states go along with a step in q. (segments, private)"""
+        private = self._at.hessian.shape[1] - self._shared
+        return -(self._carried @ dq) if private else np.zeros((len(self._at.hessian), 0))
 
     def promise(self, dq: np.ndarray, dz: np.ndarray) -> float:
         """Decrease of cost that the expansion predicts for a step."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import known_inputs
+from hydrotwin.records.noise import recorded_step
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +66,11 @@ class Recording:
     u: np.ndarray
     y: np.ndarray
 
+    @cached_property
+    def steps(self) -> np.ndarray:
+        """Step (ny,) in which every output is recorded, by its sensor or by the digits of a file, SI; 0: none."""
+        return np.array([recorded_step(column[np.isfinite(column)]) for column in self.y.T])
+
 
 def free_parameters(
     flat: FlatModel,
@@ -78,6 +85,8 @@ def free_parameters(
     bounds = dict(bounds or {})
     for name in bounds:
         flat.index_of(name)
+        if name not in chosen:
+            raise DeclarationError(f"{flat.name}.{name}: bounds were given, but it is not free. Free it as well.")
     rows = [p for p in flat.parameters if p.name in chosen]
     index = np.array([flat.index_of(p.name) for p in rows], dtype=int)
     limits = [bounds.get(p.name, p.bounds) for p in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from .answer import explains
 from .descent import Task, descend
 from .least_squares import Minimum
 from .valley import BLIND, TROUBLE, along_the_valleys
-from .weighing import WORTH_IT, Weighed, broadly_weighed, misses, score, weighed_by_residual
+from .weighing import WORTH_IT, Weighed, broadly_weighed, misses, runs_of, score, weighed_by_residual
 
 SPREAD = 0.35  # of the other starts, in ln p or relative to p
 LAST = 1e-6  # of the unexplained cost, what a free run need not gain ...
@@ -105,7 +106,9 @@ def _explored(task: Task, latest: Minimum, found: Sequence[Minimum]) -> tuple[li
 
 def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: Minimum) -> Weighed:
     """The best of several starts under weights from what is left; the task itself once a start reaches the noise."""
-    best = weighed_by_residual(task, first, adaptable, effort.iterations)
+    best = Weighed(task, first, score(task, first))
+    with contextlib.suppress(SolveError):
+        best = weighed_by_residual(task, first, adaptable, effort.iterations)
     broad = broadly_weighed(task, adaptable)
     for number, q in enumerate([task.free.scaled(task.free.start), *_others(task, effort.starts)]):
         if number + 1 >= max(effort.starts, 2):
@@ -125,10 +128,16 @@ def _by_what_is_left(task: Task, effort: Effort, adaptable: np.ndarray, first: M
 
 
 def _descent(task: Task, effort: Effort, q: np.ndarray, relative: float = LAST, thorough: bool = True) -> Minimum:
+    """Where a start leads. Raises SolveError where that is nowhere: it costs itself only."""
     lengths = effort.windows
     if lengths is None:
         lengths = horizon.horizons(task.flat, task.recordings, task.free.vector(q))
-    return descend(task, q, lengths, effort.iterations, relative, thorough)
+    try:
+        found = descend(task, q, lengths, effort.iterations, relative, thorough)
+    except np.linalg.LinAlgError as error:
+        raise SolveError(f"identify: the derivatives of {task.flat.name} allow no step ({error}).") from None
+    runs_of(task, found)
+    return found
 
 
 def _others(task: Task, starts: int) -> Iterator[np.ndarray]:

@@ -25,6 +25,7 @@ WEAK_PRIOR = 0.1  # per state nominal: an unmeasured start state may move by ten
 PIECE = 1000  # samples of a run whose Jacobian is worked on at once
 NOTHING = 1e-60  # derivatives below this, in any unit, have decayed
 WORTH_THREADS = 100  # samples of a segment: threads wait for each other between shorter ones
+EXPLODED = np.finfo(float).eps ** -2  # squared derivative in sigmas: rounding of a parameter alone moves a run by one
 DIVERGED = 100.0  # a segment this many times worse than predicting the mean has diverged
 
 
@@ -189,7 +190,8 @@ class Shooting:
         if not np.isfinite(dy).all():
             return None
         r, here = self._weighted(i, y), self._measured[i]
-        return *_picked(here, r, dy[-len(r) :] * (self.weights[:, None] * scale)), dy
+        left, moved = _picked(here, r, dy[-len(r) :] * (self.weights[:, None] * scale))
+        return (left, moved, dy) if _has_not_exploded(np.square(moved).sum(axis=0)) else None
 
     def _weighted(self, i: int, y: np.ndarray) -> np.ndarray:
         segment = self.segments[i]
@@ -309,7 +311,7 @@ class Shooting:
         """A segment's expansion with what is known of its start; of one that diverged the limit and no derivative."""
         known, by_z, curvature = self._start_prior(i, z)
         cost = cost + known
-        if not (cost < self._limits[i] and np.isfinite(hessian).all()):
+        if not (cost < self._limits[i] and _has_not_exploded(hessian)):
             return self._limits[i], True, np.zeros(len(gradient)), np.zeros(hessian.shape)
         if self.locals:
             own = np.arange(len(gradient) - self.locals, len(gradient))
@@ -369,6 +371,11 @@ class Shooting:
         with ThreadPoolExecutor(self.threads) as pool:
             parts = np.array_split(every, min(len(every), 4 * self.threads))
             return [row for rows in pool.map(work, parts) for row in rows]
+
+
+def _has_not_exploded(information: np.ndarray) -> bool:
+    """Whether derivatives say anything: they are finite, and not so large that no double precision could follow."""
+    return bool(np.all(np.abs(information) < EXPLODED))  # nan is not
 
 
 def _picked(here: np.ndarray, r: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

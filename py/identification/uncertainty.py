@@ -31,6 +31,22 @@ class Uncertainty:
     undetermined: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Weighted errors of the runs by recording: the size (m,) of those of the solver, draws (m,) of any other."""
+
+    sizes: Sequence[np.ndarray]
+    draws: Sequence[Sequence[np.ndarray]] = ()
+
+    def meat(self, jacobians: Sequence[np.ndarray]) -> np.ndarray:
+        """What they add to the covariance of the scores. (np, np)"""
+        total = sum((J * size[:, None]).T @ (J * size[:, None]) for J, size in zip(jacobians, self.sizes, strict=True))
+        for draw in self.draws:
+            for J, error in zip(jacobians, draw, strict=True):
+                total = total + np.outer(J.T @ error, J.T @ error) / len(self.draws)
+        return total
+
+
 def without_starts(J: np.ndarray, shared: int) -> np.ndarray:
     """Columns of the shared parameters (m, shared) after the private columns have explained what they can."""
     if J.shape[1] == shared:
@@ -42,10 +58,11 @@ def without_starts(J: np.ndarray, shared: int) -> np.ndarray:
 
 
 def uncertainty(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray], samples: Sequence[np.ndarray],
-                at_bound: np.ndarray) -> Uncertainty:  # fmt: skip
+                at_bound: np.ndarray, errors: Errors | None = None) -> Uncertainty:  # fmt: skip
     """Covariances from weighted residuals (m,) and projected Jacobians (m, np) of each recording.
 
     ``samples`` (m,) tells which residuals share a sample instant. Parameters at a bound are taken as known.
+    ``errors`` : of the runs themselves, which parameters absorb before a residual shows them.
     """
     information = sum(J.T @ J for J in jacobians)
     n = sum(len(r) for r in residuals)
@@ -53,6 +70,7 @@ def uncertainty(residuals: Sequence[np.ndarray], jacobians: Sequence[np.ndarray]
     white, undetermined = _inverse(information, inside)
     inflation = n / max(n - int(inside.sum()), 1)
     meat = inflation * sum(_meat(_scores(r, J, s)) for r, J, s in zip(residuals, jacobians, samples, strict=True))
+    meat = meat + (errors.meat(jacobians) if errors else 0.0)
     usable = inside & ~undetermined
     bread = np.where(np.outer(usable, usable), np.nan_to_num(white), 0.0)
     sandwich = np.where(np.outer(usable, usable), bread @ meat @ bread, np.nan)

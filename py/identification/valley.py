@@ -20,7 +20,7 @@ from scipy.special import chdtri, ndtri
 from hydrotwin.models.language.errors import SolveError
 
 from . import horizon
-from .descent import Task, whole_runs
+from .descent import Task, undecided, whole_runs
 from .least_squares import Minimum, minimise
 from .shooting import Shooting
 
@@ -42,7 +42,7 @@ def along_the_valleys(
     """``found`` or what is lower, after it other minima that explain the recordings as well; whether it has settled."""
     if longest_axis(found) < LONG:
         return [found], found.iterations < TROUBLE
-    shooting, _ = whole_runs(task)
+    shooting, _ = whole_runs(undecided(task))
     minima, since = [found], found.cost
     for number in range(rounds):
         for periods in averaged:

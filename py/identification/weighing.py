@@ -15,7 +15,9 @@ import dataclasses
 
 import numpy as np
 
-from .descent import Task, whole_runs
+from hydrotwin.models.language.errors import SolveError
+
+from .descent import Task, undecided, whole_runs
 from .least_squares import Minimum, minimise
 from .noise import weights
 
@@ -39,10 +41,28 @@ class Weighed:
 def left_over(task: Task, found: Minimum) -> np.ndarray:
     """RMSE of every output over the training recordings at a minimum of free runs, SI; nan where not measured.
 
-    Under a robust loss, the root of the mean loss: outliers count there as little as in the fit.
+    Under a robust loss, the root of the mean loss: outliers count there as little as in the fit. Recordings that
+    diverge are not counted. Raises SolveError when all do.
     """
-    shooting, _ = whole_runs(task)
+    return _left_over(task, runs_of(task, found))
+
+
+def runs_of(task: Task, found: Minimum) -> list[np.ndarray | None]:
+    """Weighted residuals of every training recording, integrated as the minimum asks; None where a run diverges.
+
+    Raises SolveError when all do.
+    """
+    shooting, _ = whole_runs(undecided(task))
     runs = [shooting.residuals(i, found.q, found.z[i]) for i in range(len(task.recordings))]
+    if all(run is None for run in runs):
+        raise SolveError(
+            f"identify: every run of {task.flat.name} diverges where the fit ended. Start elsewhere, or free fewer "
+            "parameters."
+        )
+    return runs
+
+
+def _left_over(task: Task, runs: list[np.ndarray | None]) -> np.ndarray:
     left = np.full(len(task.weights), np.nan)
     for j in np.flatnonzero(task.weights > 0):
         r = np.concatenate([run[:, j][np.isfinite(run[:, j])] for run in runs if run is not None])
@@ -64,7 +84,7 @@ def weighed_by_residual(task: Task, found: Minimum, adaptable: np.ndarray, most:
     size = _sizes(task, found, adaptable)
     for _ in range(ROUNDS):
         task = dataclasses.replace(task, weights=weights(size))
-        shooting, _ = whole_runs(task)
+        shooting, _ = whole_runs(undecided(task))
         task.report("free run, weighed by what is left", 0, np.nan)
         on_step = task.step_report("weighed free run")
         found = minimise(shooting, found.q, found.z, **COLOURED, most=most, on_step=on_step)
@@ -82,8 +102,10 @@ def score(task: Task, found: Minimum) -> float:
 
 
 def misses(task: Task, found: Minimum) -> np.ndarray:
-    """What is left of each output over its noise, (ny,); 0 where not measured."""
-    return np.nan_to_num(left_over(task, found) / task.noise)
+    """What is left of each output over its noise, (ny,); 0 where not measured, infinite where a recording diverges."""
+    runs = runs_of(task, found)
+    ratio = np.nan_to_num(_left_over(task, runs) / task.noise)
+    return np.where((task.weights > 0) & any(run is None for run in runs), np.inf, ratio)
 
 
 def _sizes(task: Task, found: Minimum, adaptable: np.ndarray) -> np.ndarray:

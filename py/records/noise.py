@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+
+from hydrotwin.models.language.units import parse_unit
 
 from .record import Record
 
@@ -12,6 +15,11 @@ _BLOCK = 64  # differences per block
 _MEDIAN = 0.4549  # of a squared normal variable
 _CONTAMINATED = 0.6  # median over mean below this: some differences are no noise
 _OUTLYING = 16.0  # variances: beyond four sigmas
+_MOST_DIGITS, _MOST_DECIMALS = 8, 12  # significant ones, and of the largest value: finer rounding nobody sees
+_ON_GRID, _ROUNDING = 1e-6, 4e-15  # of a step, and of a value: how near to a multiple of its step it must be ...
+_OF_VALUES, _CERTAIN = 0.95, 1e-2  # ... for so many of the values; of a step: what double precision must tell apart
+_FEWEST_LEVELS, _LOOKED_AT = 20, 4000  # different values that show their digits; samples that are looked at
+_WRITTEN_IN = ("m", "deg", "rpm", "rev", "psi", "L/min", "gpm", "h", "in", "ft", "lbf", "kgf")  # up to powers of ten
 _CORRELATION = 2.626  # sum over all lags of the squared autocorrelation of 4th differences of white noise
 
 
@@ -19,8 +27,8 @@ _CORRELATION = 2.626  # sum over all lags of the squared autocorrelation of 4th 
 class NoiseFloor:
     """Standard deviation of the noise of one channel, SI: ``sigma = sqrt(white^2 + quantum^2 / 12)``.
 
-    ``white`` is what 4th differences see beyond rounding, ``quantum`` the step of the sensor or converter (0: none
-    found). A channel that never moves has sigma 0.
+    ``white`` is what 4th differences see beyond rounding, ``quantum`` the step of the sensor, the converter or the
+    digits that were written (0: none found). A channel that never moves has sigma 0.
     """
 
     sigma: float
@@ -41,7 +49,8 @@ def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
     lower quartile over the blocks, corrected for the quartile of a pure noise record, ignores up to three quarters of
     blocks with fast motion; the mean of the blocks that it makes plausible is the answer. Where steps of the signal
     stand in every block, the median tells, and what lies beyond four sigmas is left out.
-    Rounding to a step q adds q^2/12, which the differences do not see where the signal rests.
+    Rounding to a step q adds q^2/12, which the differences do not see where the signal rests, or is so small that a
+    few digits say it finely.
 
     Valid for noise that is white at the sampling rate; noise that a filter has smoothed is underestimated.
     Source: Gasser, Sroka, Jennen-Steinmetz, Biometrika 73 (1986) 625-633 (difference-based variance); Widrow, Kollar,
@@ -49,12 +58,60 @@ def channel_noise(time: np.ndarray, values: np.ndarray) -> NoiseFloor:
     """
     known = np.isfinite(values)
     time, values = np.asarray(time)[known], np.asarray(values)[known]
-    q = quantisation_step(values)
+    q = recorded_step(values)
     if len(values) < 6:
         return NoiseFloor(float(q / np.sqrt(12)), 0.0, q)
     seen = _quiet_variance(_fourth_differences(time, values) ** 2)
     white = max(seen - q**2 / 12, 0.0)
     return NoiseFloor(float(np.sqrt(white + q**2 / 12)), float(np.sqrt(white)), q)
+
+
+def recorded_step(values: np.ndarray) -> float:
+    """The step in which finite values (n,) were recorded, of the sensor or of the digits written; 0: none found.
+
+    The step of a number of significant digits grows with the value: then it is the root mean square over the samples.
+    """
+    return max(quantisation_step(values), _step_of_digits(np.asarray(values, dtype=float)))
+
+
+def _step_of_digits(values: np.ndarray) -> float:
+    """Root mean square of the step of the last digit, in whatever unit the values were written; 0: too many digits."""
+    values = np.abs(values[:: max(1, len(values) // _LOOKED_AT)])
+    values = values[values > 0]
+    levels = np.unique(values)
+    if len(levels) < _FEWEST_LEVELS:
+        return 0.0
+    coarsest = 0.0
+    for unit in _mantissas():  # an inch is a rounder number of inches than of metres
+        digits = _coarsest(levels / unit, _decade(levels / unit), _MOST_DIGITS)
+        decimals = _coarsest(levels / unit, _decade(levels[-1:] / unit), _MOST_DECIMALS)
+        steps = np.maximum(digits * _decade(values / unit), decimals * _decade(levels[-1:] / unit))
+        coarsest = max(coarsest, float(unit * np.sqrt(np.mean(steps**2))))
+    return coarsest
+
+
+def _decade(written: np.ndarray) -> np.ndarray:
+    return 10.0 ** np.floor(np.log10(written))
+
+
+def _coarsest(written: np.ndarray, decade: np.ndarray, most: int) -> float:
+    """The largest power of ten, as a part of the decade, of which nearly all values are multiples; 0: none."""
+    found = 0.0
+    for k in range(most - 1, -1, -1):
+        multiple = written / (decade * 10.0**-k)
+        tolerance = _ON_GRID + _ROUNDING * multiple
+        off = np.abs(multiple - np.round(multiple))
+        if np.mean((off < tolerance) & (tolerance < _CERTAIN)) < _OF_VALUES:
+            break
+        found = 10.0**-k
+    return found
+
+
+@cache
+def _mantissas() -> tuple[float, ...]:
+    """What one of each unit is in SI, powers of ten apart."""
+    factors = [parse_unit(unit).factor for unit in _WRITTEN_IN]
+    return tuple(factor / 10.0 ** np.floor(np.log10(factor)) for factor in factors)
 
 
 def quantisation_step(values: np.ndarray) -> float:

@@ -416,3 +416,10 @@ def test_a_table_in_a_pipe_breaks_no_name(here):
     assert answer.returncode == 0, answer.stderr
     (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass  second instance"))
     assert line.rstrip().endswith("bit by bit")
+
+
+def test_identify_takes_bounds_a_step_and_a_method(here, tmp_path):
+    limits = ["--free", "motor.gain", "--bounds", "motor.gain=119.9:125", "--step", "2e-3", "--method", "explicit"]
+    run = hydrotwin("identify", "cehA", "train_1.csv", "--out", tmp_path / "m.toml", "--starts", "1", "--json", *limits)
+    (gain,) = json.loads(run.out)["parameters"]
+    assert gain["bounds"] == [119.9, 125.0] and 119.9 <= gain["value"] <= 125.0

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydrotwin.models.language.units import parse_unit
 from hydrotwin.records import Record, noise_floor
-from hydrotwin.records.noise import channel_noise, quantisation_step
+from hydrotwin.records.noise import channel_noise, quantisation_step, recorded_step
 
 T = np.arange(8000) * 0.005
 
@@ -107,3 +108,35 @@ def test_samples_that_a_slow_sensor_lacks_are_left_out():
     slow = np.where(np.arange(len(time)) % 10, np.nan, values)
     assert channel_noise(time, slow) == channel_noise(time[::10], values[::10])
     assert channel_noise(time, np.full(len(time), np.nan)).sigma == 0.0
+
+
+def significant(values, digits):
+    return np.array([float(f"{v:.{digits - 1}e}") for v in values])
+
+
+@pytest.mark.parametrize("unit", ["m", "mm", "in", "deg", "rpm", "bar", "psi", "L/min"])
+@pytest.mark.parametrize("digits", [3, 4, 6])
+def test_significant_digits_are_found_in_whatever_unit_they_were_written(unit, digits):
+    factor = parse_unit(unit).factor
+    motion = 12.3 * arm_motion(T[::4])
+    written = significant(motion, digits)
+    found = channel_noise(T[::4], written * factor)
+    assert found.sigma == pytest.approx(factor * np.std(written - motion), rel=0.1)
+
+
+@pytest.mark.parametrize("decimals", [1, 2, 4])
+def test_a_fixed_number_of_decimals_is_a_step(decimals):
+    found = channel_noise(T, np.round(12.3 * arm_motion(T), decimals) * 1e5)
+    assert found.quantum == pytest.approx(10.0 ** (5 - decimals), rel=1e-6)
+
+
+def test_digits_of_a_small_signal_on_a_large_offset_are_found():
+    signal = 1e7 + 3e3 * arm_motion(T)
+    assert recorded_step(significant(signal, 6)) == pytest.approx(100.0, rel=0.3)
+    assert recorded_step(np.float32(signal).astype(float)) == pytest.approx(1.0)
+
+
+def test_full_precision_has_no_step():
+    assert recorded_step(arm_motion(T)) == 0.0
+    assert recorded_step(1e7 + 3e3 * arm_motion(T)) == 0.0
+    assert recorded_step(np.zeros(100)) == 0.0

@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.records import Record, require
 
@@ -60,9 +61,16 @@ def identify(
     weights: Annotated[
         str, typer.Option(help="noise, residual (what the model leaves), or auto: residual where noise is out of reach")
     ] = "auto",
-    loss: Annotated[str, typer.Option(help="linear, soft_l1 or huber")] = "linear",
+    loss: Annotated[
+        str, typer.Option(help="linear, soft_l1, huber, or auto: linear, without samples that stand alone")
+    ] = "auto",
     initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
     starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
+    bounds: Annotated[
+        list[str] | None, typer.Option("--bounds", metavar="PATH=LOW:HIGH", help="limits of a free parameter, SI")
+    ] = None,
+    step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
+    method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
     missing: MissingOption = "error",
     scale: ScaleOption = None,
@@ -90,6 +98,7 @@ def identify(
         fit = identify(
             thing, train, free=free, validate=judged, outputs=fit_outputs, noise=settings_from(noise, "--noise"),
             weights=weights, loss=loss, initial_states=initial_states, starts=starts,
+            bounds=bounds_from(bounds), step=step, method=method,
             progress=None if as_json else told,
         )  # fmt: skip
     write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged), thing.additions)
@@ -110,6 +119,23 @@ def identify(
     print_fit(fit, output)
     if ".py:" in model:
         out.print(f"Use it with its code: {origin(model)}@{output}")
+
+
+def bounds_from(limits: list[str] | None) -> dict[str, tuple[float, float]]:
+    """The ``load.mass=50:200`` of --bounds as a dictionary. Raises DeclarationError."""
+    found = {}
+    for limit in limits or []:
+        path, _, pair = limit.partition("=")
+        low, colon, high = pair.partition(":")
+        try:
+            found[path] = (float(low), float(high))
+        except ValueError:
+            colon = ""
+        if not (path and colon and found[path][0] < found[path][1]):
+            raise DeclarationError(
+                f"--bounds {limit}: no 'path=low:high' (SI, low below high). Write for example load.mass=50:200."
+            )
+    return found
 
 
 def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
@@ -154,7 +180,7 @@ def fit_answer(fit) -> dict:
 def print_fit(fit, path: Path) -> None:
     """The fit for a reader."""
     rows = [
-        [p.name, float(p.start), float(p.value), f"± {p.sigma:.2g}", p.unit, "at its bound" if p.at_bound else ""]
+        [p.name, float(p.start), float(p.value), _plus_minus(p.sigma), p.unit, "at its bound" if p.at_bound else ""]
         for p in fit.parameters
     ]
     table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
@@ -173,6 +199,10 @@ def print_fit(fit, path: Path) -> None:
     if unexplained:
         mark(out, "note", f"not explained: {', '.join(unexplained)}. Look for a missing effect, or free more.")
     out.print(f"chi-square per sample {fit.chi2_per_dof:.3f}, {fit.seconds:.1f} s. Written: {path}")
+
+
+def _plus_minus(sigma: float) -> str:
+    return f"± {sigma:.2g}" if math.isfinite(sigma) else "unknown"
 
 
 def friction(

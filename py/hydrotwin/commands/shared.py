@@ -37,8 +37,9 @@ JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-read
 
 WIDE = 160  # columns of a table that goes into a file or a pipe
 
-out = Console(soft_wrap=True, highlight=False, markup=False)  # no markup: names and units may stand in [brackets]
-err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False)
+PLAIN = {"highlight": False, "markup": False, "emoji": False}  # units may stand in [brackets], numbers between :100:
+out = Console(soft_wrap=True, **PLAIN)
+err = Console(stderr=True, soft_wrap=True, **PLAIN)
 
 
 def examples(*lines: str) -> str:
@@ -128,7 +129,7 @@ def table(title: str, columns: list[str], rows: list[list]) -> None:
         shown.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
         shown.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell) for cell in row))
-    wide = Console(file=out.file, width=max(out.width, WIDE), highlight=False, markup=False)
+    wide = Console(file=out.file, width=max(out.width, WIDE), **PLAIN)
     (out if out.is_terminal else wide).print(shown)
 
 

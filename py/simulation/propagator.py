@@ -283,7 +283,7 @@ class Propagator:
         name = flat.name
         if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time[[0, -1]]).all() and (time[1:] > time[:-1]).all()):
             raise SolveError(f"{name}: the time must be finite and rising (n,). Sort it and drop repeated samples.")
-        steps_over(time[-1] - time[0], self._longest(), name)
+        steps_over(time[-1] - time[0], self.step, name)
         u = _shaped("u", np.reshape(u, (len(time), -1)) if np.ndim(u) < 2 else u, (len(time), len(flat.inputs)), name)
         if not np.isfinite(u).all():
             k, j = np.argwhere(~np.isfinite(u))[0]

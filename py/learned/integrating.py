@@ -92,32 +92,35 @@ def integration(
 ) -> list[Integration]:
     """For every output, the free-run errors of its level and of its rate on parts of the recordings held out in turn.
 
+    Each form looks back as far as suits it best: slow ramps tell nothing of many delays, a dead time needs them.
+
     period : s between the samples that are looked at; None: `choose_period`. lags : how many of these the model that
     is to be learnt looks back.
     """
     period = max(period or choose_period(records), sum(r.duration for r in records) / MOST)
     even = [on_period(r, period, inputs) for r in records]
     u, y = ([r.array([s.name for s in part]) for r in even] for part in (inputs, outputs))
-    kinks = kinks_of(u)
-    causes = [_causes(part, kinks, lags) for part in u]
-    parts = [
-        part
-        for columns, values in zip(causes, y, strict=True)
-        for part in parts_of(columns, np.cumsum(period * columns, axis=0) - period * columns, values)
-    ]
-    level = [_apart(parts, k, _level_miss) for k in range(len(parts))]
-    rate = [_apart(parts, k, _rate_miss) for k in range(len(parts))]
-    held = [_causes(np.repeat(row[None], 2, axis=0), kinks, lags)[-1] for row in np.vstack([kinks, *_ends(u)])]
-    moved = np.ptp(np.array(held) @ rate_fit(parts), axis=0) * max(r.duration for r in even)
-    moves = moved / np.maximum(np.ptp(np.concatenate(y), axis=0), 1e-300)
+    level, rate, moves = np.array([_both_forms(u, y, period, lags[:n]) for n in sorted({1, 4, len(lags)})]).swapaxes(
+        0, 1
+    )
+    best = rate.argmin(axis=0)
     return [
-        Integration(s, *map(float, found)) for s, *found in zip(outputs, _rms(level), _rms(rate), moves, strict=True)
+        Integration(s, float(level[:, j].min()), float(rate[best[j], j]), float(moves[best[j], j]))
+        for j, s in enumerate(outputs)
     ]
 
 
-def _ends(u: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """The least and the largest of every input."""
-    return [side(np.concatenate(u), axis=0)[None] for side in (np.min, np.max)]
+def _both_forms(u: Sequence[np.ndarray], y: Sequence[np.ndarray], period: float, lags: Sequence[int]):
+    """Errors of level and rate, and what the rate moves by at held inputs, (ny,) each, with these lags."""
+    kinks, every = kinks_of(u), np.concatenate(u)
+    parts = []
+    for inputs, outputs in zip(u, y, strict=True):
+        columns = _causes(inputs, kinks, lags)
+        parts += parts_of(columns, np.cumsum(period * columns, axis=0) - period * columns, outputs)
+    level, rate = ([_apart(parts, k, miss) for k in range(len(parts))] for miss in (_level_miss, _rate_miss))
+    held = [_causes(row[None], kinks, lags)[0] for row in np.vstack([every.min(axis=0), kinks, every.max(axis=0)])]
+    moved = np.ptp(np.array(held) @ rate_fit(parts), axis=0) * period * max(map(len, u))
+    return _rms(level), _rms(rate), moved / np.maximum(np.ptp(np.concatenate(y), axis=0), 1e-300)
 
 
 @dataclass(frozen=True, eq=False)

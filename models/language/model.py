@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -17,6 +19,8 @@ from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .units import compatible
 
+_KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
+
 
 class Model:
     """A component tree, its name, and the parameter values that differ from the declarations.
@@ -28,6 +32,7 @@ class Model:
     settings : ``{path: value}`` in SI, or ``{path: {...}}`` with value, unit, bounds, sigma, source, free.
     step : recommended fixed integration step [s].
     additions : parts added from outside, see `plus`.
+    inputs : what inputs do between samples where that is not as declared, see `with_inputs`.
 
     Raises
     ------
@@ -43,6 +48,7 @@ class Model:
         step: float = 1e-3,
         provenance: Mapping | None = None,
         additions: Iterable[Addition] = (),
+        inputs: Mapping[str, Mapping] = MappingProxyType({}),
     ):
         if not isinstance(root, Component):
             raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
@@ -52,6 +58,7 @@ class Model:
         self.step = step
         self.provenance = dict(provenance or {})
         self.additions = tuple(additions)
+        self.inputs_changed = {k: dict(v) for k, v in inputs.items()}
         self.settings = {
             k: dict(v) if isinstance(v, Mapping) else {"value": float(v)} for k, v in dict(settings).items()
         }
@@ -63,8 +70,9 @@ class Model:
         for path, change in settings.items():
             merged.setdefault(path, {}).update(change if isinstance(change, Mapping) else {"value": float(change)})
         other = Model(
-            self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions
-        )
+            self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
+            inputs=self.inputs_changed,
+        )  # fmt: skip
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
             other.__dict__["_functions"] = self._functions
@@ -74,17 +82,31 @@ class Model:
         """The same model with other parameter values (SI)."""
         return self.with_settings({k: float(v) for k, v in values.items()})
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:
+        """The same model whose inputs do something else between samples.
+
+        changes : by input, ``interpolation`` ("hold", "linear"), ``chosen_by``, ``why`` and ``shift`` [s], see `Signal`.
+
+        Raises DeclarationError for an unknown input or interpolation.
+        """
+        before, other = self.inputs_changed, copy.copy(self)
+        merged = {name: {**before.get(name, {}), **change} for name, change in changes.items()}
+        other.__dict__ = {**self.__dict__, "flat": self.flat.with_inputs(changes)}  # the equations are the same
+        other.inputs_changed = {**before, **merged}
+        return other
+
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance", "additions")}
+        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
+        other.additions = self.additions
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
 
     def plus(self, additions: Iterable[Addition]) -> Model:
         """The same model with further parts tied in, and further parameters free or held; see `Addition`."""
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
         other.additions = (*self.additions, *additions)
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
         wanted = {path for a in other.additions for path in a.holds}
@@ -190,7 +212,10 @@ class Model:
     def _input(self, entry) -> Signal:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)
-        return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default)
+        by = "model" if d.interpolation else None
+        held = d.interpolation or "hold"
+        signal = Signal(entry.path, entry.unit, d.description, d.nominal, held, dead_time, d.default, by)
+        return dataclasses.replace(signal, **self.inputs_changed.get(entry.path, {}))
 
     def _parameter(self, entry, follows: float | None = None) -> ParameterValue:
         d, change = entry.declaration, self.settings.get(entry.path, {})

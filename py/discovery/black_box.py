@@ -84,6 +84,8 @@ class Chain:
         values = {variable: of[state] for state, variable in flat.starts.items()}
         values |= {v: known[name] for name, v in flat.values.items() if known[name] != default[v]}
         fmu = dataclasses.replace(flat.fmu, starts={}, values={n: _unscaled(flat.fmu, n, v) for n, v in values.items()})
+        here = {"shift": 0.0} if self._front is None else {"shift": 0.0, "interpolation": "hold"}  # shaped: means
+        fmu = fmu.with_inputs({s.name: here for s in fmu.inputs})
         signals = {s.name: shaped[:, j] for j, s in enumerate(fmu.inputs)}
         run = fmu.free_run(Record(time, signals, {s.name: s.unit for s in fmu.inputs}, flat.name))
         return np.column_stack([run[s.name] for s in fmu.outputs])
@@ -186,7 +188,10 @@ def black_box(around: FlatModel, shaped: ca.Function, raw: list[int], fmu: Repea
     rates, y = around.ode(t, x, u, whole)
     silent = ca.SX.zeros(len(raw))
     labels = (["t", "x", "u", "p"], ["xdot", "y"])
-    inputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.inputs, fmu.inputs, strict=True))
+    inputs = tuple(
+        dataclasses.replace(f, dead_time=s.dead_time, default=s.default)
+        for s, f in zip(around.inputs, fmu.inputs, strict=True)
+    )
     outputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.outputs, fmu.outputs, strict=True))
     measured = tuple(Signal(f"{s.name} of the FMU", s.unit, "", s.nominal, "linear") for s in outputs)
     common = {"parameters": parameters, "step": around.step, "initialisation": Starts({})}

@@ -13,6 +13,7 @@ from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
+from hydrotwin.records.between import settled
 
 from .answering import answer
 from .base import identified
@@ -49,6 +50,7 @@ def discover(
     executor: str | Executor | None = None,
     progress: bool | Callable | None = None,
     memory=None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Discovery:
     """Name the physical effects that a model lacks, from recordings of the machine.
 
@@ -69,6 +71,7 @@ def discover(
         executor: where refits run, see `executor_for`.
         progress: True for a bar, or a function ``(stage, done, total, note)``.
         memory: a `Memory` of finished refits, to go on after an interruption.
+        interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
     diverges from every start).
@@ -82,13 +85,14 @@ def discover(
         return discover_around(
             model, records, validate=validate, free=free, effects=effects, exclude=exclude, max_effects=max_effects,
             initial_states=initial_states, outputs=outputs, noise=noise, step=step, executor=executor,
-            progress=progress, memory=memory,
+            progress=progress, memory=memory, interpolation=interpolation,
         )  # fmt: skip
     if not isinstance(model, Model):
         raise DeclarationError(
             f"gap: '{getattr(model, 'name', model)}' is no component model, so no effect can be added inside it. "
             "Wrap it, or compare it only: hydrotwin compare."
         )
+    model = settled(model, records, interpolation)
     flat = model.flat
     data = split(flat, records, validate, outputs, noise)
     if len(records) == 1 and initial_states == "auto":

@@ -14,6 +14,7 @@ from hydrotwin.export.reader import FmuBlock
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
+from hydrotwin.records.between import settled
 
 from .answering import answer
 from .base import identified
@@ -55,6 +56,7 @@ def discover_around(
     executor: str | Executor | None = None,
     progress: bool | Callable | None = None,
     memory=None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Discovery:
     """Name what stands between a machine and an FMU of it, from recordings of the machine.
 
@@ -64,7 +66,7 @@ def discover_around(
     SolveError where the FMU fails, crashes or hangs.
     """
     began = time.perf_counter()
-    model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
+    model = settled(fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu), records, interpolation)
     pieces, said, seconds = ready(model, records, validate, free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.models.language.flat import ParameterValue, Signal
+from hydrotwin.models.language.flat import ParameterValue, Signal, changed
 from hydrotwin.records import Record, require
+from hydrotwin.records.between import settled, told
+from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
@@ -41,6 +43,10 @@ class FmuBlock:
     kind: str = "fmu"
     provenance: dict = field(default_factory=dict)
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> FmuBlock:
+        """The same FMU whose inputs do something else between samples, see `changed`."""
+        return replace(self, inputs=changed(self.inputs, changes, self.name))
+
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
@@ -49,6 +55,7 @@ class FmuBlock:
 
         Raises DataError or UnitError when the record lacks an input, SolveError when the FMU fails, crashes or hangs.
         """
+        self = settled(self, [record])
         period = self.description.period
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
@@ -78,7 +85,7 @@ class FmuBlock:
                 f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
-        job, arrays = self._job("restart", record, record)
+        job, arrays = settled(self, [record])._job("restart", record, record)
         pairs = {p: o for p, o in self.starts.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self._to_fmu(p, record[o]) for p, o in pairs.items()]
@@ -96,7 +103,7 @@ class FmuBlock:
         self._check_time_axis(record)
         require(record, self.inputs, self.name)
         of = self.description.fmu_names
-        columns = [self._to_fmu(of[s.name], record[s.name]) for s in self.inputs]
+        columns = [self._to_fmu(of[s.name], as_seen(s, record.time, record[s.name])) for s in self.inputs]
         job = {
             "task": task,
             "path": self.path,
@@ -137,7 +144,7 @@ def read_fmu(
     units: Mapping[str, str] = MappingProxyType({}),
     starts: Mapping[str, str] = MappingProxyType({}),
     values: Mapping[str, float] = MappingProxyType({}),
-    interpolation: str = "hold",
+    interpolation: str | Mapping[str, str] | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> FmuBlock:
     """Any FMU of FMI 2.0 or 3.0, Co-Simulation (preferred) or Model Exchange, as a contender.
@@ -146,7 +153,8 @@ def read_fmu(
     units : FMU variable -> unit, for FMUs that give none or a wrong one.
     starts : start parameter -> record name of the output it takes its value from; an FMU of hydrotwin brings its own.
     values : variables to set before initialization, in the FMU's units.
-    interpolation : what the inputs do between samples, "hold" or "linear".
+    interpolation : what the inputs do between samples, "hold" or "linear", for all or by name in the records; what is not
+        named the recordings show.
 
     Nothing of the FMU's code runs here: it runs in a child process with ``time_limit`` [s] at each free run.
     Raises DataError for a file that is not an FMU, DeclarationError for unknown variables.
@@ -158,14 +166,17 @@ def read_fmu(
             raise DeclarationError(f"{path}: no variable '{variable}'. {nearest(variable, known)}")
     md = description.source
     _check_settable(path, md, (*starts, *values))
-    return FmuBlock(
+    block = FmuBlock(
         name=name or md.modelName, path=str(Path(path).absolute()),
-        inputs=tuple(_signal(v, description, interpolation) for v in inputs_of(md)),
-        outputs=tuple(_signal(v, description, interpolation) for v in outputs_of(md)),
+        inputs=tuple(_signal(v, description) for v in inputs_of(md)),
+        outputs=tuple(_signal(v, description) for v in outputs_of(md)),
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
         description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
         provenance=_provenance(md, description),
     )  # fmt: skip
+    if isinstance(interpolation, str):
+        interpolation = {s.name: interpolation for s in block.inputs if s.chosen_by is None}
+    return block.with_inputs(told(block.inputs, interpolation or {}, str(path)))
 
 
 def _check_settable(path, md, names) -> None:
@@ -180,12 +191,12 @@ def _check_settable(path, md, names) -> None:
             )
 
 
-def _signal(variable, description: Description, interpolation: str) -> Signal:
+def _signal(variable, description: Description) -> Signal:
     factor, _ = description.scales[variable.name]
     nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
-        interpolation if variable.type in FLOATS else "hold",
+        chosen_by=None if variable.type in FLOATS else "model",
     )  # fmt: skip
 
 

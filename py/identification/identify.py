@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.records import distinct
+from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 
 from .answer import answer
@@ -45,6 +46,7 @@ def identify(
     iterations: int = 60,
     threads: int | None = None,
     progress: bool | Callable | None = None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Fit:
     """Fit free parameters so that the free runs of the model meet the recordings.
 
@@ -70,14 +72,16 @@ def identify(
         windows: lengths [s] of the shooting windows, () for free runs alone, None to choose from the model's modes.
         step, method: of the simulation, see `hydrotwin.simulation.prepare`.
         progress: True for a bar, or a function ``(stage, iteration, cost)``.
+        interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
 
     Raises DeclarationError (unknown or unusable parameter, bounds, option), DataError (recordings that cannot be
     used), SolveError (every start diverges).
     """
     began = time.perf_counter()
-    flat = getattr(model, "flat", model)
     if not len(records):
-        raise DataError(f"identify: no recording to fit {flat.name} to. Give at least one.")
+        raise DataError(f"identify: no recording to fit {model.name} to. Give at least one.")
+    model = settled(model, records, interpolation)
+    flat = getattr(model, "flat", model)
     if starts < 1:
         raise DeclarationError(f"identify: starts must be at least 1 (got {starts}).")
     if weights not in WEIGHTS:

@@ -10,9 +10,11 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Record, require
+from hydrotwin.records.between import settled
 
 from . import sampled
 from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
+from .inputs import as_seen
 from .propagator import prepare
 
 
@@ -24,6 +26,7 @@ def simulate(
     start: Mapping[str, float] | None = None,
     step: float | None = None,
     method: str = "auto",
+    interpolation: Mapping[str, str] | None = None,
 ) -> Record:
     """Outputs of a model or Block at ``record.time``, driven by the inputs in the record. Its time is 0 as they begin.
 
@@ -33,10 +36,12 @@ def simulate(
     ``training_distance`` (box widths outside, 0 inside) and ``inside_training_domain`` (1 or 0).
 
     parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
+    interpolation : "hold" or "linear" by input, in place of what the model says or the recording shows.
 
     Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
     """
     _filled(record, model)
+    model = settled(model, [record], interpolation)
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
@@ -61,6 +66,7 @@ def predict_one_step(
     states are those of the free run. The first sample is that of the free run.
     """
     _filled(record, model)
+    model = settled(model, [record])
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
@@ -125,7 +131,7 @@ def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
                 f"are not finite, the first at t = {record.time[np.argmax(gaps)]:g} s). {system.name} needs every "
                 "sample of its inputs. Fill them, or take the part without (Record.window)."
             )
-    return u
+    return np.column_stack([as_seen(s, record.time, c) for s, c in zip(system.inputs, u.T, strict=True)]) if u.size else u
 
 
 def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:

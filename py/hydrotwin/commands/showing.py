@@ -12,9 +12,11 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import write_record
+from hydrotwin.records.between import between, settled
 
 from ..loading import load
 from .shared import (
+    InterpolationOption,
     JsonOption,
     MissingOption,
     ModelArgument,
@@ -23,12 +25,14 @@ from .shared import (
     check_folder,
     err,
     examples,
+    interpolation_from,
     mark,
     out,
     print_json,
     read_all,
     settings_from,
     table,
+    tell_between,
     tell_ignored,
 )
 
@@ -63,6 +67,7 @@ def simulate(
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     scale: ScaleOption = None,
     missing: MissingOption = "error",
+    interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
@@ -72,7 +77,7 @@ def simulate(
     if output:
         check_file(output, *RECORDINGS, sources=[input])
     (record,) = read_all([input], scale, missing)
-    thing = load(model)
+    thing = settled(load(model), [record], interpolation_from(interpolation))
     settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
@@ -87,6 +92,7 @@ def simulate(
     contender = as_contender(thing)
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
+    tell_between(contender.inputs)
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
@@ -99,7 +105,8 @@ def simulate(
         write_record(result, output)
     if as_json:
         keys = ("output", "unit", "minimum", "maximum", "rmse")
-        print_json({"model": contender.name, "outputs": [dict(zip(keys, row, strict=True)) for row in rows]})
+        outputs = [dict(zip(keys, row, strict=True)) for row in rows]
+        print_json({"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs})
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)
     if output:

@@ -85,7 +85,7 @@ class Model:
     def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:
         """The same model whose inputs do something else between samples.
 
-        changes : by input, ``interpolation`` ("hold", "linear"), ``chosen_by``, ``why`` and ``shift`` [s], see `Signal`.
+        changes : by input ``interpolation`` ("hold", "linear"), ``chosen_by``, ``why``, ``shift`` [s]; see `Signal`.
 
         Raises DeclarationError for an unknown input or interpolation.
         """

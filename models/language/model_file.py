@@ -86,7 +86,7 @@ def _input(name: str, row, path: Path) -> dict:
     for key, value in row.items():
         if key not in _INPUT:
             raise DataError(f"{path}: input '{name}' has an unknown key '{key}'. {nearest(key, _INPUT)}")
-        if key == "shift" and (isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value)):
+        if key == "shift" and not (type(value) in (int, float) and np.isfinite(value)):
             raise DataError(f"{path}: input '{name}': 'shift' is no number of seconds (got {value!r}). Correct it.")
         if key != "shift" and not isinstance(value, str):
             raise DataError(f"{path}: input '{name}': '{key}' is no text (got {value!r}). Put it in quotes.")

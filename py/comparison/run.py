@@ -207,9 +207,9 @@ def _timing(key: tuple[str, str], values: list[float]) -> Timing:
 
 def _settled(contenders: Sequence[Contender], records: Sequence[Record], wanted: Mapping[str, str]) -> list[Contender]:
     """The contenders with their inputs decided for all recordings together: one rule for what they share."""
-    known = [s for c in contenders for s in c.inputs]
-    told(known, wanted, "none of the models")
-    return [settled(c, records, {n: k for n, k in wanted.items() if n in {s.name for s in c.inputs}}) for c in contenders]
+    told([s for c in contenders for s in c.inputs], wanted, "none of the models")
+    own = [{s.name: wanted[s.name] for s in c.inputs if s.name in wanted} for c in contenders]
+    return [settled(c, records, some) for c, some in zip(contenders, own, strict=True)]
 
 
 def _entrant(contender) -> Entrant:

@@ -16,7 +16,8 @@ from .loop import Loop, in_loop, read_loop
 from .run import compare
 
 HOLD_LAST = "hold_last"
-KEYS = ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale", "missing", "interpolation", "loop")
+OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "interpolation", "loop")
+KEYS = ("title", "models", "validate", "train", *OPTIONS)
 _FILES = (".toml", ".fmu", ".npz")
 
 
@@ -33,8 +34,9 @@ class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
     ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading and ``missing`` what
-    empty cells mean (see `read_record`), ``interpolation`` "hold" or "linear" by input, ``base`` the folder that relative paths start from. With ``loop`` every model
-    runs under the same controller and follows the recorded reference.
+    empty cells mean (see `read_record`), ``interpolation`` "hold" or "linear" by input, ``base`` the folder that
+    relative paths start from. With ``loop`` every model runs under the same controller and follows the recorded
+    reference.
     """
 
     title: str

@@ -19,7 +19,7 @@ import numpy as np
 
 from hydrotwin.export.repeated import RepeatedFmu
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable
+from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable, changed
 from hydrotwin.records import Record
 from hydrotwin.simulation import prepare
 
@@ -49,6 +49,12 @@ class BlackBox(FlatModel):
     from_raw: tuple[int, ...] = ()
     starts: Mapping[str, str] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> BlackBox:
+        """The same whose inputs do something else between samples, on their way to the FMU and inside it."""
+        parts = {name: getattr(self, name) for name in ("fmu", "front", "back")}
+        changed_parts = {name: part.with_inputs(changes) for name, part in parts.items() if part is not None}
+        return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name), **changed_parts)
 
     def prepared(self, free_parameters, free_states, step: float, method: str) -> Chain:
         """What runs it; see `hydrotwin.simulation.prepare`."""

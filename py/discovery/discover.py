@@ -15,14 +15,15 @@ from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
 from hydrotwin.records.between import settled
 
-from .answering import answer
+from .answering import Found, answer
+from .assumed import fairly, with_assumptions
 from .base import identified
 from .confirm import confirmed
 from .discovery import Discovery
 from .executor import Starts, cores_of, executor_for
 from .forward import begun, searched
 from .progress import reporting
-from .recordings import split
+from .recordings import Split, split
 from .refit import Led, Question, Refitted, conclude
 from .resume import recalled
 from .search import Search
@@ -93,24 +94,29 @@ def discover(
             "Wrap it, or compare it only: hydrotwin compare."
         )
     model = settled(model, records, interpolation)
-    flat = model.flat
-    data = split(flat, records, validate, outputs, noise)
     if len(records) == 1 and initial_states == "auto":
         initial_states = "free"  # the pieces of a lone recording begin in motion
-    names = _free_names(flat, free)
-    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(flat, names))
-    bounded = _bounded(model, names)
-    flat = bounded.flat
-    with reporting(progress, flat.name) as report, executor_for(executor) as pool:
+    names = _free_names(model.flat, free)
+    told = tuple(n.name in (noise or {}) for n in model.flat.outputs)
+    with reporting(progress, model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory, cores_of(pool))
-        report("identify the base", 0, 1, "")
-        told = tuple(n.name in (noise or {}) for n in flat.outputs)
-        search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
-        base = _or_refused(identified(search, search.models_ahead()))
-        found = searched(search, begun(search, Structure((), base)), max_effects)
+
+        def begin(model: Model, initial_states: str) -> tuple[Search, Split, Structure]:
+            flat = model.flat
+            data = split(flat, records, validate, outputs, noise)
+            question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(flat, names))
+            bounded = _bounded(model, names)
+            report("identify the base", 0, 1, "")
+            search = Search(bounded, names, fitting_candidates(bounded, effects, exclude), question, run, report, told)
+            return search, data, Structure((), _or_refused(identified(search, search.models_ahead())))
+
+        def search_on(search: Search, base: Structure) -> Found:
+            return searched(search, begun(search, base), max_effects)
+
+        search, data, found, model, given_up = fairly(begin, search_on, model, initial_states)
         search, found = explained_together(search, data, found, max_effects)
         found = confirmed(search, data, found)
-        return answer(search, data, found, model, began)
+        return with_assumptions(answer(search, data, found, model, began), given_up)
 
 
 def _bounded(model: Model, names: Sequence[str]) -> Model:

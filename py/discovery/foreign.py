@@ -16,7 +16,8 @@ from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
 from hydrotwin.records.between import settled
 
-from .answering import answer
+from .answering import Found, answer
+from .assumed import fairly, with_assumptions
 from .base import identified
 from .discover import MOST_EFFECTS, _bounded, _free_names, _or_refused, _runner, usual_of
 from .discovery import Discovery
@@ -24,7 +25,7 @@ from .executor import executor_for
 from .forward import begun, searched
 from .probing import ProbeJob, amplitudes, best_amplitude, cost_of, probe, seen_by_parts
 from .progress import reporting
-from .recordings import split
+from .recordings import Split, split
 from .refit import Question, pooled_rmse
 from .screen import Screen, Screened
 from .search import Search
@@ -71,21 +72,26 @@ def discover_around(
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
     period = min(float(np.median(np.diff(r.time))) for r in records)
-    fitting = [at_pace(c, period) for c in around_only(model, candidates(model, effects, exclude), seen)]
-    data = split(model.flat, pieces, validate, outputs, noise)
-    data = dataclasses.replace(data, findings=(*said, *data.findings))
     names = _free_names(model.flat, free or ())
-    question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(model.flat, names))
-    bounded = _bounded(model, names)
+    told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
     with reporting(progress, model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory)
-        report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
-        told = tuple(s.name in (noise or {}) for s in model.flat.outputs)
-        search = AroundSearch(bounded, names, tuple(fitting), question, run, report, told)
-        base = _or_refused(identified(search))
-        found = searched(search, begun(search, Structure((), base)), max_effects)
+
+        def begin(model: SurroundedFmu, initial_states: str) -> tuple[Search, Split, Structure]:
+            fitting = [at_pace(c, period) for c in around_only(model, candidates(model, effects, exclude), seen)]
+            data = split(model.flat, pieces, validate, outputs, noise)
+            data = dataclasses.replace(data, findings=(*said, *data.findings))
+            question = Question(data.fit, data.select, data.noise, initial_states, step, usual_of(model.flat, names))
+            report("identify the base", 0, 1, f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them")
+            search = AroundSearch(_bounded(model, names), names, tuple(fitting), question, run, report, told)
+            return search, data, Structure((), _or_refused(identified(search)))
+
+        def search_on(search: Search, base: Structure) -> Found:
+            return searched(search, begun(search, base), max_effects)
+
+        search, data, found, model, given_up = fairly(begin, search_on, model, initial_states)
         search, found = explained_together(search, data, found, max_effects)
-        return answer(search, data, found, model, began)
+        return with_assumptions(answer(search, data, found, model, began), given_up)
 
 
 def at_pace(candidate: Candidate, period: float) -> Candidate:

@@ -153,8 +153,8 @@ def read_fmu(
     units : FMU variable -> unit, for FMUs that give none or a wrong one.
     starts : start parameter -> record name of the output it takes its value from; an FMU of hydrotwin brings its own.
     values : variables to set before initialization, in the FMU's units.
-    interpolation : what the inputs do between samples, "hold" or "linear", for all or by name in the records; what is not
-        named the recordings show.
+    interpolation : what the inputs do between samples, "hold" or "linear", for all or by name in the records; the
+        recordings show it where it is not given.
 
     Nothing of the FMU's code runs here: it runs in a child process with ``time_limit`` [s] at each free run.
     Raises DataError for a file that is not an FMU, DeclarationError for unknown variables.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -14,8 +15,9 @@ from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 
 from .answer import answer
+from .assumptions import PATIENCE, doubted
 from .descent import Task
-from .fit import Fit
+from .fit import Finding, Fit
 from .loss import Loss
 from .noise import output_noise
 from .noise import weights as by_noise
@@ -89,25 +91,40 @@ def identify(
     parameters = free_parameters(flat, free, start, bounds)
     records, validate = distinct(records, validate)
     train = recordings(flat, records, outputs, "record")
-    judged = recordings(flat, validate, outputs, "validation record")
     sigma = output_noise(flat, train, noise)
     with reporting(progress, flat.name) as report:
-        report("compile", 0, np.nan)
-        propagator = prepare(
-            flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step, method=method
-        )
-        task = Task(
-            flat, parameters, propagator, train, by_noise(sigma), Loss(loss, loss_scale), initial_states,
-            threads or _processors(), report, sigma,
-        )  # fmt: skip
         adaptable = _adaptable(flat, weights, noise) & np.isfinite(sigma)
-        task, minima = search(task, Effort(windows, starts, iterations), adaptable)
+        given_up = []
+        for _ in range(PATIENCE + 1):
+            report("compile", 0, np.nan)
+            propagator = prepare(
+                flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step,
+                method=method,
+            )  # fmt: skip
+            task = Task(
+                flat, parameters, propagator, train, by_noise(sigma), Loss(loss, loss_scale), initial_states,
+                threads or _processors(), report, sigma,
+            )  # fmt: skip
+            task, minima = search(task, Effort(windows, starts, iterations), adaptable)
+            report("what was assumed", 0, minima[0].cost)
+            change = doubted(task, minima[0], adaptable) if len(given_up) < PATIENCE else None
+            if change is None:
+                break
+            given_up.append(change)
+            if not change.used:
+                break
+            initial_states = "free" if change.free_starts else initial_states
+            flat = flat.with_inputs(change.inputs)
+            train = recordings(flat, records, outputs, "record")
         report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
             "method": method, "weights": weights,
         }  # fmt: skip
-        return answer(task, minima, judged, settings, began)
+        judged = recordings(flat, validate, outputs, "validation record")
+        fit = answer(task, minima, judged, settings, began)
+        said = [Finding("assumption", (), f"identify: {s}") for change in given_up for s in change.sentences]
+        return dataclasses.replace(fit, findings=(*said, *fit.findings))
 
 
 def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:

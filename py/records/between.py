@@ -24,8 +24,8 @@ from .noise import quantisation_step
 STAYS = 0.5  # of the changes of a column after which it stays for a sample: more, and it was held
 FEWEST = 3  # changes that show how a column moves
 LEVELS = 8  # of a quantised column: with more of them, steps of one quantum are rounding and not commands
-COMMANDED = frozenset("command cmd commanded setpoint reference demand demanded control wanted target soll".split())
-MEASURED = frozenset("measured actual sensed feedback measurement ist".split())
+COMMANDED = {"command", "cmd", "commanded", "setpoint", "reference", "demand", "control", "wanted", "target", "soll"}
+MEASURED = {"measured", "actual", "sensed", "feedback", "measurement", "ist"}
 COMMAND_UNITS = ("V", "A", "1")
 
 
@@ -46,7 +46,7 @@ def told(inputs: Sequence[Signal], wanted: Mapping[str, str], owner: str) -> dic
         if name not in names:
             raise DeclarationError(f"interpolation: {owner}: no input '{name}'. {nearest(name, names)}")
         if kind not in INTERPOLATIONS:
-            raise DeclarationError(f"interpolation {name}={kind}: there is no such. Write {name}=hold or {name}=linear.")
+            raise DeclarationError(f"interpolation {name}={kind}: there is none. Write {name}=hold or {name}=linear.")
     return {n: {"interpolation": kind, "chosen_by": "user", "shift": 0.0, "why": ""} for n, kind in wanted.items()}
 
 

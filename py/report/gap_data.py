@@ -20,6 +20,7 @@ def gap_data(discovery: Discovery) -> dict:
         "verdict": discovery.verdict,
         "answer": discovery.answer,
         "inputs": between(discovery.model.flat.inputs),
+        "assumptions": list(discovery.assumptions),
         "steps": [_step(s) for s in discovery.steps],
         "noise": dict(discovery.noise),
         "train": _outputs(discovery.outputs.get("train", ())),

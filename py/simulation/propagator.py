@@ -84,6 +84,11 @@ class Propagator:
         explicit = self._engine(implicit=False) if self.method != "rosenbrock" else None
         self._engines, self._recents = {False: explicit}, {"explicit": Recent(), "rosenbrock": Recent()}
 
+    @property
+    def asked(self) -> tuple[float, str]:
+        """Step [s] and method as they were asked for."""
+        return self._asked
+
     def undecided(self, method: str | None = None) -> Propagator:
         """The same with step and method as they were asked for: "auto" is decided again, at other parameters.
 

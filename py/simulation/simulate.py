@@ -131,7 +131,9 @@ def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
                 f"are not finite, the first at t = {record.time[np.argmax(gaps)]:g} s). {system.name} needs every "
                 "sample of its inputs. Fill them, or take the part without (Record.window)."
             )
-    return np.column_stack([as_seen(s, record.time, c) for s, c in zip(system.inputs, u.T, strict=True)]) if u.size else u
+    for j, signal in enumerate(system.inputs):
+        u[:, j] = as_seen(signal, record.time, u[:, j])
+    return u
 
 
 def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:

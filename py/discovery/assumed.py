@@ -1,0 +1,77 @@
+"""What was assumed about the recordings is doubted before, and after, effects are looked for.
+
+Where the base, or what was named at last, leaves a gap that another input between samples or another start explains,
+the search begins anew with that: see `hydrotwin.identification.assumptions`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hydrotwin.identification.assumptions import PATIENCE, Change, doubted
+from hydrotwin.identification.descent import whole_runs
+from hydrotwin.identification.least_squares import minimise
+from hydrotwin.models.language.errors import SolveError
+
+from .refit import FIRST, RefitJob, weighed
+from .starts import given
+from .structure import Structure
+
+if TYPE_CHECKING:
+    from .recordings import Split
+    from .search import Search
+
+STAGE = "what was assumed"
+
+
+def fairly(
+    begin: Callable[[object, str], tuple[Search, Split, Structure]],
+    search_on: Callable[[Search, Structure], object],
+    model,
+    initial_states: str,
+):
+    """A search that does not rest on a wrong assumption: ``(search, split, found, model, assumptions given up)``.
+
+    begin : model and initial states -> search, recordings and identified base; search_on : what a search finds from it.
+    """
+    given_up: list[Change] = []
+    while True:
+        search, data, base = begin(model, initial_states)
+        asked = len(given_up) < PATIENCE
+        change = questioned(search, base) if asked else None
+        if change is None:
+            found = search_on(search, base)
+            change = questioned(search, found.last) if asked and found.steps else None
+        if change is None:
+            return search, data, found, model, tuple(given_up)
+        given_up.append(change)
+        model = model.with_inputs(change.inputs) if change.inputs else model
+        initial_states = "free" if change.free_starts else initial_states
+
+
+def questioned(search: Search, structure: Structure) -> Change | None:
+    """The assumption that explains what a structure leaves; None where nothing is left, or none does."""
+    if search.explained(structure):
+        return None
+    (answer,) = search.run(question, [search.refit_of(structure, coarse=True)], STAGE)
+    return answer if answer.used else None
+
+
+def question(job: RefitJob) -> Change:
+    """`doubted` of a job's first start, where a fit has ended. Pure and picklable."""
+    try:
+        task = weighed(job, job.question.noise if job.size is None else np.fmax(job.size, job.question.noise))
+        shooting, z = whole_runs(task)
+        found = minimise(shooting, task.free.scaled(task.free.start), given(shooting, z, job.states), **FIRST)
+        return doubted(task, found, np.isfinite(job.question.noise)) or Change()
+    except SolveError:
+        return Change()
+
+
+def with_assumptions(discovery, given_up: tuple[Change, ...]):
+    """The answer with what was given up for it, which its sentence says."""
+    return dataclasses.replace(discovery, assumptions=tuple(s for change in given_up for s in change.sentences))

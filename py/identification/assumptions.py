@@ -152,8 +152,8 @@ def _hint(task: Task, seen: _Seen) -> Change | None:
         if share > FAR_MORE["inputs"] and abs(samples) > NEAR:
             by = f"{abs(samples) * _period(task):.2g} s {'later' if samples > 0 else 'earlier'}"
             return Change(sentences=(
-                f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of what is "
-                "left. Look at its clock, its interpolation and for a dead time (effect dead_time of hydrotwin gap).",
+                f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of what "
+                "is left. Look at its clock, its interpolation and for a dead time (effect dead_time of hydrotwin gap).",
             ))  # fmt: skip
     return None
 
@@ -262,7 +262,8 @@ def _starts_freed(task: Task, found: Minimum) -> tuple[Task, Minimum] | None:
     other = dataclasses.replace(task, initial_states="free", propagator=_propagator(task))
     nominal = np.array([s.nominal for s in task.flat.states])
     p = task.free.vector(found.q)
-    x = [shooting.start(r.u[0], p, z * shooting.start.nominal)[0] for r, z in zip(task.recordings, found.z, strict=True)]
+    known = found.z * shooting.start.nominal
+    x = [shooting.start(r.u[0], p, z)[0] for r, z in zip(task.recordings, known, strict=True)]
     z = whole_runs(other)[0].clip(np.array(x) / nominal)
     return other, dataclasses.replace(found, z=z)
 

@@ -213,16 +213,14 @@ def _settled(contenders: Sequence[Contender], records: Sequence[Record], wanted:
 
 
 def _entrant(contender) -> Entrant:
+    chosen = between([s for s in contender.inputs if s.chosen_by != "model"])
     return Entrant(
         contender.name,
         contender.kind,
         tuple(contender.inputs),
         tuple(contender.outputs),
         tuple(getattr(contender, "parameters", None) or ()),
-        {
-            **(getattr(contender, "provenance", None) or {}),
-            **({"inputs between samples": between(contender.inputs)} if contender.inputs else {}),
-        },
+        {**(getattr(contender, "provenance", None) or {}), **({"inputs between samples": chosen} if chosen else {})},
     )
 
 

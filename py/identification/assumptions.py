@@ -151,10 +151,11 @@ def _hint(task: Task, seen: _Seen) -> Change | None:
         samples, share = float(step.halves[0]) / 2, min(step.gain / seen.excess, 1.0)
         if share > FAR_MORE["inputs"] and abs(samples) > NEAR:
             by = f"{abs(samples) * _period(task):.2g} s {'later' if samples > 0 else 'earlier'}"
-            return Change(sentences=(
+            words = (
                 f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of what "
-                "is left. Look at its clock, its interpolation and for a dead time (effect dead_time of hydrotwin gap).",
-            ))  # fmt: skip
+                "is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
+            )
+            return Change(sentences=(words,))
     return None
 
 

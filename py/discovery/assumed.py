@@ -67,7 +67,7 @@ def question(job: RefitJob) -> Change:
         task = weighed(job, job.question.noise if job.size is None else np.fmax(job.size, job.question.noise))
         shooting, z = whole_runs(task)
         found = minimise(shooting, task.free.scaled(task.free.start), given(shooting, z, job.states), **FIRST)
-        return doubted(task, found, np.isfinite(job.question.noise)) or Change()
+        return doubted(task, found, np.isfinite(job.question.noise), loads=False) or Change()
     except SolveError:
         return Change()
 

@@ -6,9 +6,11 @@ asked what it would gain by
 
     starts : free start states where no output measures them
     inputs : each input held or linear, and up to a sample earlier or half a sample later than it is stamped
+    loads  : each force or torque that the model has as a constant and nobody freed
 
-first by one linear step from its sensitivities (an input half a sample later adds one direction), then, where that
-promises to explain most of what is left, by a fit. A whole sample later and more is a dead time, which has a name.
+first by one linear step from its sensitivities (an input half a sample later, or a constant, adds one direction), then,
+where that promises to explain most of what is left, by a fit. A whole sample later and more is a dead time, which has a
+name; an offset of a sensor is told, for the model has no place for it.
 """
 
 from __future__ import annotations
@@ -22,20 +24,20 @@ import numpy as np
 from scipy.special import chdtri
 
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import INTERPOLATIONS, Signal
-from hydrotwin.simulation import prepare
-from hydrotwin.simulation.inputs import as_seen
+from hydrotwin.models.language.flat import INTERPOLATIONS
 
 from .answer import explains
 from .descent import Task, whole_runs
+from .directions import Seen, Step, loads_of, period_of, propagator_of, seen_from, with_inputs
 from .least_squares import Minimum, minimise
-from .uncertainty import without_starts
+from .problem import free_parameters
 from .weighing import WORTH_IT, Weighed, misses, score, weighed_by_residual
 
 PROMISED = 0.5  # of what is left beyond the noise: what one linear step must promise before a fit is made
 FAR_MORE = {"starts": 0.5, "inputs": 0.9}  # of what is left beyond the noise: what the fit must close
 AT_NOISE = 1.25  # times the noise: what a shift of an input, or all at once, must come down to
 CHANCE = 1e-3  # that start states which are right explain so much
+FAINT = 0.02  # of the noise's sum of squares: a load that explains less may be what interpolation leaves
 SHIFTS = (0.0, -0.5, 0.5, -1.0)  # samples; a whole one later is a dead time
 NEAR = 0.3  # samples between what is wanted and what is tried
 LATEST = 0.6  # samples by which an input may come later than it was taken for: more is a dead time
@@ -46,84 +48,48 @@ PATIENCE = 3  # assumptions given up one after the other
 
 @dataclass(frozen=True)
 class Change:
-    """An assumption to give up: what inputs do (see `changed`), whether starts are free, and the sentences that say so.
+    """An assumption to give up: what inputs do (see `changed`), free starts, loads to free, and what is said of it.
 
     ``times`` : what was left over the noise before, and after, of the output that gained most.
     """
 
     inputs: Mapping[str, dict] = field(default_factory=dict)
     free_starts: bool = False
+    freed: tuple[str, ...] = ()
     times: tuple[float, float] = (np.nan, np.nan)
     sentences: tuple[str, ...] = ()
 
     @property
     def used(self) -> bool:
         """Whether anything is taken otherwise, and not only said."""
-        return bool(self.inputs) or self.free_starts
+        return bool(self.inputs) or self.free_starts or bool(self.freed)
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """A linear step: gain in the sum of squares, step in q, half samples of each input, and the ``level`` of what it
-    leaves: the variance of a sample, noise at least, times how many neighbours say the same thing."""
-
-    gain: float
-    q: np.ndarray
-    halves: np.ndarray
-    level: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """A minimum in directions: per recording residuals (m,), d/dq (m, np), start columns (m, nz), inputs (m, nu)."""
-
-    rows: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
-    floor: float  # of the sum of squares that is noise
-    outputs: int  # that are measured: values of one sample
-
-    def step(self, inputs: Sequence[int] = ()) -> _Step:
-        """The linear step in q, in the starts and along the ``inputs`` that leaves least."""
-        bare = [without_starts(np.hstack([r[:, None], J, D[:, inputs], Z]), 1 + J.shape[1] + len(inputs))
-                for r, J, Z, D in self.rows]  # fmt: skip
-        whole = np.vstack(bare)
-        size = np.linalg.norm(whole[:, 1:], axis=0)
-        size = np.where(size > 0, size, 1.0)
-        step = -np.linalg.lstsq(whole[:, 1:] / size, whole[:, 0], rcond=1e-9)[0] / size
-        left = whole[:, 0] + whole[:, 1:] @ step
-        before = sum(float(r @ r) for r, *_ in self.rows)
-        energy, lag = float(left @ left), self.outputs
-        rho = np.clip(float(left[:-lag] @ left[lag:]) / energy, 0.0, 0.97) if energy > 0 else 0.0
-        level = max(energy, self.floor) / max(len(left), 1) * (1 + rho) / (1 - rho)
-        shared = self.rows[0][1].shape[1]
-        return _Step(before - energy, step[:shared], step[shared:], level)
-
-    @property
-    def excess(self) -> float:
-        """The sum of squares beyond the noise."""
-        return max(sum(float(r @ r) for r, *_ in self.rows) - self.floor, np.finfo(float).tiny)
-
-
-def doubted(task: Task, found: Minimum, adaptable: np.ndarray) -> Change | None:
+def doubted(task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = True) -> Change | None:
     """The assumption that a minimum of free runs should give up; None where those made are good enough.
 
-    ``adaptable`` (ny,) as in `search`. At the noise only starts are asked: they may move a parameter without a trace.
+    ``adaptable`` (ny,) as in `search`. At the noise starts and ``loads`` alone are asked: they may move a parameter
+    without a trace.
     """
     explained = explains(task, found)
     try:
-        auto = _seen(task, found)
+        auto = seen_from(task, found)
         freed = _starts_freed(task, found)
-        free = _seen(*freed, inputs=not explained) if freed else None
+        free = seen_from(*freed, inputs=not explained) if freed else None
     except (SolveError, np.linalg.LinAlgError):
         return None
     better = None if explained else _explained_better(task, found, auto, free, freed, adaptable)
-    if better is None and bool(np.all(misses(task, found) < WORTH_IT)):
-        return _moved_by_starts(task, found, auto, free, freed, adaptable)
-    return better
+    near = bool(np.all(misses(task, found) < WORTH_IT))
+    if better is None and near:
+        better = _moved_by_starts(task, found, auto, free, freed, adaptable)
+    if better is None and loads:
+        better = _load_freed(task, found, auto, near, adaptable)
+    return better or (None if explained else _hint(task, found))
 
 
 def _explained_better(task, found, auto, free, freed, adaptable) -> Change | None:
     """The simplest change that explains most of what is left beyond the noise."""
-    seen = _seen(task, found, inputs=True)
+    seen = seen_from(task, found, inputs=True)
     open_inputs = [j for j, s in enumerate(task.flat.inputs) if s.chosen_by != "user" and not s.shift]
     groups = [(j,) for j in open_inputs] + ([tuple(open_inputs)] if len(open_inputs) > 1 else [])
     tries = [(True, ())] if freed else []
@@ -138,22 +104,66 @@ def _explained_better(task, found, auto, free, freed, adaptable) -> Change | Non
         if promised.gain < PROMISED * directions.excess:
             continue
         base = freed if starts else (task, found)
-        change = _best_of(base, before, starts, _candidates(task, group, promised.halves), adaptable)
+        change = _best_of(base, before, starts, _candidates(task, group, promised.others), adaptable)
         if change:
             return change
-    return _hint(task, seen)
+    return None
 
 
-def _hint(task: Task, seen: _Seen) -> Change | None:
-    """What is only said: an input that is not to be changed, or is a dead time late, and would explain what is left."""
+def _load_freed(task: Task, found: Minimum, auto: Seen, near: bool, adaptable: np.ndarray) -> Change | None:
+    """A constant force or torque of the model that nobody freed, where it explains far more, or moves a parameter."""
+    before, first = Weighed(task, found, score(task, found)), len(task.flat.inputs)
+    for k, name in enumerate(loads_of(task)):
+        promised = auto.step((first + k,))
+        least = max(float(chdtri(1, CHANCE)) * promised.level, FAINT * auto.floor)
+        moves = near and bool(np.any(np.abs(promised.q) > _sigma(found)))
+        if promised.gain - auto.step().gain < least or not (moves or promised.gain > PROMISED * auto.excess):
+            continue
+        try:
+            fitted = _fitted(*_with_free(task, found, name), adaptable)
+        except SolveError:
+            continue
+        gained = 2 * (before.score - fitted.score) > least
+        if gained and (moves or _explains_most(before, fitted, True, False, False)):
+            p = fitted.task.free
+            value = p.values(fitted.minimum.q)[p.names.index(name)]
+            was = task.flat.parameters[task.flat.index_of(name)]
+            words = f"{name} is not {was.value:.4g} {was.unit} as assumed but about {value:.4g}, and is estimated"
+            return dataclasses.replace(_told(before, fitted, False, {}, words), freed=(name,))
+    return None
+
+
+def _with_free(task: Task, found: Minimum, name: str) -> tuple[Task, Minimum]:
+    """The same point with one more parameter free."""
+    free = task.free
+    start = dict(zip([p.name for p in task.flat.parameters], free.vector(found.q).tolist(), strict=True))
+    bounds = dict(zip(free.names, zip(free.lower.tolist(), free.upper.tolist(), strict=True), strict=True))
+    other = dataclasses.replace(task, free=free_parameters(task.flat, [*free.names, name], start, bounds), prior=None)
+    other = dataclasses.replace(other, propagator=propagator_of(other))
+    return other, dataclasses.replace(found, q=other.free.scaled(other.free.start))
+
+
+def _hint(task: Task, found: Minimum) -> Change | None:
+    """What is only said: an input that is not to be changed, or is a dead time late, or an offset of a sensor."""
+    try:
+        seen = seen_from(task, found, inputs=True)
+    except SolveError:
+        return None
+    first = len(task.flat.inputs) + len(loads_of(task))
+    for j, signal in enumerate(task.flat.outputs):
+        step = seen.step((first + j,)) if task.weights[j] > 0 else None
+        if step and step.gain > FAR_MORE["inputs"] * seen.excess:
+            offset = f"{step.others[0] * abs(signal.nominal):.3g} {signal.unit}"
+            words = f"a constant offset of {offset} of {signal.name} would explain most of what is left"
+            return Change(sentences=(f"{words}. Look at its zero.",))
     for j, signal in enumerate(task.flat.inputs):
         step = seen.step((j,))
-        samples, share = float(step.halves[0]) / 2, min(step.gain / seen.excess, 1.0)
+        samples, share = float(step.others[0]) / 2, min(step.gain / seen.excess, 1.0)
         if share > FAR_MORE["inputs"] and abs(samples) > NEAR:
-            by = f"{abs(samples) * _period(task):.2g} s {'later' if samples > 0 else 'earlier'}"
+            by = f"{abs(samples) * period_of(task):.2g} s {'later' if samples > 0 else 'earlier'}"
             words = (
-                f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of what "
-                "is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
+                f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of "
+                "what is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
             )
             return Change(sentences=(words,))
     return None
@@ -166,7 +176,7 @@ def _candidates(task: Task, group: Sequence[int], halves: np.ndarray) -> list[di
         signal = task.flat.inputs[j]
         wanted = _offset(signal.interpolation, 0.0) + half / 2
         options = [(kind, s) for s in SHIFTS for kind in INTERPOLATIONS]
-        now, period = _offset(signal.interpolation, 0.0), _period(task)
+        now, period = _offset(signal.interpolation, 0.0), period_of(task)
         options = [o for o in options if abs(_offset(*o) - now) > NEAR and _offset(*o) - now < LATEST]
         options = [o for o in options if abs(_offset(*o) - wanted) < NEAR]
         options.sort(key=lambda o: (o[1] != 0.0, o[0] != signal.interpolation))
@@ -184,7 +194,7 @@ def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, a
     fits: list[tuple[Weighed, Mapping[str, dict]]] = []
     for inputs in tried:
         try:
-            fitted = _fitted(_with_inputs(base[0], inputs), base[1], adaptable)
+            fitted = _fitted(with_inputs(base[0], inputs), base[1], adaptable)
         except SolveError:
             continue
         shifted = any(c["shift"] for c in inputs.values())
@@ -226,74 +236,25 @@ def _sigma(found: Minimum) -> np.ndarray:
         return np.where(variance > 0, np.sqrt(np.maximum(variance, 0)), np.inf)
 
 
-def _by_chance(auto: _Seen, free: _Seen, promised: _Step) -> float:
+def _by_chance(auto: Seen, free: Seen, promised: Step) -> float:
     """The gain in the sum of squares that further start states reach by chance where those assumed are right."""
     more = sum(b[2].shape[1] - a[2].shape[1] for a, b in zip(auto.rows, free.rows, strict=True))
     return float(chdtri(more, CHANCE)) * promised.level
 
 
-# -- the pieces --------------------------------------------------------------------------------------------------------
-def _seen(task: Task, found: Minimum, inputs: bool = False) -> _Seen:
-    """The directions of a minimum. Raises SolveError where a run diverges."""
-    shooting, _ = whole_runs(task)
-    late = [_with_inputs(task, {s.name: {"shift": 0.5 * _period(task)}}) for s in task.flat.inputs] if inputs else []
-    late = [whole_runs(t)[0] for t in late]
-    rows, shared = [], len(found.q)
-    for i in range(len(task.recordings)):
-        row = shooting.sensitivities(i, found.q, found.z[i])
-        moved = [one.residuals(i, found.q, found.z[i]) for one in late]
-        if row is None or any(m is None for m in moved):
-            raise SolveError("a run diverges")
-        r, J = task.loss.linearised(*row[:2])
-        here = np.isfinite(task.recordings[i].y) & (task.weights > 0)
-        now = shooting.residuals(i, found.q, found.z[i]) if inputs else None
-        D = np.array([(m - now)[here] for m in moved]).reshape(len(moved), -1).T if inputs else np.zeros((len(r), 0))
-        rows.append((r, J[:, :shared], J[:, shared:], D))
-    counts = np.sum([np.isfinite(r.y).sum(axis=0) for r in task.recordings], axis=0)
-    used = task.weights > 0
-    floor = float(counts[used] @ (task.weights[used] * task.noise[used]) ** 2)
-    return _Seen(rows, floor, max(int((counts[used] > 0).sum()), 1))
-
-
+# -- points and fits ---------------------------------------------------------------------------------------------------
 def _starts_freed(task: Task, found: Minimum) -> tuple[Task, Minimum] | None:
     """The same point with every start state free; None where all are, or where they shall not be."""
     shooting, _ = whole_runs(task)
     if task.initial_states != "auto" or shooting.start.whole or not task.flat.states:
         return None
-    other = dataclasses.replace(task, initial_states="free", propagator=_propagator(task))
+    other = dataclasses.replace(task, initial_states="free", propagator=propagator_of(task))
     nominal = np.array([s.nominal for s in task.flat.states])
     p = task.free.vector(found.q)
     known = found.z * shooting.start.nominal
     x = [shooting.start(r.u[0], p, z)[0] for r, z in zip(task.recordings, known, strict=True)]
     z = whole_runs(other)[0].clip(np.array(x) / nominal)
     return other, dataclasses.replace(found, z=z)
-
-
-def _with_inputs(task: Task, changes: Mapping[str, Mapping]) -> Task:
-    """The task whose inputs do something else; what is recorded is moved here, so that nothing below has to."""
-    if not changes:
-        return task
-    flat = task.flat.with_inputs({n: {k: v for k, v in c.items() if k != "shift"} for n, c in changes.items()})
-    moved = [(dataclasses.replace(s, shift=changes[s.name]["shift"]) if s.name in changes else s) for s in flat.inputs]
-    recordings = tuple(dataclasses.replace(r, u=_columns(moved, r)) for r in task.recordings)
-    task = dataclasses.replace(task, flat=flat, recordings=recordings)
-    kinds = any("interpolation" in c for c in changes.values())
-    return dataclasses.replace(task, propagator=_propagator(task)) if kinds else task
-
-
-def _columns(signals: Sequence[Signal], recording) -> np.ndarray:
-    return np.column_stack([as_seen(s, recording.time, u) for s, u in zip(signals, recording.u.T, strict=True)])
-
-
-def _propagator(task: Task):
-    """What runs the task with every start free, by the step and method that were asked for."""
-    states = [s.name for s in task.flat.states]
-    step, method = getattr(task.propagator, "asked", (task.propagator.step, "auto"))
-    return prepare(task.flat, free_parameters=task.free.names, free_states=states, step=step, method=method)
-
-
-def _period(task: Task) -> float:
-    return float(np.median(np.concatenate([np.diff(r.time) for r in task.recordings])))
 
 
 def _fitted(task: Task, found: Minimum, adaptable: np.ndarray) -> Weighed:
@@ -317,13 +278,13 @@ def _beyond_noise(w: Weighed) -> np.ndarray:
 
 
 # -- words -------------------------------------------------------------------------------------------------------------
-def _told(before: Weighed, after: Weighed, starts: bool, inputs: Mapping[str, dict]) -> Change:
+def _told(before: Weighed, after: Weighed, starts: bool, inputs: Mapping[str, dict], *words: str) -> Change:
     was, now = misses(before.task, before.minimum), misses(after.task, after.minimum)
     most = int(np.argmax(was - now))
     name, times = before.task.flat.outputs[most].name, (float(was[most]), float(now[most]))
     left = f"{name} is left at {times[1]:.3g} times the noise, else at {times[0]:.3g}"
     of = {s.name: s for s in before.task.flat.inputs}
-    words, changes = [], {}
+    words, changes = [*words], {}
     for n, change in inputs.items():
         shift = change["shift"]
         kind, held = ("held" if k == "hold" else "linear" for k in (change["interpolation"], of[n].interpolation))
@@ -336,4 +297,5 @@ def _told(before: Weighed, after: Weighed, starts: bool, inputs: Mapping[str, di
         hidden = [s.name for s in after.task.flat.states if s.name not in known]
         few = f"{', '.join(hidden[:4])}{' ...' if len(hidden) > 4 else ''}"
         words.append(f"the start of {few} is not what the model assumes: no output measures it, and it is estimated")
-    return Change(changes, starts, times, tuple(f"{w}: {left}. The answer uses this." for w in words))
+    told = tuple(f"{w}: {left}. The answer uses this." for w in words)
+    return Change(inputs=changes, free_starts=starts, times=times, sentences=told)

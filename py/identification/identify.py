@@ -114,6 +114,7 @@ def identify(
             if not change.used:
                 break
             initial_states = "free" if change.free_starts else initial_states
+            parameters = free_parameters(flat, [*parameters.names, *change.freed], start, bounds)
             flat = flat.with_inputs(change.inputs)
             train = recordings(flat, records, outputs, "record")
         report("uncertainty", 0, minima[0].cost)

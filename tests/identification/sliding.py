@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.signal import lsim
 
@@ -68,7 +70,7 @@ def moved(seed: int, force, recorded=None, *, start=(0.0, 0.0), outputs=("positi
     Every sample is cut into FINE pieces over which the force is linear: exact for held forces, and to 1e-5 for waves.
     """
     ends = np.append(time, 2 * time[-1] - time[-2])
-    fine = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in zip(ends[:-1], ends[1:], strict=True)])
+    fine = np.concatenate([np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(ends)])
     A, B = [[0, 1], [0, -VISCOUS / MASS]], [[0], [1 / MASS]]
     even = np.arange(len(fine)) * (fine[-1] / (len(fine) - 1))
     middle = force(even + 1e-6) if np.ptp(np.diff(time)) < 1e-9 else force(even)

@@ -94,9 +94,9 @@ def test_nothing_is_tried_where_only_noise_is_left():
 
 def test_an_interpolation_that_does_not_exist_and_an_input_that_does_not_are_refused():
     run = moved(0, wave(0))
-    with pytest.raises(DeclarationError, match="force=cubic.*force=linear"):
+    with pytest.raises(DeclarationError, match=r"force=cubic.*force=linear"):
         fitted([run], interpolation={"force": "cubic"})
-    with pytest.raises(DeclarationError, match="no input 'forse'.*force"):
+    with pytest.raises(DeclarationError, match=r"no input 'forse'.*force"):
         fitted([run], interpolation={"forse": "linear"})
 
 
@@ -127,3 +127,18 @@ def test_a_start_in_motion_and_a_wrong_input_are_both_found():
     fit = fitted([moved(s, wave(s), start=(0.0, 0.2), outputs=("position",)) for s in range(2)], slide("hold"))
     assert fit.settings["initial_states"] == "free" and force(fit).interpolation == "linear"
     assert right(fit) and len(said(fit)) == 2
+
+
+# -- loads ----------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("load", [8.0, -0.5])
+def test_a_constant_load_that_nobody_freed_is_estimated_and_told(load):
+    fit = fitted([moved(s, lambda t, s=s: held(steps(s))(t) - load, steps(s)) for s in range(2)])
+    assert fit.values["load.load_force"] == pytest.approx(load, abs=0.02)
+    assert right(fit)
+    (sentence,) = said(fit)
+    assert "load.load_force is not 0 N as assumed" in sentence
+
+
+def test_a_load_that_is_not_there_stays_held():
+    fit = fitted([moved(s, held(steps(s))) for s in range(2)])
+    assert set(fit.values) == set(FREE) and not said(fit)

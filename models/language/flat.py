@@ -23,16 +23,17 @@ class Signal:
     """An input or output: name, SI unit, typical magnitude.
 
     ``interpolation`` says what an input does between samples: "hold" (a command kept by a D/A converter) or
-    "linear" (a measured continuous quantity). ``chosen_by`` is who says so: "model", "user", "recording" or "fit"; None
-    while nobody has, then the recordings decide. ``why`` is the reason in words. ``shift`` [s]: its recorded column is
-    taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays the input, if any.
+    "linear" (a measured continuous quantity); None leaves that to the recordings, and holds it without any.
+    ``chosen_by`` is who says so, "model", "user", "recording" or "fit", and ``why`` the reason in words. ``shift`` [s]:
+    its recorded column is taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays
+    the input, if any.
     """
 
     name: str
     unit: str
     description: str = ""
     nominal: float = 1.0
-    interpolation: str = "hold"
+    interpolation: str | None = "hold"
     dead_time: str | None = None
     default: float = 0.0
     chosen_by: str | None = "model"

@@ -213,8 +213,7 @@ class Model:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)
         by = "model" if d.interpolation else None
-        held = d.interpolation or "hold"
-        signal = Signal(entry.path, entry.unit, d.description, d.nominal, held, dead_time, d.default, by)
+        signal = Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by)
         return dataclasses.replace(signal, **self.inputs_changed.get(entry.path, {}))
 
     def _parameter(self, entry, follows: float | None = None) -> ParameterValue:

@@ -60,7 +60,7 @@ class FmuBlock:
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
         grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
-        held = [s.name for s in self.inputs if s.interpolation == "hold"]
+        held = [s.name for s in self.inputs if s.interpolation != "linear"]
         run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)
         signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
@@ -175,7 +175,7 @@ def read_fmu(
         provenance=_provenance(md, description),
     )  # fmt: skip
     if isinstance(interpolation, str):
-        interpolation = {s.name: interpolation for s in block.inputs if s.chosen_by is None}
+        interpolation = {s.name: interpolation for s in block.inputs if s.interpolation is None}
     return block.with_inputs(told(block.inputs, interpolation or {}, str(path)))
 
 
@@ -194,9 +194,10 @@ def _check_settable(path, md, names) -> None:
 def _signal(variable, description: Description) -> Signal:
     factor, _ = description.scales[variable.name]
     nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
+    moving = variable.type in FLOATS
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
-        chosen_by=None if variable.type in FLOATS else "model",
+        interpolation=None if moving else "hold", chosen_by=None if moving else "model",
     )  # fmt: skip
 
 

@@ -287,7 +287,7 @@ def _told(before: Weighed, after: Weighed, starts: bool, inputs: Mapping[str, di
     words, changes = [*words], {}
     for n, change in inputs.items():
         shift = change["shift"]
-        kind, held = ("held" if k == "hold" else "linear" for k in (change["interpolation"], of[n].interpolation))
+        kind, held = ("linear" if k == "linear" else "held" for k in (change["interpolation"], of[n].interpolation))
         said = f"is {kind} between its samples and not {held} as assumed" if kind != held else ""
         late = f"comes {abs(shift):.3g} s {'later' if shift > 0 else 'earlier'} than it is stamped" if shift else ""
         words.append(f"input {n} {' and '.join(w for w in (said, late) if w)}")

@@ -54,7 +54,7 @@ def decided(inputs: Sequence[Signal], records: Sequence, wanted: Mapping[str, st
     """What `changed` takes: the choice for each input that is ``wanted`` so or that nobody has chosen for yet."""
     changes = told(inputs, wanted, owner)
     for signal in inputs:
-        if signal.name not in wanted and signal.chosen_by is None:
+        if signal.name not in wanted and signal.interpolation is None:
             kind, why = shown(signal, [r[signal.name] for r in records if signal.name in r])
             changes[signal.name] = {"interpolation": kind, "chosen_by": "recording", "why": why}
     return changes
@@ -109,7 +109,7 @@ def sentences(inputs: Sequence[Signal]) -> list[str]:
             continue
         late = f", {abs(s.shift):.3g} s {'later' if s.shift > 0 else 'earlier'} than it is stamped" if s.shift else ""
         why = f": {s.why}" if s.why else ""
-        kind = "held" if s.interpolation == "hold" else "linear"
+        kind = "linear" if s.interpolation == "linear" else "held"
         said.append(f"input {s.name} is {kind} between samples{late} (chosen by {_who(s)}{why})")
     return said
 

@@ -211,7 +211,7 @@ class Propagator:
 
     def _longest(self) -> float:
         """Adaptive steps need no substeps when every input is held without delay."""
-        held = all(s.interpolation == "hold" and s.dead_time is None for s in self.flat.inputs)
+        held = all(s.interpolation != "linear" and s.dead_time is None for s in self.flat.inputs)
         return np.inf if self.method == "rosenbrock" and held else self.step
 
     def _decide(self, time, u, p, x0):

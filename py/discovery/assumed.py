@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.identification.assumptions import PATIENCE, Change, doubted
+from hydrotwin.identification.assumptions import FAR_MORE, PATIENCE, Change, doubted
 from hydrotwin.identification.descent import whole_runs
 from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.language.errors import SolveError
 
+from .decide import CLEARLY, MEASURABLE
 from .refit import FIRST, RefitJob, weighed
 from .starts import given
 from .structure import Structure
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from .search import Search
 
 STAGE = "what was assumed"
+BESIDE = 0.5  # of what named effects leave: what another input between samples must explain
 
 
 def fairly(
@@ -55,19 +57,26 @@ def fairly(
 
 def questioned(search: Search, structure: Structure) -> Change | None:
     """The assumption that explains what a structure leaves; None where nothing is left, or none does."""
-    if search.explained(structure):
+    if not search.leaves(structure, CLEARLY if structure.members else MEASURABLE, search.sensors):
         return None
-    (answer,) = search.run(question, [search.refit_of(structure, coarse=True)], STAGE)
+    asked = dataclasses.replace(search.question, noise=search.sensors)
+    job = dataclasses.replace(search.refit_of(structure, coarse=True), question=asked)
+    (answer,) = search.run(question_beside if structure.members else question, [job], STAGE)
     return answer if answer.used else None
 
 
-def question(job: RefitJob) -> Change:
+def question_beside(job: RefitJob) -> Change:
+    """The same beside effects whose laws are not quite the machine's: a half of what they leave is enough."""
+    return question(job, enough=BESIDE)
+
+
+def question(job: RefitJob, enough: float = FAR_MORE) -> Change:
     """`doubted` of a job's first start, where a fit has ended. Pure and picklable."""
     try:
         task = weighed(job, job.question.noise if job.size is None else np.fmax(job.size, job.question.noise))
         shooting, z = whole_runs(task)
         found = minimise(shooting, task.free.scaled(task.free.start), given(shooting, z, job.states), **FIRST)
-        return doubted(task, found, np.isfinite(job.question.noise), loads=False) or Change()
+        return doubted(task, found, np.isfinite(job.question.noise), loads=False, enough=enough) or Change()
     except SolveError:
         return Change()
 

@@ -34,7 +34,8 @@ from .problem import free_parameters
 from .weighing import WORTH_IT, Weighed, misses, score, weighed_by_residual
 
 PROMISED = 0.5  # of what is left beyond the noise: what one linear step must promise before a fit is made
-FAR_MORE = {"starts": 0.5, "inputs": 0.9}  # of what is left beyond the noise: what the fit must close
+FAR_MORE = 0.9  # of what is left beyond the noise: what another input between samples must explain
+MOST_OF_IT = 0.5  # the same of free starts and loads, which are nothing that an effect would be taken for
 AT_NOISE = 1.25  # times the noise: what a shift of an input, or all at once, must come down to
 CHANCE = 1e-3  # that start states which are right explain so much
 FAINT = 0.02  # of the noise's sum of squares: a load that explains less may be what interpolation leaves
@@ -65,11 +66,13 @@ class Change:
         return bool(self.inputs) or self.free_starts or bool(self.freed)
 
 
-def doubted(task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = True) -> Change | None:
+def doubted(
+    task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = True, enough: float = FAR_MORE
+) -> Change | None:
     """The assumption that a minimum of free runs should give up; None where those made are good enough.
 
-    ``adaptable`` (ny,) as in `search`. At the noise starts and ``loads`` alone are asked: they may move a parameter
-    without a trace.
+    ``adaptable`` (ny,) as in `search`; ``enough``: share of what is left that another input must explain. At the noise
+    starts and ``loads`` alone are asked: they may move a parameter without a trace.
     """
     explained = explains(task, found)
     try:
@@ -78,7 +81,7 @@ def doubted(task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = Tru
         free = seen_from(*freed, inputs=not explained) if freed else None
     except (SolveError, np.linalg.LinAlgError):
         return None
-    better = None if explained else _explained_better(task, found, auto, free, freed, adaptable)
+    better = None if explained else _explained_better(task, found, auto, free, freed, adaptable, enough)
     near = bool(np.all(misses(task, found) < WORTH_IT))
     if better is None and near:
         better = _moved_by_starts(task, found, auto, free, freed, adaptable)
@@ -87,7 +90,7 @@ def doubted(task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = Tru
     return better or (None if explained else _hint(task, found))
 
 
-def _explained_better(task, found, auto, free, freed, adaptable) -> Change | None:
+def _explained_better(task, found, auto, free, freed, adaptable, enough) -> Change | None:
     """The simplest change that explains most of what is left beyond the noise."""
     seen = seen_from(task, found, inputs=True)
     open_inputs = [j for j, s in enumerate(task.flat.inputs) if s.chosen_by != "user" and not s.shift]
@@ -104,7 +107,7 @@ def _explained_better(task, found, auto, free, freed, adaptable) -> Change | Non
         if promised.gain < PROMISED * directions.excess:
             continue
         base = freed if starts else (task, found)
-        change = _best_of(base, before, starts, _candidates(task, group, promised.others), adaptable)
+        change = _best_of(base, before, starts, _candidates(task, group, promised.others), adaptable, enough)
         if change:
             return change
     return None
@@ -124,7 +127,7 @@ def _load_freed(task: Task, found: Minimum, auto: Seen, near: bool, adaptable: n
         except SolveError:
             continue
         gained = 2 * (before.score - fitted.score) > least
-        if gained and (moves or _explains_most(before, fitted, True, False, False)):
+        if gained and (moves or _explains_most(before, fitted, MOST_OF_IT)):
             p = fitted.task.free
             value = p.values(fitted.minimum.q)[p.names.index(name)]
             was = task.flat.parameters[task.flat.index_of(name)]
@@ -152,14 +155,14 @@ def _hint(task: Task, found: Minimum) -> Change | None:
     first = len(task.flat.inputs) + len(loads_of(task))
     for j, signal in enumerate(task.flat.outputs):
         step = seen.step((first + j,)) if task.weights[j] > 0 else None
-        if step and step.gain > FAR_MORE["inputs"] * seen.excess:
+        if step and step.gain > FAR_MORE * seen.excess:
             offset = f"{step.others[0] * abs(signal.nominal):.3g} {signal.unit}"
             words = f"a constant offset of {offset} of {signal.name} would explain most of what is left"
             return Change(sentences=(f"{words}. Look at its zero.",))
     for j, signal in enumerate(task.flat.inputs):
         step = seen.step((j,))
         samples, share = float(step.others[0]) / 2, min(step.gain / seen.excess, 1.0)
-        if share > FAR_MORE["inputs"] and abs(samples) > NEAR:
+        if share > FAR_MORE and abs(samples) > NEAR:
             by = f"{abs(samples) * period_of(task):.2g} s {'later' if samples > 0 else 'earlier'}"
             words = (
                 f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of "
@@ -189,7 +192,7 @@ def _offset(kind: str, shift: float) -> float:
     return shift - 0.5 * (kind == "linear")
 
 
-def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, adaptable) -> Change | None:
+def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, adaptable, enough) -> Change | None:
     """The likeliest of the changes by a fit, one without shift where that is enough; None where none explains most."""
     fits: list[tuple[Weighed, Mapping[str, dict]]] = []
     for inputs in tried:
@@ -198,18 +201,19 @@ def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, a
         except SolveError:
             continue
         shifted = any(c["shift"] for c in inputs.values())
-        if _explains_most(before, fitted, starts, bool(inputs), shifted):
+        at_noise = shifted or (starts and bool(inputs))
+        if _explains_most(before, fitted, enough if inputs else MOST_OF_IT, at_noise):
             fits.append((fitted, inputs))
     enough = min((fitted.score for fitted, _ in fits), default=np.inf) + TELLING
     return next((_told(before, fitted, starts, inputs) for fitted, inputs in fits if fitted.score < enough), None)
 
 
-def _explains_most(before: Weighed, after: Weighed, starts: bool, inputs: bool, shifted: bool) -> bool:
+def _explains_most(before: Weighed, after: Weighed, share: float, at_noise: bool = False) -> bool:
     was, now = (_beyond_noise(w) for w in (before, after))
     closed = 1 - now.sum() / was.sum()
-    if closed < FAR_MORE["inputs" if inputs else "starts"] or np.any(now > np.maximum(was, 0.1 * was.max())):
+    if closed < share or np.any(now > np.maximum(was, 0.1 * was.max())):
         return False
-    return not (shifted or (starts and inputs)) or bool(np.all(misses(after.task, after.minimum) < AT_NOISE))
+    return not at_noise or bool(np.all(misses(after.task, after.minimum) < AT_NOISE))
 
 
 def _moved_by_starts(task, found, auto, free, freed, adaptable) -> Change | None:

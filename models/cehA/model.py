@@ -36,7 +36,7 @@ class CehA(Component):
     cap side at static equilibrium.
     """
 
-    command = Input("V", "motor command", nominal=5.0)
+    command = Input("V", "motor command", nominal=5.0, interpolation="hold")
     arm_angle = Output("rad", "arm angle above the horizontal", nominal=0.5)
     motor_speed = Output("rad/s", "motor speed", nominal=300.0)
     rod_position = Output("m", "stroke of the rod", nominal=0.05)
@@ -111,7 +111,7 @@ class ForceActuator(Component):
 class CehAThirdOrder(Component):
     """The C-EHA in the third-order form of the paper (Eq. 16, corrected): angle, rate and piston force."""
 
-    command = Input("V", "motor command", nominal=5.0)
+    command = Input("V", "motor command", nominal=5.0, interpolation="hold")
     arm_angle = Output("rad", "arm angle above the horizontal", nominal=0.5)
     motor_speed = Output("rad/s", "motor speed", nominal=300.0)
     rod_position = Output("m", "stroke of the rod", nominal=0.05)

@@ -100,7 +100,7 @@ def has_free_gain(model: Model, name: str) -> bool:
 
 def commands(places: Places) -> Iterator[Site]:
     """Inputs that are held between samples: what a controller puts out. A measured quantity is no command."""
-    held = {i.name for i in places.model.flat.inputs if i.interpolation == "hold"}
+    held = {i.name for i in places.model.flat.inputs if i.interpolation != "linear"}
     yield from (site for site in model_inputs(places) if site.through in held)
 
 

@@ -158,19 +158,22 @@ class Variable(_Quantity):
 
 @dataclass(frozen=True)
 class Input(_Quantity):
-    """A signal that comes from outside. At the top of a model it is an input of the model."""
+    """A signal that comes from outside. At the top of a model it is an input of the model.
+
+    ``interpolation`` says what it does between samples, "hold" or "linear"; None leaves that to the recordings.
+    """
 
     points: ClassVar = ("default",)
 
     unit: str
     description: str = ""
     nominal: float = 1.0
-    interpolation: str = "hold"
+    interpolation: str | None = None
     default: float = 0.0
 
     def __post_init__(self):
         super().__post_init__()
-        if self.interpolation not in ("hold", "linear"):
+        if self.interpolation not in (None, "hold", "linear"):
             raise DeclarationError(
                 f"{Here()}Input '{self.description}': unknown interpolation (got '{self.interpolation}'). "
                 "Use 'hold' for a command that is kept between samples or 'linear' for a measured quantity."

@@ -23,16 +23,42 @@ class Signal:
     """An input or output: name, SI unit, typical magnitude.
 
     ``interpolation`` says what an input does between samples: "hold" (a command kept by a D/A converter) or
-    "linear" (a measured continuous quantity). ``dead_time`` names the parameter [s] that delays the input, if any.
+    "linear" (a measured continuous quantity); None leaves that to the recordings, and holds it without any.
+    ``chosen_by`` is who says so, "model", "user", "recording" or "fit", and ``why`` the reason in words. ``shift`` [s]:
+    its recorded column is taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays
+    the input, if any.
     """
 
     name: str
     unit: str
     description: str = ""
     nominal: float = 1.0
-    interpolation: str = "hold"
+    interpolation: str | None = "hold"
     dead_time: str | None = None
     default: float = 0.0
+    chosen_by: str | None = "model"
+    shift: float = 0.0
+    why: str = ""
+
+
+INTERPOLATIONS = ("hold", "linear")
+
+
+def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str) -> tuple[Signal, ...]:
+    """The inputs of ``owner`` with other ``interpolation``, ``chosen_by``, ``shift`` or ``why``, by name.
+
+    Raises DeclarationError for an unknown input or interpolation.
+    """
+    names = [s.name for s in inputs]
+    for name, change in changes.items():
+        if name not in names:
+            raise DeclarationError(f"{owner}: no input '{name}'. {nearest(name, names)}")
+        if change.get("interpolation", "hold") not in INTERPOLATIONS:
+            raise DeclarationError(
+                f"{owner}: input '{name}': unknown interpolation (got '{change['interpolation']}'). Use 'hold' for a "
+                "command that is kept between samples or 'linear' for a measured quantity."
+            )
+    return tuple(dataclasses.replace(s, **changes.get(s.name, {})) for s in inputs)
 
 
 @dataclass(frozen=True)
@@ -118,6 +144,10 @@ class FlatModel:
             where = f"{self.name}.{owner}" if owner else self.name
             raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(parameter, names)}")
         return names.index(parameter)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> FlatModel:
+        """The same model whose inputs do something else between samples, see `changed`."""
+        return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name))
 
     def with_parameters(self, changes: Mapping[str, float]) -> FlatModel:
         """The same model with other parameter values (SI)."""

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -21,6 +23,8 @@ from .parameter_file import setting_in_si
 from .regularity import check_solvable
 from .units import compatible
 
+_KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
+
 
 class Model:
     """A component tree, its name, and the parameter values that differ from the declarations.
@@ -32,6 +36,7 @@ class Model:
     settings : ``{path: value}`` in SI, or ``{path: {...}}`` with value, unit, bounds, sigma, source, free.
     step : recommended fixed integration step [s].
     additions : parts added from outside, see `plus`.
+    inputs : what inputs do between samples where that is not as declared, see `with_inputs`.
 
     Raises
     ------
@@ -49,6 +54,7 @@ class Model:
         step: float = 1e-3,
         provenance: Mapping | None = None,
         additions: Iterable[Addition] = (),
+        inputs: Mapping[str, Mapping] = MappingProxyType({}),
     ):
         if not isinstance(root, Component):
             raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
@@ -60,6 +66,7 @@ class Model:
             raise DeclarationError(f"{self.name}: the step is no time ahead (got {step:g} s). Give seconds above zero.")
         self.provenance = dict(provenance or {})
         self.additions = tuple(additions)
+        self.inputs_changed = {k: dict(v) for k, v in inputs.items()}
         if isinstance(settings, str):
             raise DeclarationError(f"{self.name}: settings are no text (got {settings!r}). Write {{'part.name': 1.0}}.")
         self.settings = {path: self._setting(path, change) for path, change in dict(settings).items()}
@@ -78,8 +85,9 @@ class Model:
         for path, change in settings.items():
             merged.setdefault(path, {}).update(self._setting(path, change))
         other = Model(
-            self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions
-        )
+            self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
+            inputs=self.inputs_changed,
+        )  # fmt: skip
         other.sought = self.sought
         if set(merged) - set(self.settings) <= {p.name for p in self.flat.parameters}:
             other.__dict__["_solved"] = self._solved  # the equations are the same: solve them once
@@ -93,11 +101,24 @@ class Model:
             {k: {"value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
         )
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:
+        """The same model whose inputs do something else between samples.
+
+        changes : by input ``interpolation`` ("hold", "linear"), ``chosen_by``, ``why``, ``shift`` [s]; see `Signal`.
+
+        Raises DeclarationError for an unknown input or interpolation.
+        """
+        before, other = self.inputs_changed, copy.copy(self)
+        merged = {name: {**before.get(name, {}), **change} for name, change in changes.items()}
+        other.__dict__ = {**self.__dict__, "flat": self.flat.with_inputs(changes)}  # the equations are the same
+        other.inputs_changed = {**before, **merged}
+        return other
+
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance", "additions")}
-        other.sought = self.sought
+        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
+        other.additions, other.sought = self.additions, self.sought
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
 
@@ -107,7 +128,7 @@ class Model:
         sought : the additions are looked for; otherwise one that changes nothing is refused when `flat` is asked for.
         """
         other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in ("root", "name", "step", "settings", "provenance")}
+        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
         other.sought = True  # until what it frees or holds is independent
         other.additions = (*self.additions, *additions)
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
@@ -220,7 +241,9 @@ class Model:
     def _input(self, entry) -> Signal:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)
-        return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default)
+        by = "model" if d.interpolation else None
+        signal = Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by)
+        return dataclasses.replace(signal, **self.inputs_changed.get(entry.path, {}))
 
     def _parameter(self, entry, follows: float | None = None) -> ParameterValue:
         d, change = entry.declaration, self.settings.get(entry.path, {})

@@ -14,7 +14,7 @@ import tomlkit
 
 from .additions import Addition
 from .errors import DataError, nearest
-from .flat import FlatModel, ParameterValue
+from .flat import FlatModel, ParameterValue, Signal
 from .parameter_file import parameter_settings, read_toml
 from .writing import toml_values, write_whole
 
@@ -24,9 +24,11 @@ _FORMS = (
     ("count", int, "whole number"),
     ("parameters", dict, "table"),
     ("effects", list, "list of tables"),
+    ("inputs", dict, "table"),
     ("provenance", dict, "table"),
 )
 _KEYS = ("kind", "model", *(key for key, _, _ in _FORMS))
+_INPUT = ("interpolation", "chosen_by", "shift", "why")
 _EFFECT = ("effect", "site", "name")
 
 
@@ -36,6 +38,7 @@ class ModelFile:
 
     settings : by dotted path, in SI, ready for ``Model.with_settings``.
     effects : rows ``effect``, ``site`` and ``name`` (of the added part), in the order they were added.
+    inputs : what inputs do between samples and who chose it, ready for ``Model.with_inputs``.
     """
 
     path: Path
@@ -43,6 +46,7 @@ class ModelFile:
     settings: Mapping[str, dict]
     effects: tuple[dict, ...] = ()
     provenance: Mapping = field(default_factory=dict)
+    inputs: Mapping[str, dict] = field(default_factory=dict)
 
 
 def read_model_file(path: Path | str) -> ModelFile:
@@ -71,7 +75,22 @@ def read_model_file(path: Path | str) -> ModelFile:
             "It was cut off while it was copied: copy it again. Or take out the line 'count' if that was meant."
         )
     effects = tuple(_effect(row, number, path) for number, row in enumerate(content.get("effects", ()), 1))
-    return ModelFile(path, content["model"], settings, effects, content.get("provenance", {}))
+    inputs = {name: _input(name, row, path) for name, row in content.get("inputs", {}).items()}
+    return ModelFile(path, content["model"], settings, effects, content.get("provenance", {}), inputs)
+
+
+def _input(name: str, row, path: Path) -> dict:
+    """One row of ``[inputs]``: what the input does between samples."""
+    if not isinstance(row, dict):
+        raise DataError(f"{path}: input '{name}' is no table (got {row!r}). Write {{interpolation = \"linear\"}}.")
+    for key, value in row.items():
+        if key not in _INPUT:
+            raise DataError(f"{path}: input '{name}' has an unknown key '{key}'. {nearest(key, _INPUT)}")
+        if key == "shift" and not (type(value) in (int, float) and np.isfinite(value)):
+            raise DataError(f"{path}: input '{name}': 'shift' is no number of seconds (got {value!r}). Correct it.")
+        if key != "shift" and not isinstance(value, str):
+            raise DataError(f"{path}: input '{name}': '{key}' is no text (got {value!r}). Put it in quotes.")
+    return {"chosen_by": "user", **row}
 
 
 def _effect(row, number: int, path: Path) -> dict[str, str]:
@@ -122,6 +141,9 @@ def write_model_file(
     text = tomlkit.dumps(document)
     rows = [f"{tomlkit.key(p.name.split('.')).as_string()} = {_entry(p).as_string()}" for p in flat.parameters]
     text += "\n".join(["", "[parameters]", *rows, ""])  # not by tomlkit: every dotted key would copy those before it
+    inputs = {s.name: _between(s) for s in flat.inputs if s.chosen_by}
+    if inputs:
+        text += "\n" + tomlkit.dumps({"inputs": inputs})
     if provenance:
         text += "\n" + tomlkit.dumps({"provenance": toml_values(provenance)})
     write_whole(path, text)
@@ -139,6 +161,13 @@ def _entry(p: ParameterValue) -> tomlkit.items.InlineTable:
         entry["free"] = True
     if p.source:
         entry["source"] = p.source
+    return entry
+
+
+def _between(signal: Signal) -> tomlkit.items.InlineTable:
+    """What an input does between its samples, and who says so."""
+    entry = tomlkit.inline_table()
+    entry.update({key: value for key in _INPUT if (value := getattr(signal, key))})
     return entry
 
 

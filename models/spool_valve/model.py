@@ -28,7 +28,7 @@ class SpoolValve(Component):
     It starts with ``start_pressure_b`` on the rod side and the cap side at static equilibrium.
     """
 
-    current = Input("1", "normalised solenoid current", nominal=1.0)
+    current = Input("1", "normalised solenoid current", nominal=1.0, interpolation="hold")
     position = Output("m", "stroke of the rod", nominal=0.3)
     spool = Output("1", "spool position", nominal=1.0)
     pressure_a = Output("Pa", "pressure, cap side", nominal=5e6)
@@ -109,7 +109,7 @@ class FlowCurve(Component):
 class QuasiStaticSpoolValve(Component):
     """Spool dynamics and the steady flow curve, no chambers: for recordings at 10 Hz."""
 
-    current = Input("1", "normalised solenoid current", nominal=1.0)
+    current = Input("1", "normalised solenoid current", nominal=1.0, interpolation="hold")
     position = Output("m", "stroke of the rod", nominal=0.3)
     spool = Output("1", "spool position", nominal=1.0)
     velocity = Output("m/s", "velocity of the rod", nominal=0.1)

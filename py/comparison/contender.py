@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
@@ -58,6 +59,13 @@ class PhysicalContender:
         self.start = dict(start) if start else None
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> PhysicalContender:
+        """The same whose inputs do something else between samples, see `changed`."""
+        other = copy.copy(self)
+        other.flat = self.flat.with_inputs(changes)
+        other.inputs = other.flat.inputs
+        return other
+
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
         return simulate(self.flat, record, start=self._start_of(record))
@@ -78,6 +86,10 @@ class BlockContender:
         self.block, self.kind, self.name = block, kind, name or block.name
         self.inputs, self.outputs, self.parameters = block.inputs, block.outputs, block.parameters
         self.domain, self.provenance = block.domain, dict(block.provenance)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> BlockContender:
+        """The same whose inputs do something else between samples, see `changed`."""
+        return BlockContender(self.block.with_inputs(changes), self.kind, self.name)
 
     def free_run(self, record: Record) -> Record:
         """Outputs of the block run at its own period."""
@@ -136,6 +148,9 @@ class _Renamed:
 
     def __init__(self, contender: Contender, name: str):
         self._contender, self.name = contender, name
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> _Renamed:
+        return _Renamed(self._contender.with_inputs(changes), self.name)
 
     def __getattr__(self, attribute: str):
         return getattr(self._contender, attribute)

@@ -12,6 +12,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, Hydrot
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
 from hydrotwin.records import NoiseFloor, Record, distinct, noise_floor, require
+from hydrotwin.records.between import between, settled, told
 
 from .comparison import (
     FREE_RUN,
@@ -46,6 +47,7 @@ def compare(
     title: str = "Comparison of models",
     repeats: int = 3,
     progress: Callable[[int, int, str], None] | None = None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Comparison:
     """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
 
@@ -55,12 +57,14 @@ def compare(
     train_records : the recordings the models were made from, for the share of each recording they cover.
     repeats : timed runs per model and recording; fewer when they take longer than TIMING_BUDGET together.
     progress : called with (runs done, runs in all, what is next).
+    interpolation : "hold" or "linear" by input, in place of what the models say or the recordings show.
 
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known, DataError when there is nothing to compare.
     """
     contenders, records = list(contenders), distinct(records)[0]
     _check(contenders, records, modes)
+    contenders = _settled(contenders, records, interpolation or {})
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
     noise = {r.name: noise_floor(r) for r in records}
@@ -201,14 +205,22 @@ def _timing(key: tuple[str, str], values: list[float]) -> Timing:
     return Timing(*key, float(np.median(values)), float(min(values)), float(max(values)), len(values))
 
 
+def _settled(contenders: Sequence[Contender], records: Sequence[Record], wanted: Mapping[str, str]) -> list[Contender]:
+    """The contenders with their inputs decided for all recordings together: one rule for what they share."""
+    told([s for c in contenders for s in c.inputs], wanted, "none of the models")
+    own = [{s.name: wanted[s.name] for s in c.inputs if s.name in wanted} for c in contenders]
+    return [settled(c, records, some) for c, some in zip(contenders, own, strict=True)]
+
+
 def _entrant(contender) -> Entrant:
+    chosen = between([s for s in contender.inputs if s.chosen_by != "model"])
     return Entrant(
         contender.name,
         contender.kind,
         tuple(contender.inputs),
         tuple(contender.outputs),
         tuple(getattr(contender, "parameters", None) or ()),
-        dict(getattr(contender, "provenance", None) or {}),
+        {**(getattr(contender, "provenance", None) or {}), **({"inputs between samples": chosen} if chosen else {})},
     )
 
 

@@ -16,7 +16,8 @@ from .loop import Loop, in_loop, read_loop
 from .run import compare
 
 HOLD_LAST = "hold_last"
-KEYS = ("title", "models", "validate", "train", "modes", "outputs", "rates", "scale", "missing", "loop")
+OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "interpolation", "loop")
+KEYS = ("title", "models", "validate", "train", *OPTIONS)
 _FILES = (".toml", ".fmu", ".npz")
 
 
@@ -33,8 +34,9 @@ class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
     ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading and ``missing`` what
-    empty cells mean (see `read_record`), ``base`` the folder that relative paths start from. With ``loop`` every model
-    runs under the same controller and follows the recorded reference.
+    empty cells mean (see `read_record`), ``interpolation`` "hold" or "linear" by input, ``base`` the folder that
+    relative paths start from. With ``loop`` every model runs under the same controller and follows the recorded
+    reference.
     """
 
     title: str
@@ -46,6 +48,7 @@ class Scenario:
     rates: tuple[str, ...] = ()
     scale: Mapping[str, str] = field(default_factory=dict)
     missing: str = "error"
+    interpolation: Mapping[str, str] = field(default_factory=dict)
     base: Path = Path(".")
     loop: Loop | None = None
 
@@ -64,6 +67,7 @@ def read_scenario(path: str | Path) -> Scenario:
         rates = ["arm_angle"]                     # score its slope as well
         scale = {command = "0.05 V/%"}
         missing = "keep"                          # empty cells: error, drop rows or keep
+        interpolation = {force = "linear"}        # between samples, in place of what the recordings show
 
         [loop]                                    # closed loop: see `Loop`
         reference = "reference"
@@ -98,8 +102,9 @@ def read_scenario(path: str | Path) -> Scenario:
         modes=tuple(modes),
         outputs=_strings(table, "outputs", where) or None,
         rates=_strings(table, "rates", where),
-        scale=_scale(table, where),
+        scale=_texts(table, "scale", where, "command = '0.05 V/%'"),
         missing=str(table.get("missing", "error")),
+        interpolation=_texts(table, "interpolation", where, "force = 'linear'"),
         base=path.parent,
         loop=read_loop(table["loop"], where) if "loop" in table else None,
     )
@@ -127,6 +132,7 @@ def run_scenario(
         title=scenario.title,
         repeats=repeats,
         progress=progress,
+        interpolation=scenario.interpolation,
     )
 
 
@@ -181,11 +187,11 @@ def _strings(table: Mapping, key: str, where: str) -> tuple[str, ...]:
     return tuple(values)
 
 
-def _scale(table: Mapping, where: str) -> dict[str, str]:
-    scale = table.get("scale", {})
-    if not isinstance(scale, dict) or not all(isinstance(v, str) for v in scale.values()):
-        raise DeclarationError(f"{where}: 'scale' is no table of texts (got {scale!r}). Write command = '0.05 V/%'.")
-    return scale
+def _texts(table: Mapping, key: str, where: str, example: str) -> dict[str, str]:
+    texts = table.get(key, {})
+    if not isinstance(texts, dict) or not all(isinstance(v, str) for v in texts.values()):
+        raise DeclarationError(f"{where}: '{key}' is no table of texts (got {texts!r}). Write {example}.")
+    return texts
 
 
 def _entry(value, path: Path) -> ModelEntry:

@@ -33,6 +33,7 @@ class Wanted:
     outputs: Sequence[str] | None
     noise: Mapping[str, float] | None
     step: float | None
+    interpolation: Mapping[str, str] | None
 
 
 @dataclass(frozen=True, eq=False)

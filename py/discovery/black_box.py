@@ -19,7 +19,7 @@ import numpy as np
 
 from hydrotwin.export.repeated import RepeatedFmu
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable
+from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable, changed
 from hydrotwin.records import Record
 from hydrotwin.simulation import prepare
 
@@ -49,6 +49,12 @@ class BlackBox(FlatModel):
     from_raw: tuple[int, ...] = ()
     starts: Mapping[str, str] = field(default_factory=dict)
     values: Mapping[str, str] = field(default_factory=dict)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> BlackBox:
+        """The same whose inputs do something else between samples, on their way to the FMU and inside it."""
+        parts = {name: getattr(self, name) for name in ("fmu", "front", "back")}
+        changed_parts = {name: part.with_inputs(changes) for name, part in parts.items() if part is not None}
+        return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name), **changed_parts)
 
     def prepared(self, free_parameters, free_states, step: float, method: str) -> Chain:
         """What runs it; see `hydrotwin.simulation.prepare`."""
@@ -84,6 +90,8 @@ class Chain:
         values = {variable: of[state] for state, variable in flat.starts.items()}
         values |= {v: known[name] for name, v in flat.values.items() if known[name] != default[v]}
         fmu = dataclasses.replace(flat.fmu, starts={}, values={n: _unscaled(flat.fmu, n, v) for n, v in values.items()})
+        here = {"shift": 0.0} if self._front is None else {"shift": 0.0, "interpolation": "hold"}  # shaped: means
+        fmu = fmu.with_inputs({s.name: here for s in fmu.inputs})
         signals = {s.name: shaped[:, j] for j, s in enumerate(fmu.inputs)}
         run = fmu.free_run(Record(time, signals, {s.name: s.unit for s in fmu.inputs}, flat.name))
         return np.column_stack([run[s.name] for s in fmu.outputs])
@@ -186,7 +194,10 @@ def black_box(around: FlatModel, shaped: ca.Function, raw: list[int], fmu: Repea
     rates, y = around.ode(t, x, u, whole)
     silent = ca.SX.zeros(len(raw))
     labels = (["t", "x", "u", "p"], ["xdot", "y"])
-    inputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.inputs, fmu.inputs, strict=True))
+    inputs = tuple(
+        dataclasses.replace(f, dead_time=s.dead_time, default=s.default)
+        for s, f in zip(around.inputs, fmu.inputs, strict=True)
+    )
     outputs = tuple(dataclasses.replace(s, name=f.name) for s, f in zip(around.outputs, fmu.outputs, strict=True))
     measured = tuple(Signal(f"{s.name} of the FMU", s.unit, "", s.nominal, "linear") for s in outputs)
     common = {"parameters": parameters, "step": around.step, "initialisation": Starts({})}

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtri
 
 from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 
@@ -36,7 +37,8 @@ PART = 0.05  # of the gap: a law that is a fifth off leaves less
 MEASURABLE = 1.02  # MSE over noise^2
 HUGE = 1e6  # times the noise: a run that diverged
 DIVERGED = 700.0  # logarithm of the error of a run that diverged
-LARGE = 1.2  # MSE over noise^2: no error of a noise estimate
+LARGE = 1.2  # MSE over noise^2: no error of a noise estimate ...
+CHANCE = 1e-3  # ... nor, more seldom than this, of few samples
 SHOWN = 0.1  # of the most that any recording leaves beyond the noise: less shows nothing of the gap
 CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason
 
@@ -209,11 +211,13 @@ def gap_closed(before: np.ndarray, after: np.ndarray, noise: np.ndarray) -> floa
 def has_gap(residuals: Sequence[np.ndarray], noise: np.ndarray, clearly: float = MEASURABLE) -> np.ndarray:
     """Outputs (ny,) that leave more than noise: mean square above ``clearly`` noise^2, and not white unless large.
 
-    A noise that is estimated is uncertain by a few percent, and a bias is white.
+    A noise that is estimated is uncertain by a few percent, a bias is white, and few samples are large by chance.
     """
+    counts = np.maximum(np.sum([np.isfinite(r).sum(axis=0) for r in residuals], axis=0), 1)
+    large = np.maximum(LARGE, chdtri(counts, CHANCE) / counts)
     with np.errstate(invalid="ignore"):
         square = (pooled_rmse(residuals) / noise) ** 2
-    return (np.nan_to_num(square) > LARGE) | ((np.nan_to_num(square) > clearly) & coloured(residuals))
+    return (np.nan_to_num(square) > large) | ((np.nan_to_num(square) > clearly) & coloured(residuals))
 
 
 def beyond_noise(residuals: Sequence[np.ndarray], noise: np.ndarray) -> list[float]:

@@ -12,9 +12,11 @@ from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
+from hydrotwin.records.between import settled
 
-from .answering import answer
+from .answering import Found, answer
 from .asked import Asked, Wanted, bounded, free_names
+from .assumed import fairly, with_assumptions
 from .base import identified
 from .confirm import confirmed
 from .discovery import Discovery
@@ -27,6 +29,7 @@ from .refit import Led, Question, Refitted, conclude
 from .resume import recalled
 from .search import Search
 from .structure import Structure
+from .surroundings import SurroundedFmu
 from .together import explained_together
 
 MOST_EFFECTS = 3
@@ -49,6 +52,7 @@ def discover(
     executor: str | Executor | None = None,
     progress: bool | Callable | None = None,
     memory=None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Discovery:
     """Name the physical effects that a model lacks, from recordings of the machine.
 
@@ -70,6 +74,7 @@ def discover(
         executor: where refits run, see `executor_for`.
         progress: True for a bar, or a function ``(stage, done, total, note)``.
         memory: a `Memory` of finished refits, to go on after an interruption; ``seconds`` counts all parts.
+        interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
     diverges from every start).
@@ -79,14 +84,25 @@ def discover(
         raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
     if memory is not None:
         memory.begin()
-    wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise, step)
-    asked = around(model, wanted) if getattr(model, "kind", "") == "fmu" else inside(model, wanted)
+    wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise, step, interpolation)
+    is_fmu = isinstance(model, SurroundedFmu) or getattr(model, "kind", "") == "fmu"
+    ask = around if is_fmu else inside
+    asked = ask(model, wanted)
     with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
-        run = _runner(pool, report, memory, 1 if asked.model.flat.black_box else cores_of(pool))
-        search, base = _begin(asked, wanted, run, report)
-        found = searched(search, begun(search, base), max_effects)
+        run = _runner(pool, report, memory, 1 if is_fmu else cores_of(pool))
+
+        def again(model, initial_states: str) -> Asked:
+            return ask(model, dataclasses.replace(wanted, initial_states=initial_states))
+
+        def begin(asked: Asked) -> tuple[Search, Structure]:
+            return _begin(asked, wanted, run, report)
+
+        def search_on(search: Search, base: Structure) -> Found:
+            return searched(search, begun(search, base), max_effects)
+
+        search, asked, found, given_up = fairly(asked, again, begin, search_on)
         search, found = explained_together(search, asked.data, found, max_effects)
-        said = answer(search, asked.data, confirmed(search, found), asked.model)
+        said = with_assumptions(answer(search, asked.data, confirmed(search, found), asked.model), given_up)
     earlier = 0.0 if memory is None else memory.earlier
     given = {"train": len(records), "validate": len(validate)}
     return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
@@ -110,6 +126,7 @@ def inside(model: Model, wanted: Wanted) -> Asked:
             f"gap: '{getattr(model, 'name', model)}' is no component model, so no effect can be added inside it. "
             "Wrap it, or compare it only: hydrotwin compare."
         )
+    model = settled(model, wanted.records, wanted.interpolation)
     data = split(model.flat, wanted.records, wanted.validate, wanted.outputs, wanted.noise)
     lone = len(wanted.records) == 1 and wanted.initial_states == "auto"  # its pieces begin in motion
     names = free_names(model.flat, wanted.free)

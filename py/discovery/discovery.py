@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.model import Model
 
-from .words import said
+from .words import capitalised, said
 
 VERDICTS = ("named", "class", "none", "unknown")
 FATES = ("named", "in class", "rejected", "not refitted", "not testable", "cannot be added", "implausible")
@@ -233,6 +233,7 @@ class Discovery:
     given : how many recordings were given by role, a lone one counted once though it is cut into parts.
     seconds : of the whole search [s], of all its parts when it was interrupted.
     reason : why there is no name, where more is known than the verdict says.
+    assumptions : what had been assumed about the recordings and was given up, a sentence each.
     """
 
     name: str
@@ -262,8 +263,9 @@ class Discovery:
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)
     reason: str = ""
+    assumptions: tuple[str, ...] = ()
 
     @property
     def answer(self) -> str:
         """The result in a sentence."""
-        return said(self.verdict, self.steps, self.reason)
+        return " ".join([said(self.verdict, self.steps, self.reason), *map(capitalised, self.assumptions)])

@@ -12,6 +12,7 @@ from hydrotwin.export.reader import FmuBlock
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
+from hydrotwin.records.between import settled
 
 from .asked import Asked, Wanted, bounded, free_names
 from .probing import ProbeJob, amplitudes, best_amplitude, cost_of, probe, seen_by_parts
@@ -38,7 +39,8 @@ def around(fmu: FmuBlock | SurroundedFmu, wanted: Wanted) -> Asked:
     Raises DeclarationError for an FMU without inputs or outputs, DataError for recordings that lack a signal,
     SolveError where the FMU fails, crashes or hangs.
     """
-    model, records = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu), wanted.records
+    records, model = wanted.records, fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
+    model = settled(model, records, wanted.interpolation)
     pieces, said, seconds = ready(model, records, wanted.validate, wanted.free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}

@@ -175,7 +175,7 @@ def _refit(job: RefitJob) -> Refitted:
         lengths = lengths[LEADING:] if job.led else lengths
         found = descend(task, led.q, lengths, job.iterations, 1e-3, thorough=False, states=led.states)
     else:
-        task = _weighed(job, q.noise)
+        task = weighed(job, q.noise)
         found, iterations = _from_starts(task, job)
     best = _settled(task, q, found, iterations)
     if job.valley and best[0].propagator.method != "rosenbrock":  # a look costs a hundred runs, of a stiff one minutes
@@ -195,12 +195,12 @@ def _beside_the_held(job: RefitJob) -> RefitJob:
 def _coarse(job: RefitJob) -> tuple[Task, list[float]]:
     """The task of a descent through windows and how long [s] they are."""
     noise = job.question.noise
-    task = _weighed(job, noise if job.size is None else np.fmax(job.size, noise))
+    task = weighed(job, noise if job.size is None else np.fmax(job.size, noise))
     lengths = horizons(task.flat, task.recordings, task.free.vector(task.free.scaled(task.free.start)))
     return broadly_weighed(task, np.isfinite(noise)) if job.size is None else task, lengths
 
 
-def _weighed(job: RefitJob, size: np.ndarray) -> Task:
+def weighed(job: RefitJob, size: np.ndarray) -> Task:
     """The task of a refit from its first start, where a residual (ny,) of ``size`` SI costs as much as noise does."""
     flat, q = job.flat, job.question
     free = free_parameters(flat, job.free, inside(flat, job.starts[0]))
@@ -396,7 +396,7 @@ def conclude(job: RefitJob) -> Concluded | str:
 def _conclude(job: RefitJob) -> Concluded:
     began, q = time.perf_counter(), job.question
     alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()))
-    task = _weighed(alone, np.fmax(q.noise if job.size is None else job.size, q.noise))
+    task = weighed(alone, np.fmax(q.noise if job.size is None else job.size, q.noise))
     found = _from_starts(task, alone)[0]
     task, found, left, value = _settled(task, q, found, LAST_WORD)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}

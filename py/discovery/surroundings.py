@@ -68,6 +68,13 @@ class SurroundedFmu(Model):
         other.__dict__ = super().with_settings(settings, provenance).__dict__
         return other
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> SurroundedFmu:
+        """The same whose inputs do something else between samples, also where they reach the FMU."""
+        other = surrounded(self.fmu.with_inputs(changes)).plus(self.additions)
+        other = other.with_settings(self.settings, self.provenance)
+        other.step = self.step
+        return other
+
     @cached_property
     def flat(self) -> BlackBox:
         """The FlatModel that runs the FMU between the equations of its surroundings."""

@@ -78,6 +78,11 @@ def joined(words: Sequence[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
+def capitalised(text: str) -> str:
+    """A sentence with its capital."""
+    return text[:1].upper() + text[1:]
+
+
 def lowered(text: str) -> str:
     """A title or sentence inside another: without its capital, unless its first word is a name or an abbreviation.
 

@@ -7,7 +7,7 @@ import os
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from fmpy.validation import validate_fmu
 
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
+from hydrotwin.records.between import told
 
 from .child_process import start_child
 from .fmu_process.gates import applicable
@@ -80,7 +81,13 @@ class Check:
         return "\n".join([self.path, *lines])
 
 
-def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_limit: float = 60.0) -> Check:
+def check_fmu(
+    path: str | os.PathLike,
+    reference: Record | None = None,
+    *,
+    time_limit: float = 60.0,
+    interpolation: Mapping[str, str] | None = None,
+) -> Check:
     """Check an FMU of FMI 2 or 3, whoever made it.
 
     Read without running its code: FMPy's validation, platforms, files, units. Run in a child process with a limit of
@@ -91,7 +98,8 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
     saving the state, directional derivatives and NaN. An FMU with both is tried as both.
     Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer
     (FMI 3 Model Exchange), where they are installed.
-    With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared; they agree
+    With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared, held between
+    samples unless ``interpolation`` says "linear" for an input by name; they agree
     when they differ by less than 1e-6 of each signal's range (1e-2 in Model Exchange where there is both).
 
     A row fails only where the standard is broken or the numbers are wrong. Raises DataError when there is no file.
@@ -107,7 +115,7 @@ def check_fmu(path: str | os.PathLike, reference: Record | None = None, *, time_
         CheckRow("readable", True, _summary(description)), _validation(path), _files(path), _platforms(path),
         _units(description), *_probes(path, description, time_limit),
         *_in_child(path, applicable(description.source), "gates", time_limit),
-        *_references(path, description, reference, time_limit),
+        *_references(path, description, reference, time_limit, interpolation or {}),
     ]  # fmt: skip
     return Check(str(path), tuple(rows))
 
@@ -232,16 +240,17 @@ def _exchanging(block: FmuBlock) -> FmuBlock:
     return replace(block, description=replace(block.description, interface="ModelExchange", any_step=True))
 
 
-def _references(path: Path, description: Description, reference: Record | None, limit: float) -> list[CheckRow]:
+def _references(
+    path: Path, description: Description, reference: Record | None, limit: float, interpolation: Mapping[str, str]
+) -> list[CheckRow]:
     record = reference if reference is not None else _embedded_reference(path)
     if record is None:
         return [CheckRow("reference", None, "no reference record was given and none is inside")]
-    rows = [_tried("reference", lambda: _replay(read_fmu(path, time_limit=limit), record, AGREEMENT))]
+    block = read_fmu(path, time_limit=limit, interpolation="hold")
+    block = block.with_inputs(told(block.inputs, interpolation if reference is not None else {}, str(path)))
+    rows = [_tried("reference", lambda: _replay(block, record, AGREEMENT))]
     if _offers_both(description):
-        other = _tried(
-            "reference" + SECOND, lambda: _replay(_exchanging(read_fmu(path, time_limit=limit)), record, OTHER_SOLVER)
-        )
-        rows.append(other)
+        rows.append(_tried("reference" + SECOND, lambda: _replay(_exchanging(block), record, OTHER_SOLVER)))
     return rows
 
 
@@ -262,7 +271,9 @@ def _replay(block: FmuBlock, record: Record, limit: float) -> tuple[bool, str]:
         return False, f"the reference has none of the outputs {', '.join(s.name for s in block.outputs)}"
     errors = {n: _relative_difference(found[n], record[n]) for n in shared}
     worst = max(errors, key=errors.__getitem__)
-    detail = f"{len(shared)} outputs, largest difference {errors[worst]:.2g} of the range at {worst}"
+    linear = ", ".join(s.name for s in block.inputs if s.interpolation == "linear")
+    between = f"{linear} linear between samples" if linear else "inputs held between samples"
+    detail = f"{len(shared)} outputs, largest difference {errors[worst]:.2g} of the range at {worst}, {between}"
     return errors[worst] <= limit, detail
 
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.models.language.flat import ParameterValue, Signal
+from hydrotwin.models.language.flat import ParameterValue, Signal, changed
 from hydrotwin.records import Record, known_inputs, require, steps_over
+from hydrotwin.records.between import settled, told
+from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
@@ -45,6 +47,10 @@ class FmuBlock:
     provenance: dict = field(default_factory=dict)
     named: tuple[str, ...] = ()
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> FmuBlock:
+        """The same FMU whose inputs do something else between samples, see `changed`."""
+        return replace(self, inputs=changed(self.inputs, changes, self.name))
+
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
@@ -53,12 +59,13 @@ class FmuBlock:
 
         Raises DataError or UnitError when the record lacks an input, SolveError when the FMU fails, crashes or hangs.
         """
+        self = settled(self, [record])
         period = self.description.period
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
         steps_over(np.ptp(record.time), period, self.name)
         grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
-        held = [s.name for s in self.inputs if s.interpolation == "hold"]
+        held = [s.name for s in self.inputs if s.interpolation != "linear"]
         run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)
         signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
@@ -83,7 +90,7 @@ class FmuBlock:
                 f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
-        job, arrays = self._job("restart", record, record)
+        job, arrays = settled(self, [record])._job("restart", record, record)
         pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self._to_fmu(p, record, o) for p, o in pairs.items()]
@@ -102,6 +109,8 @@ class FmuBlock:
         record = known_inputs(require(record, self.inputs, self.name), self.inputs, self.name)
         self.require_outputs()
         of = self.description.fmu_names
+        seen = {s.name: as_seen(s, record.time, record[s.name]) for s in self.inputs}
+        record = record.with_signals(seen) if seen else record
         columns = [self._to_fmu(of[s.name], record, s.name) for s in self.inputs]
         job = {
             "task": task,
@@ -169,7 +178,7 @@ def read_fmu(
     starts: Mapping[str, str] = MappingProxyType({}),
     values: Mapping[str, float] = MappingProxyType({}),
     outputs: Sequence[str] | None = None,
-    interpolation: str = "hold",
+    interpolation: str | Mapping[str, str] | None = None,
     time_limit: float = TIME_LIMIT,
 ) -> FmuBlock:
     """Any FMU of FMI 2.0 or 3.0, Co-Simulation (preferred) or Model Exchange, as a contender.
@@ -179,7 +188,8 @@ def read_fmu(
     starts : start parameter -> record name of the output it takes its value from; an FMU of hydrotwin brings its own.
     values : variables to set before initialization, in the FMU's units.
     outputs : FMU variables to predict, local ones too; its outputs by default.
-    interpolation : what the inputs do between samples, "hold" or "linear"; discrete ones are held.
+    interpolation : what the inputs do between samples, "hold" or "linear", for all or by name in the records; the
+        recordings show it where it is not given. Discrete inputs are held.
 
     Integer, Boolean and Enumeration inputs take what is whole to within 1e-6, else DataError says where it is not.
     Nothing of the FMU's code runs here: it runs in a child process with ``time_limit`` [s] at each free run.
@@ -197,14 +207,17 @@ def read_fmu(
         if whole := description.whole.get(variable):
             where = f"{path}: values: '{variable}' is no {whole.kind}, which it must be"
             whole.rounded(np.array([values[variable]], float), lambda _, said=where: said)
-    return FmuBlock(
+    block = FmuBlock(
         name=name or md.modelName, path=str(Path(path).absolute()),
-        inputs=tuple(_signal(v, description, interpolation) for v in inputs_of(md)),
-        outputs=tuple(_signal(v, description, interpolation) for v in predicted),
+        inputs=tuple(_signal(v, description) for v in inputs_of(md)),
+        outputs=tuple(_signal(v, description) for v in predicted),
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
         description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
         provenance=_provenance(md, description, [v.name for v in predicted]), named=tuple(outputs or ()),
     )  # fmt: skip
+    if isinstance(interpolation, str):
+        interpolation = {s.name: interpolation for s in block.inputs if s.interpolation is None}
+    return block.with_inputs(told(block.inputs, interpolation or {}, str(path)))
 
 
 def _outputs(path, md, names: Sequence[str] | None) -> list:
@@ -230,12 +243,13 @@ def _check_settable(path, md, names) -> None:
             )
 
 
-def _signal(variable, description: Description, interpolation: str) -> Signal:
+def _signal(variable, description: Description) -> Signal:
     factor, _ = description.scales[variable.name]
     nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
+    moving = variable.type in FLOATS and variable.variability != "discrete"
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
-        interpolation if variable.type in FLOATS and variable.variability != "discrete" else "hold",
+        interpolation=None if moving else "hold", chosen_by=None if moving else "model",
     )  # fmt: skip
 
 

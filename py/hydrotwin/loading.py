@@ -164,6 +164,7 @@ def _with_file(model, file: ModelFile) -> Model:
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
         answer = with_effects(_as_it_is(model, file), file.effects).with_settings(file.settings, dict(file.provenance))
+        answer = answer.with_inputs(file.inputs) if file.inputs else answer
         _ = answer.flat
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None

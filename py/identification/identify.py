@@ -11,11 +11,13 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.records import distinct
+from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 
 from .answer import answer
+from .assumptions import PATIENCE, doubted
 from .descent import Task, undecided
-from .fit import Fit
+from .fit import Finding, Fit
 from .loss import Loss
 from .noise import output_noise
 from .noise import weights as by_noise
@@ -47,6 +49,7 @@ def identify(
     iterations: int = 60,
     threads: int | None = None,
     progress: bool | Callable | None = None,
+    interpolation: Mapping[str, str] | None = None,
 ) -> Fit:
     """Fit free parameters so that the free runs of the model meet the recordings.
 
@@ -73,14 +76,16 @@ def identify(
         windows: lengths [s] of the shooting windows, () for free runs alone, None to choose from the model's modes.
         step, method: of the simulation, see `hydrotwin.simulation.prepare`.
         progress: True for a bar, or a function ``(stage, iteration, cost)``.
+        interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
 
     Raises DeclarationError (unknown or unusable parameter, bounds, option), DataError (recordings that cannot be
     used), SolveError (every start diverges).
     """
     began = time.perf_counter()
-    flat = getattr(model, "flat", model)
     if not len(records):
-        raise DataError(f"identify: no recording to fit {flat.name} to. Give at least one.")
+        raise DataError(f"identify: no recording to fit {model.name} to. Give at least one.")
+    model = settled(model, records, interpolation)
+    flat = getattr(model, "flat", model)
     if starts < 1:
         raise DeclarationError(f"identify: starts must be at least 1 (got {starts}).")
     if weights not in WEIGHTS:
@@ -88,28 +93,42 @@ def identify(
     parameters = free_parameters(flat, free, start, bounds)
     records, validate = distinct(records, validate)
     train = recordings(flat, records, outputs, "record")
-    judged = recordings(flat, validate, outputs, "validation record")
     sigma = output_noise(flat, train, noise)
     with reporting(progress, flat.name) as report:
-        report("compile", 0, np.nan)
-        propagator = prepare(
-            flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step, method=method
-        )
-        cost = Loss("linear" if loss == "auto" else loss, loss_scale)
-        task = Task(
-            flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or _processors(),
-            report, sigma,
-        )  # fmt: skip
         adaptable = _adaptable(flat, weights, noise) & np.isfinite(sigma)
-        effort = Effort(windows, starts, iterations)
-        task, minima = search(task, effort, adaptable)
-        task, minima, said = spared(task, minima, effort, adaptable) if loss == "auto" else (task, minima, [])
+        effort, given_up = Effort(windows, starts, iterations), []
+        for _ in range(PATIENCE + 1):
+            report("compile", 0, np.nan)
+            propagator = prepare(
+                flat, free_parameters=parameters.names, free_states=[s.name for s in flat.states], step=step,
+                method=method,
+            )  # fmt: skip
+            cost = Loss("linear" if loss == "auto" else loss, loss_scale)
+            task = Task(
+                flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or _processors(),
+                report, sigma,
+            )  # fmt: skip
+            task, minima = search(task, effort, adaptable)
+            task, minima, said = spared(task, minima, effort, adaptable) if loss == "auto" else (task, minima, [])
+            report("what was assumed", 0, minima[0].cost)
+            change = doubted(task, minima[0], adaptable) if len(given_up) < PATIENCE else None
+            if change is None:
+                break
+            given_up.append(change)
+            if not change.used:
+                break
+            initial_states = "free" if change.free_starts else initial_states
+            parameters = free_parameters(flat, [*parameters.names, *change.freed], start, bounds)
+            flat = flat.with_inputs(change.inputs)
+            train = recordings(flat, records, outputs, "record")
         report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
             "method": method, "weights": weights,
         }  # fmt: skip
+        judged = recordings(flat, validate, outputs, "validation record")
         fit = answer(undecided(task), minima, judged, settings, began)
+        said = [*(Finding("assumption", (), f"identify: {s}") for c in given_up for s in c.sentences), *said]
         return dataclasses.replace(fit, findings=(*said, *fit.findings))
 
 

@@ -13,6 +13,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import known_inputs
 from hydrotwin.records.noise import recorded_step
+from hydrotwin.simulation.inputs import as_seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +159,7 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
                 f"{name}: input '{signal.name}' has {np.sum(~np.isfinite(column))} missing values. An input must be "
                 "known at every sample. Cut the recording there."
             )
-        columns.append(column)
+        columns.append(as_seen(signal, time, column))
     y = np.full((len(time), len(flat.outputs)), np.nan)
     for j, signal in enumerate(flat.outputs):
         if signal.name in wanted and signal.name in record.signals:

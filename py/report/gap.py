@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hydrotwin.discovery.discovery import Discovery, Step
 from hydrotwin.discovery.words import certainty, joined, lowered, percent, placed
+from hydrotwin.records.between import between
 
 from .fit import parameter_rows, parameter_table
 from .format import number_text
@@ -277,5 +278,6 @@ def _provenance(discovery: Discovery, command: str, date: datetime) -> Section:
     fitted = {r.name for r in records}
     rest = {name: value for name, value in discovery.provenance.items() if name not in fitted}
     origin = item_table(rest, title="Recordings never used" if digests else "Recordings")
-    parts = [p for p in (digests, origin) if p]
+    inputs = item_table(between(discovery.model.flat.inputs), "inputs", "Inputs between their samples")
+    parts = [p for p in (digests, origin, inputs) if p]
     return Section("provenance", "Provenance", (*parts, timing_table(discovery), made_table(command, date)))

@@ -7,6 +7,7 @@ from dataclasses import asdict
 
 from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
+from hydrotwin.records.between import between
 
 from .fit import parameter_rows
 
@@ -20,6 +21,8 @@ def gap_data(discovery: Discovery) -> dict:
         "model": discovery.name,
         "verdict": discovery.verdict,
         "answer": discovery.answer,
+        "inputs": between(discovery.model.flat.inputs),
+        "assumptions": list(discovery.assumptions),
         "steps": [_step(s) for s in discovery.steps],
         "noise": dict(discovery.noise),
         "train": _outputs(discovery.outputs.get("train", ())),

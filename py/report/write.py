@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.comparison import FREE_RUN, Comparison
+from hydrotwin.records.between import between
 
 from .answer import answer, facts, winners
 from .comparison_figures import error_bar_groups, overlay_groups, peak, plan
@@ -213,6 +214,7 @@ def _entrant(entrant) -> dict:
         "kind": entrant.kind,
         "inputs": {s.name: s.unit for s in entrant.inputs},
         "outputs": {s.name: s.unit for s in entrant.outputs},
+        "between_samples": between(entrant.inputs),
         "parameters": {p.name: {"value": p.value, "unit": p.unit, "sigma": p.sigma} for p in entrant.parameters},
         "provenance": dict(entrant.provenance),
     }

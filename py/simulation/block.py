@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 
-from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
+from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable, changed
 
 TRAINING_DISTANCE, INSIDE_TRAINING = "training_distance", "inside_training_domain"
 ON_THE_EDGE = 1e-9  # of the box width: samples on the edge are inside
@@ -55,6 +56,10 @@ class Block:
     domain: TrainingDomain | None = None
     description: str = ""
     provenance: dict = field(default_factory=dict)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> Block:
+        """The same block whose inputs do something else between samples, see `changed`."""
+        return replace(self, inputs=changed(self.inputs, changes, self.name))
 
     def parameter_vector(self) -> np.ndarray:
         """Values of the block's parameters, shape (np,), SI."""

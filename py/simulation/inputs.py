@@ -15,6 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.models.language.flat import Signal
+
 SNAP = 1e-9  # a delayed instant this close to a sample, in intervals, is that sample
 
 
@@ -73,6 +75,16 @@ def mean_over(time: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, lin
         return integral[i] + past * u[i] + 0.5 * past**2 * _slope(time, u, i, instant, linear)
 
     return (upto(b) - upto(a)) / (b - a)
+
+
+def as_seen(signal: Signal, time: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """A recorded input (n,) taken for ``signal.shift`` seconds later than it is stamped, at the same samples."""
+    if not signal.shift or len(time) < 2:
+        return column
+    if signal.interpolation == "linear":
+        return np.interp(time - signal.shift, time, column)
+    ends = np.append(time[1:], 2 * time[-1] - time[-2])
+    return mean_over(time, column, time - signal.shift, ends - signal.shift, False)
 
 
 def at(time: np.ndarray, u: np.ndarray, instant: np.ndarray, linear: bool, side: str) -> np.ndarray:

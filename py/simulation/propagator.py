@@ -106,6 +106,11 @@ class Propagator:
         self._choice = _Choice(method, Control(self._asked[0]))
         self._deciding, self._building = threading.Lock(), threading.Lock()
 
+    @property
+    def asked(self) -> tuple[float, str]:
+        """Step [s] and method as they were asked for."""
+        return self._asked
+
     def undecided(self, method: str | None = None) -> Propagator:
         """The same with step and method as they were asked for: "auto" is decided again, at other parameters.
 

@@ -11,10 +11,12 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Record, known_inputs, require
+from hydrotwin.records.between import settled
 
 from . import sampled
 from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
 from .control import Accuracy
+from .inputs import as_seen
 from .propagator import prepare
 
 
@@ -37,6 +39,7 @@ def simulate(
     start: Mapping[str, float] | None = None,
     step: float | None = None,
     method: str = "auto",
+    interpolation: Mapping[str, str] | None = None,
 ) -> Record:
     """Outputs of a model or Block at ``record.time``, driven by the inputs in the record. Its time is 0 as they begin.
 
@@ -46,6 +49,7 @@ def simulate(
     ``training_distance`` (box widths outside, 0 inside) and ``inside_training_domain`` (1 or 0).
 
     parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
+    interpolation : "hold" or "linear" by input, in place of what the model says or the recording shows.
 
     Of a model's run the answer's ``accuracy`` says how far it is from that with half the step; a run that misses
     `control.ACCURACY` warns with the numbers (`InaccurateWarning`).
@@ -53,6 +57,7 @@ def simulate(
     Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
     """
     _filled(record, model)
+    model = settled(model, [record], interpolation)
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
@@ -83,6 +88,7 @@ def predict_one_step(
     states are those of the free run. The first sample is that of the free run.
     """
     _filled(record, model)
+    model = settled(model, [record])
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
@@ -139,7 +145,10 @@ def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
 def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
     """The input columns (n, nu), present, of the right dimension and without gaps."""
     record = known_inputs(require(record, system.inputs, system.name), system.inputs, system.name)
-    return record.array([s.name for s in system.inputs])
+    u = record.array([s.name for s in system.inputs])
+    for j, signal in enumerate(system.inputs):
+        u[:, j] = as_seen(signal, record.time, u[:, j])
+    return u
 
 
 def _replace(values: np.ndarray, names: list[str], changes: Mapping[str, float], refusal: str) -> None:

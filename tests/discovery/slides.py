@@ -42,7 +42,7 @@ class PushedMass(Component):
 class Slide(Component):
     """The mass, its speed measured."""
 
-    force = Input("N", "force", nominal=300.0)
+    force = Input("N", "force", nominal=300.0, interpolation="hold")
     speed = Output("m/s", "measured speed", nominal=1.0)
     mass = PushedMass()
     source = ForceSource()

@@ -13,6 +13,7 @@ from hydrotwin.records import require
 from ..loading import is_fmu, load, origin
 from .exporting import equations_told
 from .shared import (
+    InterpolationOption,
     JsonOption,
     MissingOption,
     ScaleOption,
@@ -21,6 +22,7 @@ from .shared import (
     check_folder,
     err,
     examples,
+    interpolation_from,
     mark,
     out,
     progress_bar,
@@ -59,6 +61,7 @@ def compare(
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     scale: ScaleOption = None,
     missing: MissingOption = "error",
+    interpolation: InterpolationOption = None,
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
@@ -76,6 +79,7 @@ def compare(
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--rate": rates, "--mode": modes}
+    said |= {"--interpolation": interpolation}
     doubled = [option for option, value in {**said, "--title": title, "--scale": scale}.items() if value]
     doubled += ["--missing"] if missing != "error" else []
     if scenario is not None and doubled:
@@ -96,6 +100,7 @@ def compare(
             rates=tuple(rates or ()),
             scale=dict(s.split("=", 1) for s in scale or []),
             missing=missing,
+            interpolation=interpolation_from(interpolation),
         )
     with progress_bar() as bar:
         row = bar.add_task("compare", total=None)

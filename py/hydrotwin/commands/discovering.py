@@ -21,6 +21,7 @@ from hydrotwin.records import Record, require
 from ..loading import is_fmu, origin, sha256_of, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
+    InterpolationOption,
     JsonOption,
     MissingOption,
     ModelArgument,
@@ -30,12 +31,14 @@ from .shared import (
     check_folder,
     err,
     examples,
+    interpolation_from,
     mark,
     out,
     print_json,
     progress_bar,
     read_all,
     table,
+    tell_between,
     tell_ignored,
 )
 from .showing import physical
@@ -95,6 +98,7 @@ def gap(
     ] = True,
     missing: MissingOption = "error",
     scale: ScaleOption = None,
+    interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find out which physical effect a model lacks, add it, and show what it closes.
@@ -122,6 +126,7 @@ def gap(
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
                 max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
+                interpolation=interpolation_from(interpolation),
             )  # fmt: skip
         except HydrotwinError as error:
             write_failure(thing.name, str(error), output, time.perf_counter() - began + memory.earlier)
@@ -235,6 +240,7 @@ def print_discovery(found, folder: Path) -> None:
     from hydrotwin.report.gap_text import sentence
     from hydrotwin.report.gap_words import experiment_sentence
 
+    tell_between(found.model.flat.inputs)
     out.print(f"{found.name}: {found.verdict}. {sentence(found.answer)}")
     rows = effect_rows(found)
     if rows:

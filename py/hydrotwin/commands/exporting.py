@@ -12,7 +12,18 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, nearest
 
 from ..loading import load
-from .shared import JsonOption, ModelArgument, check_file, examples, out, print_json, read_all, table
+from .shared import (
+    InterpolationOption,
+    JsonOption,
+    ModelArgument,
+    check_file,
+    examples,
+    interpolation_from,
+    out,
+    print_json,
+    read_all,
+    table,
+)
 
 STARTS = ("positions", "measured")
 
@@ -126,13 +137,14 @@ def _reference(thing, kind: str, method: str, step: float | None):
 def check(
     fmu: Annotated[Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's")],
     reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
+    interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Validate an FMU, try its interface in a child process, and compare its outputs; exit 1 when anything fails."""
     from hydrotwin.export import check_fmu
 
     record = read_all([reference])[0] if reference else None
-    answer = check_fmu(fmu, reference=record)
+    answer = check_fmu(fmu, reference=record, interpolation=interpolation_from(interpolation))
     if as_json:
         rows = [{"name": r.name, "passed": r.passed, "detail": r.detail} for r in answer.rows]
         print_json({"fmu": str(fmu), "passed": answer.passed, "rows": rows})

@@ -14,9 +14,11 @@ from hydrotwin import __version__
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.records import Record, require
+from hydrotwin.records.between import between
 
 from ..loading import origin
 from .shared import (
+    InterpolationOption,
     JsonOption,
     MissingOption,
     ModelArgument,
@@ -26,6 +28,7 @@ from .shared import (
     check_file,
     check_folder,
     examples,
+    interpolation_from,
     mark,
     out,
     print_json,
@@ -34,6 +37,7 @@ from .shared import (
     require_columns,
     settings_from,
     table,
+    tell_between,
     tell_ignored,
 )
 from .showing import physical
@@ -74,6 +78,7 @@ def identify(
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
     missing: MissingOption = "error",
     scale: ScaleOption = None,
+    interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Identify the parameters of a physical model by nonlinear least squares."""
@@ -99,7 +104,7 @@ def identify(
             thing, train, free=free, validate=judged, outputs=fit_outputs, noise=settings_from(noise, "--noise"),
             weights=weights, loss=loss, initial_states=initial_states, starts=starts,
             bounds=bounds_from(bounds), step=step, method=method,
-            progress=None if as_json else told,
+            progress=None if as_json else told, interpolation=interpolation_from(interpolation),
         )  # fmt: skip
     write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged), thing.additions)
     if report:
@@ -107,8 +112,9 @@ def identify(
         from hydrotwin.report import write_report
 
         start = unmeasured_starts(fit)
+        as_fitted = between(fit.flat.inputs)
         contenders = [
-            PhysicalContender(thing, f"{thing.name} as given", start=start),
+            PhysicalContender(thing.with_inputs(as_fitted), f"{thing.name} as given", start=start),
             PhysicalContender(fit.flat, "identified", start=start),
         ]
         comparison = compare(contenders, judged or train, train_records=train, title=f"Identification of {thing.name}")
@@ -167,6 +173,7 @@ def fit_answer(fit) -> dict:
         "converged": fit.converged,
         "message": fit.message,
         "chi2_per_sample": fit.chi2_per_dof,
+        "inputs": between(fit.flat.inputs),
         "parameters": [{key: getattr(p, key) for key in rows} for p in fit.parameters],
         "correlation": fit.correlation,
         "noise": dict(fit.noise),
@@ -183,6 +190,7 @@ def print_fit(fit, path: Path) -> None:
         [p.name, float(p.start), float(p.value), _plus_minus(p.sigma), p.unit, "at its bound" if p.at_bound else ""]
         for p in fit.parameters
     ]
+    tell_between(fit.flat.inputs)
     table(f"{fit.name}: {fit.message}", ["parameter", "start", "value", "sigma", "unit", ""], rows)
     left = [
         [r.record, r.role, r.output, float(r.rmse), float(r.noise), r.unit, math.sqrt(r.chi2_per_sample)]

@@ -15,8 +15,10 @@ from rich.table import Table
 from rich.text import Text
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import INTERPOLATIONS
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records import Record, read_record
+from hydrotwin.records.between import sentences
 
 ModelArgument = Annotated[
     str,
@@ -32,6 +34,14 @@ ScaleOption = Annotated[
 MissingOption = Annotated[
     str,
     typer.Option(metavar="HOW", help="empty cells: error, 'drop rows', or keep (a sensor's samples may be unknown)"),
+]
+InterpolationOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--interpolation",
+        metavar="INPUT=HOW",
+        help="an input between samples: hold (a command) or linear (a measured quantity); the recordings show it else",
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 
@@ -119,6 +129,21 @@ def settings_from(changes: list[str] | None, option: str) -> dict[str, float]:
         if not equals or not np.isfinite(values[path]):
             raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
     return values
+
+
+def interpolation_from(changes: list[str] | None) -> dict[str, str]:
+    """The ``force=linear`` pairs of --interpolation as a dictionary."""
+    pairs = [change.rpartition("=") for change in changes or []]
+    for (name, _, how), change in zip(pairs, changes or [], strict=True):
+        if not name or how not in INTERPOLATIONS:
+            raise DeclarationError(f"--interpolation {change}: no 'input=hold' or 'input=linear'. Write force=linear.")
+    return {name: how for name, _, how in pairs}
+
+
+def tell_between(inputs) -> None:
+    """What inputs do between samples, unless their model declares it."""
+    for sentence in sentences(inputs):
+        err.print(sentence, style="dim")
 
 
 def table(title: str, columns: list[str], rows: list[list]) -> None:

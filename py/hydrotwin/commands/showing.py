@@ -13,9 +13,11 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import write_record
+from hydrotwin.records.between import between, settled
 
 from ..loading import load
 from .shared import (
+    InterpolationOption,
     JsonOption,
     MissingOption,
     ModelArgument,
@@ -24,12 +26,14 @@ from .shared import (
     check_folder,
     err,
     examples,
+    interpolation_from,
     mark,
     out,
     print_json,
     read_all,
     settings_from,
     table,
+    tell_between,
     tell_ignored,
 )
 
@@ -64,6 +68,7 @@ def simulate(
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     scale: ScaleOption = None,
     missing: MissingOption = "error",
+    interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
@@ -73,7 +78,7 @@ def simulate(
     if output:
         check_file(output, *RECORDINGS, sources=[input])
     (record,) = read_all([input], scale, missing)
-    thing = load(model)
+    thing = settled(load(model), [record], interpolation_from(interpolation))
     settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
@@ -91,6 +96,7 @@ def simulate(
     contender = as_contender(thing)
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
+    tell_between(contender.inputs)
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
@@ -103,7 +109,8 @@ def simulate(
         write_record(result, output)
     if as_json:
         keys = ("output", "unit", "minimum", "maximum", "rmse")
-        answer = {"model": contender.name, "outputs": [dict(zip(keys, row, strict=True)) for row in rows]}
+        outputs = [dict(zip(keys, row, strict=True)) for row in rows]
+        answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)

@@ -60,10 +60,14 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
     """What is always doubted does not hang."""
     begun = []
 
-    def begin(model, initial_states):
-        begun.append(initial_states)
-        return None, None, None
+    def asked(model, initial_states):
+        return SimpleNamespace(model=model, initial_states=initial_states)
+
+    def begin(asked):
+        begun.append(asked.initial_states)
+        return None, None
 
     monkeypatch.setattr(assumed, "questioned", lambda search, structure: Change(free_starts=True))
-    *_, given_up = assumed.fairly(begin, lambda search, base: SimpleNamespace(steps=()), object(), "auto")
+    found = SimpleNamespace(steps=())
+    *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin, lambda search, base: found)
     assert len(given_up) == PATIENCE and begun == ["auto", *["free"] * PATIENCE]

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from hydrotwin.discovery.refit import Question, RefitJob, Refitted, refit
+from hydrotwin.discovery.refit import Question, RefitJob, Refitted, pooled_rmse, refit
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
 
@@ -68,7 +68,8 @@ class Bench:
     def rmse(self, found: Refitted) -> dict[str, float]:
         """Held-out RMSE by recorded output, SI."""
         names = [s.name for s in self.model.flat.outputs]
-        return {n: float(v) for n, v in zip(names, found.rmse_select, strict=True) if n in self.made.noise}
+        left = pooled_rmse(found.residuals_select)
+        return {n: float(v) for n, v in zip(names, left, strict=True) if n in self.made.noise}
 
 
 def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:

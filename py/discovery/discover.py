@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 
+from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
@@ -33,7 +34,7 @@ from .surroundings import SurroundedFmu
 from .together import explained_together
 
 MOST_EFFECTS = 3
-KEPT = (Refitted, Led)  # answers that an interrupted search need not find again
+KEPT = (Refitted, Led, Change)  # answers that an interrupted search need not find again
 
 
 def discover(

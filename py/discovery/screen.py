@@ -98,16 +98,16 @@ class Screen:
         self._start = StartStates(big, given, self.free.index, held=question.initial_states == "fixed")
         z = np.array([[states[n] for n in self._start.names] for states in fitted.states]) / self._start.nominal
         self.z = z.reshape(len(question.fit), -1)
-        self._prepare("auto")
+        self._prepare()
         self._base = [self.free.names.index(n) for n in dict.fromkeys(free) if n not in fitted.at_bound]
         self._differentiate()
 
-    def _prepare(self, method: str) -> None:
+    def _prepare(self) -> None:
         """The model, ready to run over the fit recordings."""
         question = self.question
         propagator = prepare(
             self.flat, free_parameters=self.free.names, free_states=list(self._start.names), step=question.step,
-            method=method, few_runs=True, zero=self._zero,
+            few_runs=True, zero=self._zero,
         )  # fmt: skip
         self.task = Task(
             self.flat, self.free, propagator, question.fit, weights(self.size), Loss("linear", 1.0),
@@ -118,20 +118,12 @@ class Screen:
             self._start, self.z, self.task.loss, 1 if self.flat.black_box else processors(),
         )  # fmt: skip
 
-    def _sensitivities(self, q: np.ndarray) -> list:
-        """Of every fit recording. One that diverges may be stiff where the first, which told the steps, was not."""
-        found = self.shooting.all_sensitivities(q, self.z)
-        if any(one is None for one in found) and self.task.propagator.method == "explicit":
-            self._prepare("rosenbrock")
-            found = self.shooting.all_sensitivities(q, self.z)
-        return found
-
     def _differentiate(self) -> None:
         q = self.free.scaled(self.free.start)
         residuals, rows, outputs = [], [], []
         shared, local = len(self.free.names), self.shooting.locals
         count = len(self.question.fit)
-        every = self._sensitivities(q)
+        every = self.shooting.all_sensitivities(q, self.z)
         for i, (recording, found) in enumerate(zip(self.question.fit, every, strict=True)):
             if found is None:
                 raise SolveError(f"{self.flat.name}: {NEUTRAL_DIVERGES}")

@@ -220,7 +220,7 @@ def test_a_recording_with_a_hole_in_its_command_says_where_to_cut():
     force = run.signals["force"].copy()
     force[50:60] = np.nan
     broken = Record(run.time, {**run.signals, "force": force}, run.units, "run_0")
-    with pytest.raises(DataError, match="has 10 missing values"):
+    with pytest.raises(DataError, match=r"has gaps .got 10 values that are not finite, the first at t = 1 s"):
         found([broken], ["null_bias"])
 
 

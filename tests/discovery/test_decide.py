@@ -26,7 +26,7 @@ from hydrotwin.discovery.decide import (
     paired_t,
     share_closed,
 )
-from hydrotwin.discovery.refit import Question, Refitted
+from hydrotwin.discovery.refit import Question, Refitted, pooled_rmse
 from hydrotwin.discovery.structure import Structure
 from hydrotwin.discovery.verdict import CONFIRMED, closed_where_it_counts, verdict_of
 from hydrotwin.identification.problem import Recording
@@ -275,7 +275,8 @@ def test_a_structure_that_fits_the_noise_of_the_fit_recordings_fails_on_the_othe
 
 def test_a_noise_estimated_too_large_does_not_hide_what_a_better_structure_explains():
     better, other = structure([0.7 * white(0)], [0.7 * white(1)]), structure([0.9 * white(0)], [0.9 * white(1)])
-    assert gap_closed(other.rmse_select, better.rmse_select, NOISE) == 0.0, "both lie under the estimate"
+    before, after = (pooled_rmse(f.residuals_select) for f in (other, better))
+    assert gap_closed(before, after, NOISE) == 0.0, "both lie under the estimate"
     assert closed(better, other, asked()) == pytest.approx(1.0)
     assert closed(other, better, asked()) <= 0.0
 

@@ -91,7 +91,7 @@ def test_near_the_noise_what_promised_as_much_as_the_best_begins_anew(rubbing, p
 def test_candidates_take_part_in_an_identification_from_the_beginning(rubbing):
     search, base, *_ = rubbing
     tried = from_the_beginning(search, base)
-    best = max(tried, key=lambda t: t.evidence.bic_gain)
+    best = choose(tried, 5, search.question).best
     assert label(best).startswith("coulomb_friction") and best.evidence.passes(5)
     assert best.structure.fitted.values["coulomb_friction.force"] == pytest.approx(30.0, rel=0.05)
 

@@ -16,7 +16,6 @@ from hydrotwin.identification.descent import descend, whole_runs
 from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Model
-from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 from tests.discovery.slides import (
     DAMPING,
@@ -58,7 +57,7 @@ def test_mass_and_damping_are_recovered_from_starts_a_quarter_off(fitted):
 
 def test_what_is_left_is_the_noise_on_recordings_fitted_and_held_out(fitted):
     assert fitted.rmse == pytest.approx([NOISE], rel=0.06)
-    assert fitted.rmse_select == pytest.approx([NOISE], rel=0.06)
+    assert pooled_rmse(fitted.residuals_select) == pytest.approx([NOISE], rel=0.06)
     assert len(fitted.residuals_fit) == 2 and len(fitted.residuals_select) == 1
 
 
@@ -80,7 +79,7 @@ def test_what_a_minimum_summed_is_what_is_left(plain):
     model, runs = Model(TwoSensors()), driven(3, other=lambda y, t: y)
     asked = question(runs, model, {"rate": RATE_NOISE, "other": np.inf})
     asked.fit[0].y[5, 0] = np.nan
-    task = MODULE._weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
+    task = MODULE.weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
     found = minimise(*_first_point(task), most=2)
     assert found.at.squares is not None
     summed = MODULE._rmse(task, found)
@@ -286,15 +285,14 @@ def test_an_interrupted_measurement_is_bridged(plain):
 
 
 def test_where_a_fit_comes_to_a_stiff_place_it_is_integrated_as_that_asks():
-    """Explicit steps of 5 ms follow a lag of 50 ms, where the fit begins, and explode at one of 1 ms."""
+    """Explicit steps of 5 ms follow a lag of 50 ms, where the fit begins, and would explode at one of 1 ms."""
     model = Model(Drive()).with_settings({"time_constant": {"value": 0.05, "bounds": (1e-4, 10.0)}})
     asked = dataclasses.replace(question(driven(3), model, {"rate": RATE_NOISE}), step=5e-3)
-    task = MODULE._weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
+    task = MODULE.weighed(RefitJob(model.flat, ("gain", "time_constant"), asked), asked.noise)
     easy, z = _first_point(task)[1:]
     assert np.isfinite(whole_runs(task)[0].residuals(0, easy, z[0])).all() and task.propagator.method == "explicit"
     stiff = task.free.scaled(np.array([10.0, 1e-3]))
-    with pytest.raises(SolveError, match="every run diverges"):
-        minimise(whole_runs(task)[0], stiff, z)
+    assert np.isfinite(minimise(whole_runs(task)[0], stiff, z, most=2).cost)
     for lengths in ([], [1.0]):
         assert np.isfinite(descend(task, stiff, lengths, 2, thorough=False).cost)
     there = dataclasses.replace(minimise(*_first_point(task), most=1), q=stiff)

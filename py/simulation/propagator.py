@@ -254,11 +254,12 @@ class Propagator:
 
     def _finer(self, choice: _Choice) -> list[_Choice]:
         """What "auto" tries when a choice misses the accuracy."""
-        if self._asked[1] != "auto" or choice.implicit:
+        if self._asked[1] != "auto":
             return []
         control = choice.control
         halved = [control._replace(step=control.step / 2.0**k) for k in range(1, int(np.log2(FINEST)) + 1)]
-        return [*(choice._replace(control=c) for c in halved), choice._replace(method="rosenbrock", control=control)]
+        finer = [choice._replace(control=c) for c in halved]
+        return finer if choice.implicit else [*finer, choice._replace(method="rosenbrock", control=control)]
 
     def _at_zero(self, p, with_states: bool = False) -> None:
         """Refuse sensitivities that were left out."""

@@ -252,10 +252,12 @@ class Shooting:
         found = []
         for members, cuts, recording in self._by_recording(part):
             x0, _ = self._all_seeds(members, recording.u[cuts[:, 0]], at[0], z)
-            ran = self.propagator.costs(recording.time, recording.u, at[0], cuts, x0, recording.y, self.weights)
+            limits = np.array([self._limits[i] for i in members])  # beyond, a run has diverged, whatever follows
+            asked = recording.time, recording.u, at[0], cuts, x0, recording.y, self.weights, limits
+            ran = self.propagator.costs(*asked)
             with np.errstate(all="ignore"):
                 costs = [cost + self._start_prior(i, z[i])[0] for i, cost in zip(members, ran, strict=True)]
-            limits = (self._limits[i] for i in members)  # a stopped run is nan: it counts as diverged
+            # a stopped run is nan: it counts as diverged
             found += [cost if cost < limit else limit for cost, limit in zip(costs, limits, strict=True)]
         return found
 
@@ -268,7 +270,9 @@ class Shooting:
         w = self.weights[used] ** 2
         for members, cuts, recording in self._by_recording(part):
             x0, dx0 = self._all_seeds(members, recording.u[cuts[:, 0]], p, z)
-            ran = self.propagator.expansions(recording.time, recording.u, p, cuts, x0, dx0, recording.y)
+            with np.errstate(divide="ignore"):
+                limits = 2 * np.array([self._limits[i] for i in members])[:, None] / self.weights**2
+            ran = self.propagator.expansions(recording.time, recording.u, p, cuts, x0, dx0, recording.y, limits)
             with np.errstate(all="ignore"):
                 costs, gradient, hessian = (np.einsum("j,sj...->s...", w, sums[:, used]) for sums in ran)
                 gradient, hessian = gradient[:, :k] * scale, hessian[:, :k, :k] * np.outer(scale, scale)

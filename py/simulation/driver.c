@@ -272,7 +272,9 @@ static int stopped(int status, double t, const double *x, double *where) {
 
 typedef struct {
   const double *measured, *weights; /* (samples, NY), (NY); a weight of zero: not used */
+  const double *limit;              /* of the cost, or of each output's squares: a run beyond it stops; or null */
   long long first;
+  int beyond;
   double cost;
   double *squares, *gradient, *hessian; /* by output, without weights: (NY), (NY, NT), (NY, NT, NT): upper triangles */
 } Sum;
@@ -291,6 +293,7 @@ static void add_cost(Sum *sum, long long k, const double *y) {
       r *= sum->weights[i];
       sum->cost += 0.5 * r * r;
     }
+  sum->beyond = sum->limit && sum->cost > *sum->limit;
 }
 
 /* Segment s of a recording, given by the samples where it begins, counts from and ends: its run and what it sums. */
@@ -299,8 +302,8 @@ static Run run_of(const long long *cut, const double *time, const double *u, con
   return run;
 }
 
-static Sum sum_of(const long long *cut, const double *measured, const double *weights) {
-  Sum sum = {measured + cut[0] * NY, weights, cut[1] - cut[0]};
+static Sum sum_of(const long long *cut, const double *measured, const double *weights, const double *limit) {
+  Sum sum = {measured + cut[0] * NY, weights, limit, cut[1] - cut[0]};
   return sum;
 }
 
@@ -315,6 +318,7 @@ static int walk(Run *run, const double *x0, const double *restart, double *y, do
     memcpy(x_out + row * NX, x, NX * sizeof(double));
     if ((status = write_output(run, k, x, y + row * NY))) stopped(status, time[k], x, where);
     if (sum) add_cost(sum, k, y);
+    if (sum && sum->beyond) status = 1;
     if (k + 1 == run->samples || status) break;
     if (restart) memcpy(x, restart + k * NX, NX * sizeof(double));
     if ((status = cross(run, step_state, NX, k, x))) stopped(status, run->reached, x, where);
@@ -330,15 +334,15 @@ EXPORT int propagate(long long samples, const double *time, const double *u, con
   return walk(&run, x0, restart, y, x_out, 0, where);
 }
 
-/* cuts (segments, 3), x0 (segments, NX), cost (segments): not a number where a run stopped, infinite where it became
-   dear. */
+/* cuts (segments, 3), x0 (segments, NX), limits (segments) or null, cost (segments): not a number where a run stopped or
+   passed its limit, infinite where it became dear. */
 EXPORT void propagate_costs(long long segments, const long long *cuts, const double *time, const double *u,
                             const double *p, Control control, const double *x0, const double *measured,
-                            const double *weights, double *cost) {
+                            const double *weights, const double *limits, double *cost) {
   double y[NY + 1], x[NX + 1], where[NX + 1];
   for (long long s = 0; s < segments; s++) {
     Run run = run_of(cuts + 3 * s, time, u, p, control);
-    Sum sum = sum_of(cuts + 3 * s, measured, weights);
+    Sum sum = sum_of(cuts + 3 * s, measured, weights, limits ? limits + s : 0);
     int status = walk(&run, x0 + s * NX, 0, y, x, &sum, where);
     cost[s] = status == DEAR ? INFINITY : status || sum.cost == INFINITY ? NAN : sum.cost;
   }

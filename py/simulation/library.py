@@ -28,9 +28,9 @@ class Library:
         if self._tangent is not None:
             self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
             self._expansions = loaded.propagate_expansions
-            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 6]
+            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 7]
         self._costs = loaded.propagate_costs
-        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 4]
+        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 5]
 
     def propagate(self, time, u, p, control, x0, restart=None):
         """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
@@ -49,21 +49,21 @@ class Library:
         status = self._tangent(n, *map(_address, (time, u, p)), _Control(*control), *map(_address, arrays))
         return status, where, y, dy, x, dx
 
-    def costs(self, cuts, time, u, p, control, x0, measured, weights):
-        """What runs over segments cost, (segments,): nan where one stopped, inf where it became dear."""
+    def costs(self, cuts, time, u, p, control, x0, measured, weights, limits=None):
+        """What runs over segments cost, (segments,): nan where one stopped or passed its limit, inf where it is dear."""
         cost = np.empty(len(cuts))
-        arrays = (x0, measured, weights, cost)
+        arrays = (x0, measured, weights, limits, cost)
         self._costs(len(cuts), *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
         return cost
 
-    def expansions(self, cuts, time, u, p, control, x0, dx0, measured):
+    def expansions(self, cuts, time, u, p, control, x0, dx0, measured, limits=None):
         """By output: squares (segments, ny), half their gradient (.., nt) and Gauss-Newton Hessian (.., nt, nt).
 
-        Squares are nan where a run stopped, inf where it became dear.
+        Squares are nan where a run stopped or one passed its limit, inf where it became dear.
         """
         (n, _, nt), ny = dx0.shape, self._outputs
         squares, gradient, hessian = np.zeros((n, ny)), np.zeros((n, ny, nt)), np.zeros((n, ny, nt, nt))
-        arrays = (x0, dx0, measured, squares, gradient, hessian)
+        arrays = (x0, dx0, measured, limits, squares, gradient, hessian)
         self._expansions(n, *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
         return squares, gradient, hessian
 

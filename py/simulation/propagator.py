@@ -171,31 +171,35 @@ class Propagator:
         self._stop(status, where, time, u, p)
         return y, dy, x, dx
 
-    def costs(self, time, u, p, cuts, x0, measured, weights) -> np.ndarray:
+    def costs(self, time, u, p, cuts, x0, measured, weights, limits=None) -> np.ndarray:
         """``1/2 sum (w (y - measured))^2`` of many runs over one recording in one call, (segments,); engine "c" alone.
 
         cuts : (segments, 3) whole numbers, the samples at which each run begins, counts from, and ends before.
         x0 : (segments, nx); measured : (n, ny), nan where nothing was; weights : (ny,), 0 for an output not used.
+        limits : (segments,), costs at which a run is given up; None for none.
 
-        Nan where a run left the finite numbers.
+        Nan where a run left the finite numbers or passed its limit.
         """
         cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
         weights = _shaped("weights", weights, (len(self.flat.outputs),), self.flat.name)
+        limits = None if limits is None else _shaped("limits", limits, (len(cuts),), self.flat.name)
         choice = self._choice
-        cost = self._engine(choice.implicit).costs(cuts, time, u, p, choice.control, x0, measured, weights)
+        cost = self._engine(choice.implicit).costs(cuts, time, u, p, choice.control, x0, measured, weights, limits)
         dear = np.isinf(cost)
         if dear.any():
             engine = self._engine(implicit=True)
-            cost[dear] = engine.costs(cuts[dear], time, u, p, choice.control, x0[dear], measured, weights)
+            limits = None if limits is None else limits[dear]
+            cost[dear] = engine.costs(cuts[dear], time, u, p, choice.control, x0[dear], measured, weights, limits)
         return cost
 
-    def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured):
+    def expansions(self, time, u, p, cuts, x0, x0_jacobian, measured, limits=None):
         """``sum (y - measured)^2`` of many runs as in `costs`, half its gradient and half its Gauss-Newton Hessian.
 
         By output: (segments, ny), (segments, ny, n_theta), (segments, ny, n_theta, n_theta), so that other weights need
         no other run. The last few are remembered: a fit that goes on under other weights begins where it stands.
 
         x0_jacobian : (segments, nx, n_theta), as in `sensitivity`.
+        limits : (segments, ny), sums of squares at which a run is given up; None for none. Nan where one was.
         """
         cuts, time, u, p, x0, measured = self._segments(time, u, p, cuts, x0, measured)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (*x0.shape, self._to.count), self.flat.name)
@@ -204,20 +208,22 @@ class Propagator:
             ny = len(self.flat.outputs)
             alone = [self.costs(time, u, p, cuts, x0, measured, unit) for unit in np.eye(ny)]
             return 2 * np.stack(alone, axis=1), np.zeros((len(x0), ny, 0)), np.zeros((len(x0), ny, 0, 0))
+        limits = None if limits is None else _shaped("limits", limits, (len(cuts), measured.shape[1]), self.flat.name)
         choice = self._choice
 
         def expand(*asked):
-            return self._expanded(choice.implicit, *asked)
+            return self._expanded(choice.implicit, limits, *asked)
 
         recent = self._recents[choice.method]
         return recent.answer(expand, cuts, time, u, p, choice.control, x0, dx0, measured)
 
-    def _expanded(self, implicit: bool, cuts, time, u, p, control, x0, dx0, measured):
-        found = self._engine(implicit).expansions(cuts, time, u, p, control, x0, dx0, measured)
+    def _expanded(self, implicit: bool, limits, cuts, time, u, p, control, x0, dx0, measured):
+        found = self._engine(implicit).expansions(cuts, time, u, p, control, x0, dx0, measured, limits)
         dear = np.isinf(found[0]).any(axis=1)
         if dear.any():
             engine = self._engine(implicit=True)
-            again = engine.expansions(cuts[dear], time, u, p, control, x0[dear], dx0[dear], measured)
+            limits = None if limits is None else limits[dear]
+            again = engine.expansions(cuts[dear], time, u, p, control, x0[dear], dx0[dear], measured, limits)
             for part, other in zip(found, again, strict=True):
                 part[dear] = other
         return found
@@ -254,11 +260,12 @@ class Propagator:
 
     def _finer(self, choice: _Choice) -> list[_Choice]:
         """What "auto" tries when a choice misses the accuracy."""
-        if self._asked[1] != "auto" or choice.implicit:
+        if self._asked[1] != "auto":
             return []
         control = choice.control
         halved = [control._replace(step=control.step / 2.0**k) for k in range(1, int(np.log2(FINEST)) + 1)]
-        return [*(choice._replace(control=c) for c in halved), choice._replace(method="rosenbrock", control=control)]
+        finer = [choice._replace(control=c) for c in halved]
+        return finer if choice.implicit else [*finer, choice._replace(method="rosenbrock", control=control)]
 
     def _at_zero(self, p, with_states: bool = False) -> None:
         """Refuse sensitivities that were left out."""

@@ -20,10 +20,15 @@ class Recent:
         self._size, self._changing = 0, threading.Lock()
 
     def answer(self, work: Callable[..., tuple[np.ndarray, ...]], *asked) -> tuple[np.ndarray, ...]:
-        """What ``work`` gives, or gave before, of the same contiguous arrays, numbers and words."""
+        """What ``work`` gives, or gave before, of the same contiguous arrays, numbers and words.
+
+        What is not finite is not kept: a run that was given up may be asked for under other limits.
+        """
         key, answers = _digest(asked), self._answers
         found = answers.get(key)
         found = work(*asked) if found is None else found
+        if not all(np.isfinite(part).all() for part in found):
+            return found
         with self._changing:
             self._size += _size(found) - _size(answers.pop(key, ()))
             answers[key] = found

@@ -121,6 +121,7 @@ static void add_expansion(Sum *sum, long long k, const double *y, const double *
     const double *restrict row = dy + i * NT;
     double *restrict gradient = sum->gradient + i * NT, *restrict hessian = sum->hessian + i * NT * NT;
     sum->squares[i] += r * r;
+    sum->beyond |= sum->limit && sum->squares[i] > sum->limit[i];
     for (int c = 0; c < NT; c++) {
       gradient[c] += r * row[c];
       for (int d = c; d < NT; d++) hessian[c * NT + d] += row[c] * row[d];
@@ -146,6 +147,7 @@ static int walk_tangent(Run *run, const double *x0, const double *dx0, double *y
     if ((status = write_linear_output(run, k, x, dx, y + row * NY, dy + row * NY * NT)))
       stopped(status, time[k], x, where);
     if (sum) add_expansion(sum, k, y, dy);
+    if (sum && sum->beyond) status = 1;
     if (k + 1 == run->samples || status) break;
     if ((status = cross(run, step_tangent, MOVING, k, x))) stopped(status, run->reached, x, where);
   }
@@ -163,15 +165,16 @@ EXPORT int propagate_tangent(long long samples, const double *time, const double
 }
 
 /* dx0 (segments, NX, NT); sums by output, all zero before: squares (segments, NY), their gradient (segments, NY, NT) and
-   hessian (segments, NY, NT, NT), both halved; squares are not a number where a run stopped, infinite where it became
-   dear. */
+   hessian (segments, NY, NT, NT), both halved; squares are not a number where a run stopped or one of them passed its
+   limit (segments, NY; or null), infinite where it became dear. */
 EXPORT void propagate_expansions(long long segments, const long long *cuts, const double *time, const double *u,
                                  const double *p, Control control, const double *x0, const double *dx0,
-                                 const double *measured, double *squares, double *gradient, double *hessian) {
+                                 const double *measured, const double *limits, double *squares, double *gradient,
+                                 double *hessian) {
   double y[NY + 1], dy[NY * NT + 1], x[NX + 1], where[NX + 1];
   for (long long s = 0; s < segments; s++) {
     Run run = run_of(cuts + 3 * s, time, u, p, control);
-    Sum sum = sum_of(cuts + 3 * s, measured, 0);
+    Sum sum = sum_of(cuts + 3 * s, measured, 0, limits ? limits + s * NY : 0);
     sum.squares = squares + s * NY, sum.gradient = gradient + s * NY * NT, sum.hessian = hessian + s * NY * NT * NT;
     int status = walk_tangent(&run, x0 + s * NX, dx0 + s * NX * NT, y, dy, x, 0, &sum, where);
     for (int i = 0; i < NY; i++) {

@@ -124,3 +124,20 @@ def test_cuts_outside_the_recording_are_refused():
     for cut in ([0, 0, len(r.time) + 1], [5, 4, 9], [-1, 0, 9], [3, 3, 3]):
         with pytest.raises(SolveError, match="cuts must be rows"):
             t.propagator.costs(r.time, r.u, p, [cut], x0, r.y, t.weights)
+
+
+def test_a_run_that_costs_more_than_its_limit_is_given_up():
+    t = task()
+    q = t.free.scaled(t.free.start) + 0.1
+    shooting, z = descent.whole_runs(t)
+    r, p, cuts = t.recordings[0], t.free.vector(q), [[0, 0, len(t.recordings[0].time)]] * 2
+    x0, dx0 = (np.repeat(part[None], 2, axis=0) for part in shooting._seeds(r.u, p, z[0]))
+    cost = t.propagator.costs(r.time, r.u, p, cuts, x0, r.y, t.weights)
+    limited = t.propagator.costs(r.time, r.u, p, cuts, x0, r.y, t.weights, cost * [0.9, 1.1])
+    assert np.isnan(limited[0]) and limited[1] == cost[1]
+    asked = r.time, r.u, p, cuts, x0, dx0, r.y
+    limits = np.array([[0.0] * len(t.weights), [np.inf] * len(t.weights)])
+    given_up, _, _ = t.propagator.expansions(*asked, limits)
+    squares, *_ = t.propagator.expansions(*asked)  # what was given up is not remembered
+    assert np.isnan(given_up[0]).all() and np.isfinite(squares).all()
+    np.testing.assert_array_equal(given_up[1], squares[1])

@@ -54,7 +54,7 @@ def test_the_worked_example_of_an_own_law_component_and_model_runs(capsys):
     first, second = capsys.readouterr().out.strip().splitlines()
     assert first.startswith("wrong: 29 equations for 30 unknowns. Not connected: drive.speed.")
     assert "(got m-1.kg.s-3 on the left and s-1 on the right)" in second
-    assert second.startswith("wrong.accumulator: units do not balance")
+    assert "block 5: line 13: wrong.accumulator: units do not balance" in second
 
 
 def test_the_accumulator_of_the_worked_example_holds_its_gas_to_p_v_to_the_n():

@@ -56,21 +56,22 @@ class BlackBox(FlatModel):
         changed_parts = {name: part.with_inputs(changes) for name, part in parts.items() if part is not None}
         return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name), **changed_parts)
 
-    def prepared(self, free_parameters, free_states, step: float, method: str) -> Chain:
+    def prepared(self, free_parameters, free_states, step: float, method: str, few_runs=False, zero=()) -> Chain:
         """What runs it; see `hydrotwin.simulation.prepare`."""
-        return Chain(self, free_parameters, free_states, step, method)
+        return Chain(self, free_parameters, free_states, step, method, few_runs, zero)
 
 
 class Chain:
     """Front, FMU and back, one after the other; runs and sensitivities as those of a `Propagator`."""
 
-    def __init__(self, flat: BlackBox, free_parameters, free_states, step: float, method: str):
+    def __init__(self, flat: BlackBox, free_parameters, free_states, step: float, method: str, few_runs, zero):
         self.flat, self.step = flat, step
         self.method = "explicit" if method == "auto" else method
         self.free_parameters, self.free_states = tuple(free_parameters), tuple(free_states)
-        options = {"step": step, "method": method}
+        options = {"step": step, "method": method, "few_runs": few_runs}
         self._front = prepare(flat.front, **options) if flat.front else None
-        self._back = prepare(flat.back, free_parameters=free_parameters, free_states=free_states, **options)
+        options |= {"free_parameters": free_parameters, "free_states": free_states, "zero": zero}
+        self._back = prepare(flat.back, **options)
         self._index = [flat.index_of(n) for n in self.free_parameters]
         self._begin_by_p = _derivative(flat.begin, self._index)
 
@@ -118,10 +119,10 @@ class Chain:
             other = self.raw(time, u, moved_p, moved_x)
             if np.array_equal(other, raw):
                 continue  # it does not reach the FMU: known exactly already
-            ran, ways = self._back.run(time, np.hstack([u, other]), moved_p, self._started(u, other, moved_p, moved_x))
-            dy[:, :, j] = (ran - y) / step
+            ran, ways = self._back.run(time, np.hstack([u, other]), p, self._started(u, other, p, x0))
+            dy[:, :, j] += (ran - y) / step  # what arrives otherwise, beside what acts behind
             if with_states:
-                dx[:, :, j] = (ways - x) / step
+                dx[:, :, j] += (ways - x) / step
         return y, dy, x, dx
 
     def _reaches(self, j: int, seeds: np.ndarray) -> bool:

@@ -13,6 +13,7 @@ from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
 
 from .lower import implicit_advance, middle_of_training
+from .method import choose_method
 
 DURATION = 2.0  # s
 SAMPLES = 200
@@ -26,11 +27,14 @@ SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  
 def reference_run(model, *, fine: bool = False, step: float | None = None, method: str = "auto") -> Record:
     """Inputs that move a fifth of nominal around their defaults, and the outputs that `simulate` gives.
 
+    By the method and at the step of the exported FMU, so that it gives the same numbers; `simulate` warns where those
+    are not accurate.
+
     Inputs change at the samples only (held in between). It starts where the model starts by itself; a block starts with
     its measured outputs at zero, or at the middle of its training domain.
 
     fine : with an eighth of the model's step, for Model Exchange: the importer's solver meets the exact solution.
-    step, method : internal step [s] and method of `export_fmu` instead; not for blocks.
+    step, method : internal step [s] and method as those of `export_fmu`; not for blocks.
     """
     system = getattr(model, "flat", model)
     period = system.period if isinstance(system, Block) else DURATION / SAMPLES
@@ -45,19 +49,22 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
             signals.setdefault(signal.name, np.full(len(time), middle_of_training(system, signal.name, 0.0)))
             units[signal.name] = signal.unit
     inputs = Record(time, signals, units, "reference")
-    outputs = _answers(system, inputs, step or (system.step / REFINED if fine else None), method)
+    outputs = _answers(system, inputs, fine, step, method)
     answers = {s.name: outputs[s.name] for s in system.outputs}
     return inputs.with_signals(answers, units={s.name: s.unit for s in system.outputs})
 
 
-def _answers(system: FlatModel | Block, inputs: Record, step: float | None, method: str) -> Record:
+def _answers(system: FlatModel | Block, inputs: Record, fine: bool, step: float | None, method: str) -> Record:
     if isinstance(system, Block):
         return simulate(system, inputs)
+    step = step or system.step / (REFINED if fine else 1)
+    if not fine:
+        method, *_ = choose_method(system, method, step)
     held = dataclasses.replace(
         system, inputs=tuple(dataclasses.replace(s, interpolation="hold") for s in system.inputs)
     )
     if method == "implicit":
-        return _implicit_run(held, inputs, step or held.step)
+        return _implicit_run(held, inputs, step)
     return simulate(held, inputs, step=step, method=SIMULATED[method])
 
 

@@ -43,6 +43,7 @@ typedef struct {
   Control control;
   double reached;   /* time of the last finite state */
   double trials[2]; /* left for steps where one was rough: for states, for their sensitivities */
+  double unit[NX + 1]; /* of an error in each state; infinite where no output sees it */
   long long cursor[NU + 1];
   double *work; /* of the generated functions */
   casadi_int *integers;
@@ -157,7 +158,7 @@ static int refine(Run *run, Step *step, int size, long long k, double t, double 
 static int judged(const Run *run, const double *x, const double *next, const double *roughness) {
   double ratio[NX + 1], sum = 0.0, smooth = SMOOTH * run->control.tolerance;
   for (int i = 0; i < NX; i++) {
-    double unit = NOMINAL[i] + fabs(x[i]);
+    double unit = run->unit[i] + fabs(x[i]);
     ratio[i] = roughness[i] / (unit * unit);
   }
   for (int i = 0; i < NX; i++) sum += ratio[i];
@@ -179,7 +180,7 @@ static int step_state(Run *run, long long k, double t, double h, int whole, cons
 static int agree(const Run *run, const double *whole, const double *halves, int size) {
   double sum = 0.0, tolerance = run->control.tolerance;
   for (int i = 0; i < NX; i++) {
-    double apart = (whole[i] - halves[i]) / (NOMINAL[i] + fabs(halves[i]));
+    double apart = (whole[i] - halves[i]) / (run->unit[i] + fabs(halves[i]));
     sum += apart * apart;
   }
   for (int i = 0; size > NX && i < NS; i++)
@@ -247,10 +248,19 @@ static int write_output(Run *run, long long k, const double *x, double *y) {
   return not_finite(y, NY) ? 2 : 0;
 }
 
+/* Where the parameters in ZERO are 0, states that are not KEPT reach no output: nobody waits for their errors. */
+static void units_of_errors(Run *run) {
+  int still = 1;
+  for (int m = 0; m < NZ; m++) still = still && run->p[ZERO[m]] == 0.0;
+  for (int i = 0; i < NX; i++) run->unit[i] = still ? INFINITY : NOMINAL[i];
+  for (int i = 0; i < NS; i++) run->unit[KEPT[i]] = NOMINAL[KEPT[i]];
+}
+
 static int open_run(Run *run) {
   double span = run->time[run->samples - 1] - run->time[0], plain = span / run->control.step + (double)run->samples;
   run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
   memset(run->cursor, 0, sizeof run->cursor);
+  units_of_errors(run);
   run->work = malloc(sizeof(double) * (WORK_REALS + 1));
   run->integers = malloc(sizeof(casadi_int) * (WORK_INTEGERS + 1));
   return run->work && run->integers ? 0 : 4;

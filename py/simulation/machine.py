@@ -30,6 +30,7 @@ class VirtualMachine:
         self.linear = [s.interpolation == "linear" for s in flat.inputs]
         self._delays = equations.delays(flat)
         self.nominal = np.array([s.nominal for s in flat.states])
+        self._kept = equations.states_with_rows(flat, to)
         self._output = equations.output(flat)
         self.substep = _smooth(equations.implicit_substep(flat)) if implicit else equations.rk4_substep(flat)
 
@@ -65,6 +66,11 @@ class VirtualMachine:
         dx = np.concatenate([dx0[None], tangent[walk.cut.last]])
         y, dy = self._seen_tangent(time, u, p, x, dx)
         return *_checked(time, x, y), y, dy, x, dx if with_states else None
+
+    def units_of_errors(self, p) -> np.ndarray:
+        """Of an error in each state (nx,); infinite where parameters are zero and no output sees it."""
+        seen = np.isin(np.arange(len(self.nominal)), self._kept) | bool(p[list(self.to.zero)].any())
+        return np.where(seen, self.nominal, np.inf)
 
     def dead_time(self, p):
         return [None if d is None else float(p[d]) for d in self._delays]
@@ -132,6 +138,7 @@ class _Walk:
     def __init__(self, machine: VirtualMachine, time, u, p, control: Control):
         self.machine, self.time, self.u, self.p, self.control = machine, time, u, p, control
         self.cut = inputs.substeps(time, u, control.step, machine.linear, machine.dead_time(p))
+        self.units = machine.units_of_errors(p)
         self.left = [BURST + control.trials * ((time[-1] - time[0]) / control.step + len(time))] * 2
 
     def states(self, x):
@@ -193,7 +200,7 @@ class _Walk:
 
     def _rough(self, roughness, x):
         controlled = np.isfinite(self.control.tolerance) and not self.machine.implicit
-        return is_rough(roughness, x, self.control, self.machine.nominal) if controlled else np.zeros(len(x), bool)
+        return is_rough(roughness, x, self.control, self.units) if controlled else np.zeros(len(x), bool)
 
     def _refined(self, j: int, z):
         """After the rough substep j."""
@@ -210,7 +217,7 @@ class _Walk:
             return tuple(part.full().reshape(old.shape) for part, old in zip(made, z, strict=False))
 
         start, length = self.cut.time[j], self.cut.length[j]
-        units = self.machine.nominal, self.machine.units_of_sensitivities(self.p)
+        units = self.units, self.machine.units_of_sensitivities(self.p)
         return refine(trial, start, length, z, self.control, units, self.left)
 
     @property

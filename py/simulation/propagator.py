@@ -63,7 +63,7 @@ def prepare(
     if not longest > 0:
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
-        return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method)
+        return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
     return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
 
 

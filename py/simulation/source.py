@@ -78,6 +78,7 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         "NT": to.count,
         "LD": -(-to.count // 2) * 2,
         "ND": len(to.dead),
+        "NZ": len(to.zero),
     }
     sizes["MOVING"] = sizes["NX"] + sizes["NS"] * sizes["LD"]
     delay = [-1 if d is None else d for d in equations.delays(flat)]
@@ -92,6 +93,7 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         _table("DELAY", delay),
         _table("LINEAR", [int(s.interpolation == "linear") for s in flat.inputs]),
         _table("KEPT", kept),
+        _table("ZERO", to.zero),
         _table("DEAD_INPUT", [j for j, _ in to.dead]),
         _table("DEAD_COLUMN", [column for _, column in to.dead]),
     ]

@@ -191,7 +191,7 @@ def test_whole_inputs_are_rounded_to_the_nearest(plants, fmi):
 
 @pytest.mark.parametrize(("name", "row", "value", "said"), [
     ("gain", 45, 0.4, r"row 46 \(t = 0\.45 s\) of 'gain' is no Int.*got 0\.4.*whole number"),
-    ("gain", 7, np.nan, "row 8 .*got nan"),
+    ("gain", 7, np.nan, r"'gain' has gaps.*the first at t = 0\.07 s.*Fill them"),
     ("gain", 7, 3e9, "row 8 .*got 3000000000.*-2147483648 to 2147483647"),
     ("on", 30, 0.5, "row 31 .*'on' is no Boolean.*Write 0 or 1"),
     ("on", 30, 2.0, "Write 0 or 1"),

@@ -110,7 +110,7 @@ def test_a_communication_step_costs_the_same_whatever_happens(fmus, variants, tm
 def test_the_reference_inside_is_of_the_same_method_and_step(tmp_path, system, method):
     if method == "explicit" and system.name == "stiff":
         pytest.skip("no explicit step survives it")
-    chosen = {"method": method, "step": 2e-3}
+    chosen = {"method": method, "step": 5e-4}
     fmu = export_fmu(system, tmp_path / "x.fmu", reference=reference_run(system, **chosen), **chosen)
     row = check_fmu(fmu)["reference"]
     assert row.passed, row.detail

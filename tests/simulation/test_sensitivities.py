@@ -13,7 +13,10 @@ import pytest
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
 from hydrotwin.simulation import prepare
+from hydrotwin.simulation.control import TOLERANCE, Control
+from hydrotwin.simulation.engines import engine_of
 from hydrotwin.simulation.equations import directions, states_with_rows
+from hydrotwin.simulation.machine import DEAR, DONE
 from tests.simulation.flat_cehA import flat_cehA
 from tests.simulation.small_models import lag, stiff_pair
 
@@ -233,6 +236,22 @@ def test_what_is_zero_need_not_be_carried_along(method):
     np.testing.assert_allclose(here[1], there[1], rtol=1e-9, atol=1e-12)
     assert np.abs(here[1][:, 0, 0]).max() > 0.1  # of the weight
     assert not here[1][:, 0, 1].any()  # of the time constant behind a weight of zero
+
+
+@pytest.mark.parametrize("method", ["explicit", "vm"])
+def test_no_step_is_refined_for_a_state_that_reaches_no_output(method):
+    """A fast lag behind a weight of zero, shaken at every sample: the run is as short as without it."""
+    model, p, _, _, x0, _ = weighted_lag(weight=0.0)
+    time = np.arange(2000) * 0.01
+    u, p = np.random.default_rng(1).standard_normal((2000, 1)), p + np.array([0.0, 5e-3 - 0.2])
+    to = directions(model, ["weight", "time_constant"], [], zero=["weight"])
+    engine = engine_of(model, to, False, method == "vm", True)
+    plain, some = Control(model.step), Control(model.step, TOLERANCE, trials=0.1)
+    status, _, y, _ = engine.propagate(time, u, p, some, x0)
+    assert status == DONE
+    np.testing.assert_array_equal(y, engine.propagate(time, u, p, plain, x0)[2])
+    seen = engine.propagate(time, u, p + np.array([0.5, 0.0]), some, x0)  # now it reaches the output
+    assert seen[0] == DEAR
 
 
 def test_rows_are_kept_only_of_states_that_reach_an_output():

@@ -13,6 +13,7 @@ from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
 
 from .lower import implicit_advance, middle_of_training
+from .method import choose_method
 
 DURATION = 2.0  # s
 SAMPLES = 200
@@ -20,7 +21,7 @@ SHARE = 0.2  # of nominal: the size of the inputs' movement
 REFINED = 8
 
 
-SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
+SIMULATED = {"explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
 
 
 def reference_run(model, *, fine: bool = False, step: float | None = None, method: str = "auto") -> Record:
@@ -58,7 +59,8 @@ def _answers(system: FlatModel | Block, inputs: Record, step: float | None, meth
     )
     if method == "implicit":
         return _implicit_run(held, inputs, step or held.step)
-    return simulate(held, inputs, step=step, method=SIMULATED[method])
+    chosen, step, _ = choose_method(held, method, step or held.step)
+    return simulate(held, inputs, step=step, method=SIMULATED[chosen])
 
 
 def _implicit_run(flat: FlatModel, record: Record, step: float) -> Record:

@@ -145,7 +145,8 @@ def read_block(path: str | Path) -> LearnedBlock:
         arrays_name, digest = header["arrays"]["file"], header["arrays"]["sha256"]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(
-            f"{path}: the header lacks or garbles {error}. Write the block again with write_block."
+            f"{path}: the header lacks or garbles {error}. If it was cut off, copy both files again; "
+            "else write the block again with write_block."
         ) from None
     arrays = _read_arrays(path.with_name(Path(arrays_name).name), digest, path)
     return assemble(kind, arrays, structure, where=str(path), **frame)

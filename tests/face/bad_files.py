@@ -124,7 +124,8 @@ def _damaged(folder: Path) -> None:
     lines = (folder / "old.toml").read_text().splitlines(keepends=True)
     (folder / "cut_at_line.toml").write_text("".join(lines[:12]))
     header, arrays = (folder / "block.toml").read_text(), (folder / "block.npz").read_bytes()
-    (folder / "cut_header.toml").write_text(header[: len(header) // 2])
+    (folder / "cut_header.toml").write_text(header[: header.index('= "', len(header) // 2) + 4])  # inside a text
+    (folder / "cut_header_at_line.toml").write_text(header[: header.index("[[outputs]]")])
     for name, packed in (("cut_arrays", arrays[: len(arrays) // 2]), ("other_arrays", arrays[:-1] + b"\1")):
         (folder / f"{name}.toml").write_text(header.replace("block.npz", f"{name}.npz"))
         (folder / f"{name}.npz").write_bytes(packed)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 
 from hydrotwin.models.language.flat import FlatModel
@@ -13,19 +11,14 @@ from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
 
 from .lower import implicit_advance, middle_of_training
-from .method import choose_method
+from .method import excitation, held
 
-DURATION = 2.0  # s
-SAMPLES = 200
-SHARE = 0.2  # of nominal: the size of the inputs' movement
 REFINED = 8
-
-
 SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
 
 
 def reference_run(model, *, fine: bool = False, step: float | None = None, method: str = "auto") -> Record:
-    """Inputs that move a fifth of nominal around their defaults, and the outputs that `simulate` gives.
+    """The inputs of `excitation`, and the outputs that `simulate` gives.
 
     By the method and at the step of the exported FMU, so that it gives the same numbers; `simulate` warns where those
     are not accurate.
@@ -37,35 +30,23 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
     step, method : internal step [s] and method as those of `export_fmu`; not for blocks.
     """
     system = getattr(model, "flat", model)
-    period = system.period if isinstance(system, Block) else DURATION / SAMPLES
-    time = np.arange(0.0, DURATION + period / 2, period).round(9)
-    signals, units = {}, {}
-    for k, signal in enumerate(system.inputs):
-        wave = np.sin(2 * np.pi * (0.5 + 0.2 * k) * time) * (time > DURATION / 10)
-        signals[signal.name] = middle_of_training(system, signal.name, signal.default) + SHARE * signal.nominal * wave
-        units[signal.name] = signal.unit
     if isinstance(system, Block):
-        for signal in system.outputs:
-            signals.setdefault(signal.name, np.full(len(time), middle_of_training(system, signal.name, 0.0)))
-            units[signal.name] = signal.unit
-    inputs = Record(time, signals, units, "reference")
-    outputs = _answers(system, inputs, fine, step, method)
+        inputs = excitation(system, system.period)
+        starts = {s.name: s for s in system.outputs if s.name not in inputs}
+        values = {n: np.full(len(inputs.time), middle_of_training(system, n, 0.0)) for n in starts}
+        inputs = inputs.with_signals(values, units={n: s.unit for n, s in starts.items()})
+        outputs = simulate(system, inputs)
+    else:
+        inputs = excitation(system)
+        outputs = _answers(held(system), inputs, step or system.step / (REFINED if fine else 1), method)
     answers = {s.name: outputs[s.name] for s in system.outputs}
     return inputs.with_signals(answers, units={s.name: s.unit for s in system.outputs})
 
 
-def _answers(system: FlatModel | Block, inputs: Record, fine: bool, step: float | None, method: str) -> Record:
-    if isinstance(system, Block):
-        return simulate(system, inputs)
-    step = step or system.step / (REFINED if fine else 1)
-    if not fine:
-        method, *_ = choose_method(system, method, step)
-    held = dataclasses.replace(
-        system, inputs=tuple(dataclasses.replace(s, interpolation="hold") for s in system.inputs)
-    )
+def _answers(flat: FlatModel, inputs: Record, step: float, method: str) -> Record:
     if method == "implicit":
-        return _implicit_run(held, inputs, step)
-    return simulate(held, inputs, step=step, method=SIMULATED[method])
+        return _implicit_run(flat, inputs, step)
+    return simulate(flat, inputs, step=step, method=SIMULATED[method])
 
 
 def _implicit_run(flat: FlatModel, record: Record, step: float) -> Record:

@@ -11,6 +11,7 @@ from pathlib import Path
 import casadi as ca
 
 from hydrotwin.simulation.block import INSIDE_TRAINING
+from hydrotwin.simulation.control import DEEPEST, SMOOTH, TOLERANCE
 
 from .lower import Lowered, with_adjoints
 from .variables import Variable
@@ -28,7 +29,8 @@ _CORE = (
 _FACES_OF_FMI3 = ("fmi3.c", "fmi3_face.h", "fmi3_none.c", "fmi3_me.c", "fmi3_cs.c")
 _FLAGS = {"cs": "HT_CO_SIMULATION", "me": "HT_MODEL_EXCHANGE"}
 _METHODS = {
-    "explicit": "HT_EXPLICIT", "implicit": "HT_IMPLICIT", "adaptive": "HT_ADAPTIVE", "sampled": "HT_SAMPLED",
+    "explicit": "HT_EXPLICIT", "refined": "HT_REFINED", "implicit": "HT_IMPLICIT", "adaptive": "HT_ADAPTIVE",
+    "sampled": "HT_SAMPLED",
 }  # fmt: skip
 _WORK = ("sz_arg", "sz_res", "sz_iw", "sz_w")
 
@@ -112,6 +114,7 @@ const ht_model ht_the_model = {{
     defaults, unset, nominals, labels, dead_time,
     {pieces}, {int(any(v.kind == "time" for v in variables))}, /* history, time listed */
     {_inside(lowered)}, {lowered.step!r}, /* inside, step */
+    {{{TOLERANCE!r}, {SMOOTH * TOLERANCE!r}, {DEEPEST}}}, /* refinement */
     {", ".join(functions[role] for role in _ROLES)},
     {", ".join(str(work[name] + 1) for name in _WORK)},
 }};

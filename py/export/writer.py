@@ -14,6 +14,7 @@ from pathlib import Path
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
+from hydrotwin.simulation.control import TOLERANCE
 
 from .archive import write_archive
 from .build import FMI3_FOLDERS, compile_for, platforms_named
@@ -36,6 +37,8 @@ _INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
 _EXCHANGE = "Model Exchange: the importer integrates; derivatives and outputs are computed when asked for."
 _SOLVERS = {
     "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
+    "refined": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each, "
+    f"cut around contacts and other kinks until a part and its halves agree to {TOLERANCE:g} in nominal units.",
     "implicit": "Rosenbrock method of order 5, internal steps of at most {step:g} s, each of the same cost.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
     "sampled": "A sampled block: it moves every {step:g} s and is held in between, whatever the master's step.",
@@ -75,8 +78,9 @@ def export_fmu(
     ``<output>.start``, the first measured outputs that its ``start`` function reads.
 
     method : "auto", "explicit", "implicit" or "adaptive" (see `method.choose_method`); auto is explicit with the step
-        of `simulate`, adaptive for stiff models. Implicit is for stiff models in hard real time: L-stable with a fixed
-        step, so that a communication step never costs more than the last one.
+        of `simulate`, cut around contacts and other kinks, and adaptive for stiff models. Explicit and implicit take
+        every step whole, for hard real time: a communication step never costs more than the last one. Implicit is
+        L-stable, for stiff models.
     step : longest internal step [s], the model's own by default.
     tolerance : of the adaptive method, in nominal units.
     stop_time, step_size : of the default experiment [s].

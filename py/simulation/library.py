@@ -50,7 +50,7 @@ class Library:
         return status, where, y, dy, x, dx
 
     def costs(self, cuts, time, u, p, control, x0, measured, weights, limits=None):
-        """What runs over segments cost, (segments,): nan where one stopped or passed its limit, inf where it is dear."""
+        """What runs over segments cost, (segments,): nan where one stopped or passed its limit, inf where dear."""
         cost = np.empty(len(cuts))
         arrays = (x0, measured, weights, limits, cost)
         self._costs(len(cuts), *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))

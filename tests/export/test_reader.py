@@ -49,7 +49,7 @@ def test_a_hang_of_the_fmu_is_an_error_in_time(fmus, tmp_path):
 
 @pytest.mark.parametrize("fmi", [2, 3])
 def test_a_failing_step_names_the_reason_of_the_fmu(variants, fmi):
-    block = read_fmu(variants["cehA", ("fmi", fmi)], values={"motor.time_constant": 1e-5})
+    block = read_fmu(variants["cehA", ("fmi", fmi)], values={"motor.time_constant": 1e-300})
     with pytest.raises(SolveError, match="not finite"):
         block.free_run(arm_record(1.0))
 
@@ -131,7 +131,7 @@ def test_one_step_equals_ours_when_every_state_has_a_start(systems, tmp_path):
     values = {f"{n}.start": v for n, v in starts.items() if n not in ("arm.angle", "motor.speed")}
     start = {n: v for n, v in starts.items() if n not in ("arm.angle", "motor.speed")}
     found = read_fmu(fmu, values=values).one_step(record)
-    expected = predict_one_step(flat, record, start=start, method="explicit")
+    expected = predict_one_step(flat, record, start=start)
     for name in ("arm_angle", "motor_speed", "pressure_cap"):
         assert np.abs(found[name] - expected[name]).max() < 1e-6 * np.ptp(expected[name])
 

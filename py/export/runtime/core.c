@@ -69,7 +69,7 @@ size_t ht_doubles(const ht_model *m) {
 }
 
 size_t ht_scratch_doubles(const ht_model *m) {
-    return 6 * m->states + 4 * m->inputs + 2 * m->parameters + m->starts + 2 * m->outputs + m->derivatives;
+    return 8 * m->states + 4 * m->inputs + 2 * m->parameters + m->starts + 2 * m->outputs + m->derivatives;
 }
 
 size_t ht_bytes(const ht_model *m) {

@@ -4,6 +4,7 @@
 #include "internal.h"
 
 #define MOST_SUBSTEPS 1e8
+#define MOST_PARTS 1e6 /* tried in one refined step: a state that chatters has no solution to wait for */
 
 /* ---- the generated functions ---- */
 
@@ -20,10 +21,11 @@ static int derivative(ht_instance *s, double t, const double *x, const double *u
     return ht_call(s, s->model->derivative, 4, arg, 1, &xdot);
 }
 
-/* Classical Runge-Kutta of order 4 over h with constant inputs; x in place. scratch: 5 states. */
-static int explicit_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
+/* Classical Runge-Kutta of order 4 over h with the mean of the inputs, from x to next. scratch: 5 states. */
+static int runge_kutta(ht_instance *s, double t, double h, const double *x, double *next, double *scratch, double *rough) {
     size_t n = s->model->states, i;
-    double *k1 = scratch, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *z = k4 + n;
+    double *k1 = scratch, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *z = k4 + n, *u = s->scratch;
+    ht_inputs_mean(s, t, t + h, u);
     if (derivative(s, t, x, u, k1)) return 1;
     for (i = 0; i < n; i++) z[i] = x[i] + 0.5 * h * k1[i];
     if (derivative(s, t + 0.5 * h, z, u, k2)) return 1;
@@ -31,14 +33,65 @@ static int explicit_step(ht_instance *s, double t, double h, double *x, const do
     if (derivative(s, t + 0.5 * h, z, u, k3)) return 1;
     for (i = 0; i < n; i++) z[i] = x[i] + h * k3[i];
     if (derivative(s, t + h, z, u, k4)) return 1;
-    for (i = 0; i < n; i++) x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+    for (*rough = 0.0, i = 0; i < n; i++) {
+        double unit = s->model->nominals[i] + fabs(x[i]);
+        double one = h / 6.0 * (k1[i] - k2[i] - k3[i] + k4[i]) / unit, other = h / 3.0 * (k3[i] - k2[i]) / unit;
+        *rough += one * one + other * other;
+    }
+    for (i = 0; i < n; i++) next[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i]);
+    return 0;
+}
+
+static int explicit_step(ht_instance *s, double t, double h, double *x, double *scratch) {
+    double rough;
+    return runge_kutta(s, t, h, x, x, scratch, &rough);
+}
+
+static int agree(const ht_model *m, const double *whole, const double *halves) {
+    double sum = 0.0, tolerance = m->refinement.tolerance;
+    size_t i;
+    for (i = 0; i < m->states; i++) {
+        double apart = (whole[i] - halves[i]) / (m->nominals[i] + fabs(halves[i]));
+        sum += apart * apart;
+    }
+    return sum <= tolerance * tolerance; /* not so for nan */
+}
+
+/* The same; where its slopes say that a contact or another kink lies inside, in parts of h / 2^level, each as long as it
+   agrees with its two halves. scratch: 8 states. */
+static int refined_step(ht_instance *s, double t, double h, double *x, double *scratch) {
+    const ht_model *m = s->model;
+    size_t n = m->states;
+    double *whole = scratch, *middle = whole + n, *halves = middle + n, *slopes = halves + n, rough;
+    double all = ldexp(1.0, m->refinement.deepest), done = 0.0, part = all, tried;
+    if (runge_kutta(s, t, h, x, whole, slopes, &rough)) return 1;
+    if (rough < m->refinement.smooth * m->refinement.smooth) {
+        memcpy(x, whole, n * sizeof(double));
+        return 0;
+    }
+    for (tried = 0.0; done < all; tried += 1.0) {
+        double half = 0.5 * h * (part / all), from = t + h * (done / all);
+        if (tried > MOST_PARTS || runge_kutta(s, from, 2.0 * half, x, whole, slopes, &rough) ||
+            runge_kutta(s, from, half, x, middle, slopes, &rough) ||
+            runge_kutta(s, from + half, half, middle, halves, slopes, &rough))
+            return 1;
+        if (part > 1.0 && !agree(m, whole, halves)) {
+            part *= 0.5;
+            continue;
+        }
+        memcpy(x, halves, n * sizeof(double));
+        if (!ht_finite(x, n)) return 0; /* the caller says which state */
+        done += part;
+        if (part < all && fmod(done, 2.0 * part) == 0.0) part *= 2.0;
+    }
     return 0;
 }
 
 /* A step of the generated Rosenbrock method, in as many steps of its own as it takes: one where it is fixed. */
-static int rosenbrock_step(ht_instance *s, double t, double h, double *x, const double *u, double *scratch) {
+static int rosenbrock_step(ht_instance *s, double t, double h, double *x, double *scratch) {
     const double *arg[5];
-    double *res[1];
+    double *res[1], *u = s->scratch;
+    ht_inputs_mean(s, t, t + h, u);
     arg[0] = &t, arg[1] = &h, arg[2] = x, arg[3] = u, arg[4] = ht_values(s, HT_PARAMETER);
     res[0] = scratch;
     if (ht_call(s, s->model->advance, 5, arg, 1, res)) return 1;
@@ -46,9 +99,13 @@ static int rosenbrock_step(ht_instance *s, double t, double h, double *x, const 
     return 0;
 }
 
+/* An internal step from t over h, x in place; not 0: it failed. */
+typedef int internal_step(ht_instance *s, double t, double h, double *x, double *scratch);
+
 ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
     const ht_model *m = s->model;
-    double *x = ht_values(s, HT_STATE), *u = s->scratch, *work = u + m->inputs;
+    internal_step *step = m->method == HT_EXPLICIT ? explicit_step : m->method == HT_REFINED ? refined_step : rosenbrock_step;
+    double *x = ht_values(s, HT_STATE), *work = s->scratch + m->inputs;
     double count = ceil(size / m->step - 1e-6), from = t, to, h, k;
     if (m->method == HT_ADAPTIVE && ht_inputs_steady(s) && !s->watcher) count = 1.0;
     if (count < 1.0) count = 1.0;
@@ -58,8 +115,7 @@ ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
         h = size / count;
         to = k < count ? t + k * h : t + size;
         if (to > *end) to = *end, h = to - from; /* a watcher wants to return inside this internal step */
-        ht_inputs_mean(s, from, to, u);
-        if ((m->method == HT_EXPLICIT ? explicit_step : rosenbrock_step)(s, from, h, x, u, work))
+        if (step(s, from, h, x, work))
             return ht_fail(s, HT_DISCARD, "the solver did not converge between t = %.9g s and %.9g s", from, to);
         if (!ht_finite(x, m->states)) {
             size_t i = 0;

@@ -58,8 +58,8 @@ def export(
     method: Annotated[
         str,
         typer.Option(
-            help="solver inside: explicit, implicit (stiff and of fixed cost, for hard real time) or adaptive (stiff); "
-            "auto takes the first that is stable of explicit and adaptive"
+            help="solver inside: explicit or implicit (for stiff models), each of fixed cost for hard real time, or "
+            "adaptive; auto is as accurate as simulate: explicit with steps cut around contacts, or adaptive"
         ),
     ] = "auto",
     step: Annotated[

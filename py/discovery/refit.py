@@ -324,12 +324,11 @@ def _runs(task: Task, shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray
 def _rmse(task: Task, found: Minimum) -> np.ndarray:
     """RMSE (ny,) over the fit recordings, SI, from what the minimum summed there where it did; nan: not measured."""
     squares = found.at.squares
-    if squares is None:
+    if squares is None or not np.isfinite(squares).all():  # a run may have been given up that is finite
         return pooled_rmse(residuals_of(task, found))
     counts = np.sum([np.isfinite(r.y).sum(axis=0) for r in task.recordings], axis=0)
-    total = squares.sum(axis=0)
     with np.errstate(invalid="ignore"):
-        rmse = np.sqrt(np.where(np.isfinite(total), total, np.inf) / counts)
+        rmse = np.sqrt(squares.sum(axis=0) / counts)
     return np.where((task.weights > 0) & (counts > 0), rmse, np.nan)
 
 

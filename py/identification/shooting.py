@@ -48,8 +48,8 @@ class Linearisation:
 
     gradient (segments, k), hessian (segments, k, k); k = free parameters, then start states. A segment in ``diverged``
     has a constant cost and no derivative.
-    squares : (segments, ny), SI, of what was measured, without weights, not finite where a run stopped; None where the
-        driver did not sum them.
+    squares : (segments, ny), SI, of what was measured, without weights, not finite where a run stopped or was given up;
+        None where the driver did not sum them.
     """
 
     cost: float

@@ -59,6 +59,9 @@ def fit_section(fit, name: str | None = None, id: str = "fit") -> Section:
     findings = tuple(_sentence(str(f)) for f in fit.findings if getattr(f, "kind", "") not in told)
     if findings:
         parts.append(Note(findings, tone="warning"))
+    accuracy = getattr(fit, "accuracy", None)
+    if accuracy and accuracy.reached:  # else a finding says so
+        parts.append(Note((f"The runs are {accuracy}.",)))
     if residuals:
         parts += [residual_table(residuals, f"{id}_residuals", _start_note(fit)), Note((_left_over(residuals),))]
     return Section(id, f"Fit of {name or fit.name}", tuple(parts), _lead(fit))

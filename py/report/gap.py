@@ -13,7 +13,7 @@ from hydrotwin.records.between import between
 
 from .fit import parameter_rows, parameter_table
 from .format import number_text
-from .gap_data import gap_data
+from .gap_data import accuracy, gap_data
 from .gap_figures import (
     candidate_figure,
     experiment_figure,
@@ -279,5 +279,6 @@ def _provenance(discovery: Discovery, command: str, date: datetime) -> Section:
     rest = {name: value for name, value in discovery.provenance.items() if name not in fitted}
     origin = item_table(rest, title="Recordings never used" if digests else "Recordings")
     inputs = item_table(between(discovery.model.flat.inputs), "inputs", "Inputs between their samples")
-    parts = [p for p in (digests, origin, inputs) if p]
+    reached = item_table({k: str(v) for k, v in accuracy(discovery).items()}, "accuracy", "Accuracy of the runs")
+    parts = [p for p in (digests, origin, inputs, reached) if p]
     return Section("provenance", "Provenance", (*parts, timing_table(discovery), made_table(command, date)))

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records.between import between
+from hydrotwin.simulation.control import Accuracy
 
 from .fit import parameter_rows
 
@@ -45,6 +46,7 @@ def gap_data(discovery: Discovery) -> dict:
         "shifts": [asdict(s) for s in discovery.shifts],
         "parameters": [asdict(r) for r in parameter_rows(discovery.fit_after)] if discovery.fit_after else [],
         "fit_records": [_fitted_to(r) for r in getattr(discovery.fit_after, "records", ())],
+        "accuracy": {name: reached.as_data() for name, reached in accuracy(discovery).items()},
         "waterfall": [asdict(r) for r in discovery.waterfall],
         "unknown": [asdict(u) for u in discovery.unknown],
         "findings": [str(f) for f in discovery.findings],
@@ -52,6 +54,12 @@ def gap_data(discovery: Discovery) -> dict:
         "provenance": dict(discovery.provenance),
     }
     return json_values(content)
+
+
+def accuracy(discovery: Discovery) -> dict[str, Accuracy]:
+    """Of the runs "before" and "after", as far as it is known: an FMU runs itself."""
+    fits = {"before": discovery.fit_before, "after": discovery.fit_after}
+    return {name: fit.accuracy for name, fit in fits.items() if getattr(fit, "accuracy", None)}
 
 
 def _step(step: Step) -> dict:

@@ -240,6 +240,7 @@ def _fit(fit) -> dict:
         "cost": fit.cost,
         "chi2": fit.chi2,
         "chi2_per_dof": getattr(fit, "chi2_per_dof", None),
+        "accuracy": fit.accuracy.as_data() if getattr(fit, "accuracy", None) else None,
         "residuals": [_residual(r) for r in getattr(fit, "residuals", ())],
         "recordings": [{"name": r.name, "role": r.role} for r in getattr(fit, "records", ())],
         "findings": [str(f) for f in fit.findings],

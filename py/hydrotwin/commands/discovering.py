@@ -255,6 +255,9 @@ def print_discovery(found, folder: Path) -> None:
         mark(out, "note", sentence(str(finding)))
     if len(found.findings) > TOLD:
         mark(out, "note", f"{len(found.findings) - TOLD} more findings are in the report.")
+    reached = getattr(found.fit_after, "accuracy", None)
+    if reached and reached.reached:  # else a finding says so
+        mark(out, "note", f"the runs are {reached}")
     if any(s.is_class for s in found.steps):
         mark(out, "next", experiment_sentence(found), "bold cyan")
     out.print(f"{found.seconds:.1f} s. Written: {folder / 'report.html'}, gap.json, model.toml, model.mo")

@@ -83,7 +83,7 @@ MODELS = {
     "scenario.toml": ["scenario.toml: a scenario, not a model", "hydrotwin compare scenario.toml"],
     "odd_block.toml": ["odd_block.toml: unknown kind of learned block (got 'perceptron')", "Known:"],
     "cut_header.toml": ["cut_header.toml: this is not TOML"],
-    "cut_header_at_line.toml": ["cut_header_at_line.toml: header lacks or garbles 'outputs'", "copy both files again"],
+    "cut_header_at_line.toml": ["the header lacks or garbles 'outputs'", "copy both files again"],
     "cut_arrays.toml": ["cut_arrays.npz: not the arrays this header was written with", "Copy both files again"],
     "other_arrays.toml": ["other_arrays.npz: not the arrays this header was written with"],
     "lost_arrays.toml": ["lost_arrays.toml: its arrays are missing (looked for lost.npz)", "beside the .toml"],

@@ -132,7 +132,7 @@ def answer(search: Search, data: Split, found: Found, model: Model) -> Discovery
         findings=(
             *data.findings,
             *findings_of(search, found, verdict, shown, change is not None, [*doubts]),
-            *_of_fit(after),
+            *_of_fit(after, verdict),
         ),
         not_testable=tuple(untestable(s) for s in search.not_testable.values()),
         screened=len(search.candidates),
@@ -182,9 +182,13 @@ def fitted_to(search: Search, q: Question, structure: Structure) -> RefitJob:
     return dataclasses.replace(search.refit_of(structure, states=states), question=q)
 
 
-def _of_fit(after: Concluded) -> list[str]:
-    """What the final fit says, but for how it was weighed: always by what is left."""
-    return [str(finding) for finding in after.fit.findings if finding.kind != "weights"]
+def _of_fit(after: Concluded, verdict: str) -> list[str]:
+    """What the final fit says, but for how it was weighed: always by what is left.
+
+    Where nothing is missing it does not say to look for it: a search has looked closer than one fit can.
+    """
+    known = {"weights", "unexplained"} if verdict == "none" else {"weights"}
+    return [str(finding) for finding in after.fit.findings if finding.kind not in known]
 
 
 def _with_fit(model: Model, concluded: Concluded) -> Model:

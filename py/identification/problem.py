@@ -117,7 +117,9 @@ def _matching(flat: FlatModel, free: Sequence[str] | None, known: Sequence[str])
     if free is None:
         chosen = {p.name for p in flat.parameters if p.free}
         if not chosen:
-            raise DeclarationError(f"{flat.name}: no parameter is declared free. Name some: free=['{known[0]}'] (--free {known[0]}).")
+            raise DeclarationError(
+                f"{flat.name}: no parameter is declared free. Name some: free=['{known[0]}'] (--free {known[0]})."
+            )
         return chosen
     patterns = [free] if isinstance(free, str) else list(free)
     if not patterns and not flat.black_box:

@@ -6,9 +6,11 @@ and how candidates are looked at. From there on the way to an answer is one.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from hydrotwin.identification.outliers import Strays
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
@@ -52,6 +54,13 @@ class Asked:
     initial_states: str
     search: type[Search] = Search
     note: str = ""
+
+    def without(self, alone: Strays) -> Asked:
+        """The same without samples that stand alone; where they stay, they are told."""
+        if alone.left_out:
+            return dataclasses.replace(self, data=self.data.without(alone.masks))
+        told = tuple(f"gap: {sentence}" for sentence in alone.sentences)
+        return dataclasses.replace(self, data=dataclasses.replace(self.data, findings=(*self.data.findings, *told)))
 
 
 def bounded(model: Model, names: Sequence[str]) -> Model:

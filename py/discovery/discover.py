@@ -9,6 +9,7 @@ from concurrent.futures import Executor
 
 from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.horizon import measured_start
+from hydrotwin.identification.outliers import Strays
 from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel
@@ -17,7 +18,7 @@ from hydrotwin.records.between import settled
 
 from .answering import Found, answer
 from .asked import Asked, Wanted, bounded, free_names
-from .assumed import fairly, with_assumptions
+from .assumed import fairly, judge_samples, with_assumptions
 from .base import identified
 from .confirm import confirmed
 from .discovery import Discovery
@@ -34,7 +35,7 @@ from .surroundings import SurroundedFmu
 from .together import explained_together
 
 MOST_EFFECTS = 3
-KEPT = (Refitted, Led, Change)  # answers that an interrupted search need not find again
+KEPT = (Refitted, Led, Change, Strays)  # answers that an interrupted search need not find again
 
 
 def discover(
@@ -165,7 +166,7 @@ def _runner(pool, report, memory, cores: int = 1):
         last = len(jobs) % cores
         threads = [cores // last if len(jobs) - i <= last else 1 for i in range(len(jobs))]
         ready = [_portable(*job) for job in zip(jobs, threads, strict=True)]
-        kept = function is not conclude  # a final fit holds functions, and is soon done again
+        kept = function not in (conclude, judge_samples)  # soon done again; nothing that judges is remembered
         return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile, kept=kept))
 
     return run

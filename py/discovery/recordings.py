@@ -37,6 +37,16 @@ class Split:
     outputs: tuple[str, ...]
     findings: tuple[str, ...]
 
+    def without(self, masks: Mapping[str, np.ndarray]) -> Split:
+        """The same as if these samples, (n, ny) by name of the recording, had not been measured."""
+
+        def cleaned(runs: tuple[Recording, ...]) -> tuple[Recording, ...]:
+            unknown = {r.name: np.where(masks[r.name], np.nan, r.y) for r in runs if r.name in masks}
+            return tuple(dataclasses.replace(r, y=unknown[r.name]) if r.name in unknown else r for r in runs)
+
+        roles = {role: cleaned(getattr(self, role)) for role in ("fit", "select", "train", "report")}
+        return dataclasses.replace(self, **roles)
+
 
 def split(
     flat: FlatModel,

@@ -109,7 +109,10 @@ def identify(
                 report, sigma,
             )  # fmt: skip
             task, minima = search(task, effort, adaptable)
-            task, minima, said = spared(task, minima, effort, adaptable) if loss == "auto" else (task, minima, [])
+            said = []
+            if loss == "auto":
+                task, minima, strays = spared(task, minima, effort, adaptable)
+                said = strays.findings()
             report("what was assumed", 0, minima[0].cost)
             change = doubted(task, minima[0], adaptable) if len(given_up) < PATIENCE else None
             if change is None:

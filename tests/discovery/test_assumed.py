@@ -12,6 +12,7 @@ from hydrotwin.discovery import assumed
 from hydrotwin.discovery.decide import has_gap
 from hydrotwin.discovery.discover import discover
 from hydrotwin.identification.assumptions import PATIENCE, Change
+from hydrotwin.identification.outliers import Strays
 from hydrotwin.report.gap_data import gap_data
 from tests.identification.sliding import FREE, MASS, held, moved, slide, steps, wave
 
@@ -49,6 +50,42 @@ def test_a_dead_time_is_named_and_not_taken_for_another_assumption():
     assert answer.steps[0].parameters[0].value == pytest.approx(0.06, abs=2e-3)
 
 
+def spoiled(run, samples, by: float = 0.5):
+    """The recording with a position that is off in some samples."""
+    values = run["position"].copy()
+    values[list(samples)] += by
+    return run.with_signals({"position": values})
+
+
+def test_samples_that_stand_alone_are_left_out_of_every_recording_and_told():
+    spikes = [(40, 41, 300), (77,), (), (10, 200)]  # two that are fitted to, the one that chooses, one that judges
+    runs = [spoiled(moved(s, held(steps(s))), spikes[s]) for s in range(3)]
+    judge = spoiled(moved(3, held(steps(3))), spikes[3])
+    answer = found(runs, slide("hold"), validate=[judge])
+    assert answer.verdict == "none", answer.answer
+    assert "stand alone, far from all others" in answer.answer and "left out" in answer.answer
+    for samples, run in zip(spikes, [*runs, judge], strict=True):
+        assert not samples or f"{len(samples)} in {run.name}" in answer.answer
+    assert answer.fit_after.values["load.mass"] == pytest.approx(MASS, rel=2e-3)
+    before = answer.outputs["validate"][0]
+    assert before.rmse_after < 1.2 * before.noise
+
+
+def test_a_recording_that_judges_alone_may_have_such_samples():
+    runs = [moved(s, held(steps(s))) for s in range(3)]
+    answer = found(runs, slide("hold"), validate=[spoiled(moved(3, held(steps(3))), (50, 90, 91))])
+    assert answer.verdict == "none" and "3 in" in answer.answer
+    plain = found(runs, slide("hold"))
+    assert answer.fit_after.values == plain.fit_after.values
+
+
+def test_samples_that_stand_alone_beside_a_missing_effect_are_told():
+    runs = [moved(s, lambda t, s=s: held(steps(s))(np.maximum(t - 0.06, 0)), steps(s)) for s in range(3)]
+    answer = found([spoiled(r, (60, 61, 250), by=5.0) for r in runs], slide("hold"))
+    assert answer.verdict == "unknown" or answer.steps
+    assert any("stand alone" in f and "Put nan" in f for f in answer.findings) or "left out" in answer.answer
+
+
 def test_few_samples_that_scatter_are_no_gap_and_many_are():
     """What a lone recording cut in twelve shows in one of them by chance was told as missing."""
     few, many = (np.sqrt(1.3 / 0.98) * np.random.default_rng(1).normal(size=(n, 1)) for n in (58, 5800))
@@ -61,13 +98,17 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
     begun = []
 
     def asked(model, initial_states):
-        return SimpleNamespace(model=model, initial_states=initial_states)
+        asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
+        asked.without = lambda strays: asked
+        return asked
 
     def begin(asked):
         begun.append(asked.initial_states)
         return None, None
 
     monkeypatch.setattr(assumed, "questioned", lambda search, structure: Change(free_starts=True))
-    found = SimpleNamespace(steps=())
+    for none in ("stray_samples", "stray_samples_of_judges"):
+        monkeypatch.setattr(assumed, none, lambda search, structure, data: Strays())
+    found = SimpleNamespace(steps=(), last=None)
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin, lambda search, base: found)
     assert len(given_up) == PATIENCE and begun == ["auto", *["free"] * PATIENCE]

@@ -28,13 +28,13 @@ def test_an_exported_ball_rebounds_to_the_height_it_fell_from(fallen, stiffness)
     simulated = simulate(ball(stiffness), Record(TIME, {}, {}, "drop"))
     for name in ("height_seen", "speed_seen"):
         assert np.abs(found[name] - simulated[name]).max() < 1e-12 * np.ptp(simulated[name])
-    assert found["height_seen"] == pytest.approx(dropped(stiffness, TIME), abs=2e-5)
+    assert found["height_seen"] == pytest.approx(dropped(stiffness, TIME), abs=1e-4)
 
 
 @pytest.mark.parametrize("communication", [1e-3, 0.05, 0.5])
 def test_another_master_meets_the_rebound_at_any_communication_step(fallen, communication):
     found = fmpy.simulate_fmu(str(fallen), stop_time=5.0, step_size=communication, output_interval=communication)
-    assert found["height_seen"] == pytest.approx(dropped(1e8, found["time"]), abs=2e-5)
+    assert found["height_seen"] == pytest.approx(dropped(1e8, found["time"]), abs=1e-4)
 
 
 def test_the_run_inside_is_that_of_simulate(fallen):

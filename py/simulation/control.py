@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-TOLERANCE = 5e-6  # between a step and its two halves, in units of nominal + |x| of each state
+TOLERANCE = 2e-6  # between a step and its two halves, in units of nominal + |x| of each state
 SMOOTH = 40.0  # tolerances of roughness (`equations.rk4_substep`) up to which an explicit step is not looked at
 DEEPEST = 30  # halvings of a step around a kink: a nanosecond of a second
 BURST = 10_000  # steps tried around kinks that every run may take, whatever they cost

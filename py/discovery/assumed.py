@@ -90,7 +90,8 @@ def _asked(search: Search, structure: Structure, function: Callable[[RefitJob], 
     known = {r.name for r in search.question.fit}
     select = tuple(r for r in others if r.name not in known)
     asked = dataclasses.replace(search.question, noise=search.sensors, select=select)
-    (strays,) = search.run(function, [dataclasses.replace(search.refit_of(structure), question=asked)], STAGE)
+    job = dataclasses.replace(search.refit_of(structure, coarse=True), question=asked)
+    (strays,) = search.run(function, [job], STAGE)
     return strays
 
 

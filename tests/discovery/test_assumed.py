@@ -57,10 +57,11 @@ def spoiled(run, samples, by: float = 0.5):
     return run.with_signals({"position": values})
 
 
-def test_samples_that_stand_alone_are_left_out_of_every_recording_and_told():
+@pytest.mark.parametrize("outputs", [("position", "velocity"), ("position",)])
+def test_samples_that_stand_alone_are_left_out_of_every_recording_and_told(outputs):
     spikes = [(40, 41, 300), (77,), (), (10, 200)]  # two that are fitted to, the one that chooses, one that judges
-    runs = [spoiled(moved(s, held(steps(s))), spikes[s]) for s in range(3)]
-    judge = spoiled(moved(3, held(steps(3))), spikes[3])
+    runs = [spoiled(moved(s, held(steps(s)), outputs=outputs), spikes[s]) for s in range(3)]
+    judge = spoiled(moved(3, held(steps(3)), outputs=outputs), spikes[3])
     answer = found(runs, slide("hold"), validate=[judge])
     assert answer.verdict == "none", answer.answer
     assert "stand alone, far from all others" in answer.answer and "left out" in answer.answer

@@ -100,7 +100,7 @@ def has_free_gain(model: Model, name: str) -> bool:
 
 def commands(places: Places) -> Iterator[Site]:
     """Inputs that are held between samples: what a controller puts out. A measured quantity is no command."""
-    held = {i.name for i in places.model.flat.inputs if i.interpolation != "linear"}
+    held = {i.name for i in places.model.flat.inputs if i.held}
     yield from (site for site in model_inputs(places) if site.through in held)
 
 
@@ -169,7 +169,7 @@ def drives(places: Places) -> Iterator[Site]:
     A drive that repeats a measured speed (an input in rad/s, linear between samples) loses none under load. Where the
     model has a sensor of the drive's speed, the part stands before that as well: ``u_speed``, ``y_speed``.
     """
-    measured = [i for i in places.model.flat.inputs if i.interpolation == "linear" and compatible(i.unit, "rad/s")]
+    measured = [i for i in places.model.flat.inputs if not i.held and compatible(i.unit, "rad/s")]
     for node in places.nodes_of(Shaft):
         owners = {port: places.part(port.rpartition(".")[0]) for port in node.ports}
         owners = {port: part for port, part in owners.items() if part}

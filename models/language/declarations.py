@@ -9,6 +9,7 @@ from numbers import Real
 from typing import ClassVar
 
 from .errors import DeclarationError, UnitError
+from .flat import INTERPOLATIONS
 from .units import Unit, parse_unit
 from .user_code import Here
 
@@ -160,7 +161,7 @@ class Variable(_Quantity):
 class Input(_Quantity):
     """A signal that comes from outside. At the top of a model it is an input of the model.
 
-    ``interpolation`` says what it does between samples, "hold" or "linear"; None leaves that to the recordings.
+    ``interpolation`` says what it does between samples, "hold", "linear" or "smooth"; None: as the recordings show.
     """
 
     points: ClassVar = ("default",)
@@ -173,10 +174,10 @@ class Input(_Quantity):
 
     def __post_init__(self):
         super().__post_init__()
-        if self.interpolation not in (None, "hold", "linear"):
+        if self.interpolation not in (None, *INTERPOLATIONS):
             raise DeclarationError(
                 f"{Here()}Input '{self.description}': unknown interpolation (got '{self.interpolation}'). "
-                "Use 'hold' for a command that is kept between samples or 'linear' for a measured quantity."
+                "Use 'hold' for a command that is kept between samples, 'linear' or 'smooth' for a measured quantity."
             )
 
 

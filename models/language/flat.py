@@ -22,8 +22,9 @@ from .errors import DeclarationError, nearest
 class Signal:
     """An input or output: name, SI unit, typical magnitude.
 
-    ``interpolation`` says what an input does between samples: "hold" (a command kept by a D/A converter) or
-    "linear" (a measured continuous quantity); None leaves that to the recordings, and holds it without any.
+    ``interpolation`` says what an input does between samples: "hold" (a command kept by a D/A converter), "linear"
+    or "smooth" (a measured continuous quantity, on a line or on the curve through its samples); None leaves that to
+    the recordings, and holds it without any.
     ``chosen_by`` is who says so, "model", "user", "recording" or "fit", and ``why`` the reason in words. ``shift`` [s]:
     its recorded column is taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays
     the input, if any.
@@ -40,8 +41,13 @@ class Signal:
     shift: float = 0.0
     why: str = ""
 
+    @property
+    def held(self) -> bool:
+        """Whether it stays where it is between its samples."""
+        return self.interpolation not in ("linear", "smooth")
 
-INTERPOLATIONS = ("hold", "linear")
+
+INTERPOLATIONS = ("hold", "linear", "smooth")
 
 
 def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str) -> tuple[Signal, ...]:
@@ -56,7 +62,7 @@ def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str
         if change.get("interpolation", "hold") not in INTERPOLATIONS:
             raise DeclarationError(
                 f"{owner}: input '{name}': unknown interpolation (got '{change['interpolation']}'). Use 'hold' for a "
-                "command that is kept between samples or 'linear' for a measured quantity."
+                "command that is kept between samples, 'linear' or 'smooth' for a measured quantity."
             )
     return tuple(dataclasses.replace(s, **changes.get(s.name, {})) for s in inputs)
 

@@ -108,7 +108,7 @@ def _varied(inputs: Sequence[Signal], recordings: Sequence[Recording]) -> int | 
     moved = [
         j for j in range(len(inputs)) if recordings and np.ptp(np.concatenate([r.u[:, j] for r in recordings])) > 0
     ]
-    held = [j for j in moved if inputs[j].interpolation != "linear"]
+    held = [j for j in moved if inputs[j].held]
     return (held or moved or [None])[0]
 
 

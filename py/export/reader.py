@@ -65,7 +65,7 @@ class FmuBlock:
             return self._run(record)
         steps_over(np.ptp(record.time), period, self.name)
         grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
-        held = [s.name for s in self.inputs if s.interpolation != "linear"]
+        held = [s.name for s in self.inputs if s.held]
         run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)
         signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
@@ -119,7 +119,7 @@ class FmuBlock:
             "starts": self.starts_of(first),
             "inputs": [of[s.name] for s in self.inputs],
             "outputs": [of[s.name] for s in self.outputs],
-            "linear": [of[s.name] for s in self.inputs if s.interpolation == "linear"],
+            "linear": [of[s.name] for s in self.inputs if not s.held],
         }
         u = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return job, {"time": record.time - record.time[0], "u": u}  # as a model's, its time is 0 as a record begins

@@ -19,7 +19,7 @@ from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
 from .noise import solver_error
 from .problem import FreeParameters, Recording
-from .rounded_inputs import moved_by_rounding, noise_of_rounding
+from .rounded_inputs import may_be_rounded, moved_by_rounding, noise_of_rounding
 from .shooting import Shooting
 from .uncertainty import Errors, correlation, uncertainty, without_starts
 from .valley import TROUBLE, margin
@@ -40,9 +40,11 @@ def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], s
     doubted = doubts(task, best, at_bound)
     *weighted, errors = _weighted_rows(rows, shooting)
     moved = moved_by_rounding(task, best, rows)
+    rounded = noise_of_rounding(task, rows, moved)
+    if not may_be_rounded(task, best, rounded):
+        moved = []
     known = uncertainty(*weighted, at_bound, Errors(errors, moved))
     if moved:
-        rounded = noise_of_rounding(task, rows, moved)
         task = dataclasses.replace(task, noise=np.hypot(task.noise, rounded), rounded=rounded)
     rows = [row for row in rows if row is not None]
     slope = free.slope(best.q)

@@ -5,6 +5,7 @@ each leaves many times the noise, bends the parameters, and looks like missing p
 asked what it would gain by
 
     starts : free start states where no output measures them
+    smooth : linear inputs on the curve through their samples: nothing is free in that, so the likelihood tells
     inputs : each input held or linear, and up to a sample earlier or half a sample later than it is stamped
     loads  : each force or torque that the model has as a constant and nobody freed
 
@@ -24,7 +25,6 @@ import numpy as np
 from scipy.special import chdtri
 
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import INTERPOLATIONS
 
 from .answer import explains
 from .descent import Task, whole_runs
@@ -43,7 +43,9 @@ SHIFTS = (0.0, -0.5, 0.5, -1.0)  # samples; a whole one later is a dead time
 NEAR = 0.3  # samples between what is wanted and what is tried
 LATEST = 0.6  # samples by which an input may come later than it was taken for: more is a dead time
 TELLING = 10.0  # in the likelihood's logarithm: less does not tell changes apart, and the smaller one is taken
+MATTERS = 0.1  # of the noise: what an input between its samples must change to be asked
 MOST = 25  # iterations of a trial
+HELD = {"hold": "held", None: "held"}  # what an input is said to be
 PATIENCE = 3  # assumptions given up one after the other
 
 
@@ -81,7 +83,9 @@ def doubted(
         free = seen_from(*freed, inputs=not explained) if freed else None
     except (SolveError, np.linalg.LinAlgError):
         return None
-    better = None if explained else _explained_better(task, found, auto, free, freed, adaptable, enough)
+    better = _smooth(task, found, adaptable)
+    if better is None and not explained:
+        better = _explained_better(task, found, auto, free, freed, adaptable, enough)
     near = bool(np.all(misses(task, found) < WORTH_IT))
     if better is None and near:
         better = _moved_by_starts(task, found, auto, free, freed, adaptable)
@@ -90,10 +94,34 @@ def doubted(
     return better or (None if explained else _hint(task, found))
 
 
+def _smooth(task: Task, found: Minimum, adaptable: np.ndarray) -> Change | None:
+    """Linear inputs on the curve through their samples, where that is likelier by far."""
+    bent = [s for s in task.flat.inputs if s.interpolation == "linear" and s.chosen_by != "user" and not s.shift]
+    if not bent:
+        return None
+    inputs = {s.name: {"interpolation": "smooth", "shift": 0.0} for s in bent}
+    other, shooting = with_inputs(task, inputs), whole_runs(task)[0]
+    curved, matters = whole_runs(other)[0], MATTERS * np.nan_to_num(task.noise * task.weights)
+    for i in range(len(task.recordings)):
+        runs = [one.residuals(i, found.q, found.z[i]) for one in (shooting, curved)]
+        if any(run is None for run in runs):
+            return None
+        if np.any(np.sqrt(np.mean(np.nan_to_num(runs[1] - runs[0]) ** 2, axis=0)) > matters):
+            break
+    else:
+        return None
+    try:
+        before, fitted = Weighed(task, found, score(task, found)), _fitted(other, found, adaptable)
+    except SolveError:
+        return None
+    return _told(before, fitted, False, inputs) if before.score - fitted.score > TELLING else None
+
+
 def _explained_better(task, found, auto, free, freed, adaptable, enough) -> Change | None:
     """The simplest change that explains most of what is left beyond the noise."""
     seen = seen_from(task, found, inputs=True)
-    open_inputs = [j for j, s in enumerate(task.flat.inputs) if s.chosen_by != "user" and not s.shift]
+    known = [s.chosen_by == "user" or s.shift or s.interpolation == "smooth" for s in task.flat.inputs]
+    open_inputs = [j for j, settled in enumerate(known) if not settled]
     groups = [(j,) for j in open_inputs] + ([tuple(open_inputs)] if len(open_inputs) > 1 else [])
     tries = [(True, ())] if freed else []
     tries += [(False, group) for group in groups]
@@ -178,7 +206,7 @@ def _candidates(task: Task, group: Sequence[int], halves: np.ndarray) -> list[di
     for j, half in zip(group, halves, strict=True):
         signal = task.flat.inputs[j]
         wanted = _offset(signal.interpolation, 0.0) + half / 2
-        options = [(kind, s) for s in SHIFTS for kind in INTERPOLATIONS]
+        options = [(kind, s) for s in SHIFTS for kind in ("hold", "linear")]
         now, period = _offset(signal.interpolation, 0.0), period_of(task)
         options = [o for o in options if abs(_offset(*o) - now) > NEAR and _offset(*o) - now < LATEST]
         options = [o for o in options if abs(_offset(*o) - wanted) < NEAR]
@@ -189,7 +217,7 @@ def _candidates(task: Task, group: Sequence[int], halves: np.ndarray) -> list[di
 
 def _offset(kind: str, shift: float) -> float:
     """Samples by which an input comes later than a held one: a linear one is half a sample earlier."""
-    return shift - 0.5 * (kind == "linear")
+    return shift - 0.5 * (kind != "hold")
 
 
 def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, adaptable, enough) -> Change | None:
@@ -291,8 +319,8 @@ def _told(before: Weighed, after: Weighed, starts: bool, inputs: Mapping[str, di
     words, changes = [*words], {}
     for n, change in inputs.items():
         shift = change["shift"]
-        kind, held = ("linear" if k == "linear" else "held" for k in (change["interpolation"], of[n].interpolation))
-        said = f"is {kind} between its samples and not {held} as assumed" if kind != held else ""
+        kind, was_kind = (HELD.get(k, k) for k in (change["interpolation"], of[n].interpolation))
+        said = f"is {kind} between its samples and not {was_kind} as assumed" if kind != was_kind else ""
         late = f"comes {abs(shift):.3g} s {'later' if shift > 0 else 'earlier'} than it is stamped" if shift else ""
         words.append(f"input {n} {' and '.join(w for w in (said, late) if w)}")
         changes[n] = {**change, "chosen_by": "fit", "why": left}

@@ -114,15 +114,21 @@ def with_inputs(task: Task, changes: Mapping[str, Mapping]) -> Task:
     if not changes:
         return task
     flat = task.flat.with_inputs({n: {k: v for k, v in c.items() if k != "shift"} for n, c in changes.items()})
-    moved = [(dataclasses.replace(s, shift=changes[s.name]["shift"]) if s.name in changes else s) for s in flat.inputs]
-    recordings = tuple(dataclasses.replace(r, u=_columns(moved, r)) for r in task.recordings)
+    recordings = tuple(dataclasses.replace(r, u=_columns(task.flat.inputs, changes, r)) for r in task.recordings)
     task = dataclasses.replace(task, flat=flat, recordings=recordings)
     kinds = any("interpolation" in c for c in changes.values())
     return dataclasses.replace(task, propagator=propagator_of(task)) if kinds else task
 
 
-def _columns(signals: Sequence[Signal], recording) -> np.ndarray:
-    return np.column_stack([as_seen(s, recording.time, u) for s, u in zip(signals, recording.u.T, strict=True)])
+def _columns(signals: Sequence[Signal], changes: Mapping[str, Mapping], recording) -> np.ndarray:
+    """Inputs (n, nu) with these changes; the others are moved already, and what is smooth is bent already."""
+    columns = recording.u.copy()
+    for j, s in enumerate(signals):
+        if s.name in changes:
+            kind = changes[s.name].get("interpolation", "hold" if s.held else "linear")
+            seen = dataclasses.replace(s, interpolation=kind, shift=changes[s.name]["shift"])
+            columns[:, j] = as_seen(seen, recording.time, columns[:, j])
+    return columns
 
 
 def propagator_of(task: Task):

@@ -6,11 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.special import chdtri
 
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation.control import Accuracy
 
 SIZE = 1.1  # of the noise, squared: as much may be noise
+LARGE, CHANCE = 1.2, 1e-3  # the same of white residuals: an error of the estimated noise, or of few samples by chance
 FAINT = 0.1  # correlation of neighbouring residuals that a test can see and an engineer need not mind
 
 
@@ -63,8 +65,9 @@ class OutputResidual:
     @property
     def explained(self) -> bool:
         """Nothing is left but noise: less than that, or as much and neighbours say nothing of each other, or little."""
-        as_noise = self.chi2_per_sample < SIZE and (self.white or abs(self.lag_one) < FAINT)
-        return self.chi2_per_sample < 1.0 or self.rounding or as_noise
+        as_noise = self.chi2_per_sample < SIZE and abs(self.lag_one) < FAINT
+        as_scatter = self.white and self.chi2_per_sample < max(LARGE, chdtri(self.samples, CHANCE) / self.samples)
+        return self.chi2_per_sample < 1.0 or self.rounding or as_noise or as_scatter
 
 
 @dataclass(frozen=True)

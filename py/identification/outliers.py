@@ -48,7 +48,7 @@ class Strays:
 
     def findings(self) -> list[Finding]:
         """What `identify` says of them, and the argument for whoever wants it otherwise."""
-        otherwise = "loss='linear' keeps them" if self.left_out else "Or take loss='soft_l1'"
+        otherwise = "With loss='linear' they stay" if self.left_out else "Or take loss='soft_l1'"
         return [Finding("outliers", (), f"identify: {s} {otherwise}.") for s in self.sentences]
 
 

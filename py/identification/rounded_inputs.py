@@ -19,6 +19,7 @@ from .descent import Task, whole_runs
 from .least_squares import Minimum
 
 DRAWS = 4
+SHOWS = 0.5  # of what rounding would leave: less is left where the input was not rounded
 MATTERS = 0.1  # of the noise: less changes nothing
 
 
@@ -55,6 +56,12 @@ def noise_of_rounding(task: Task, rows: Sequence, draws: Sequence[Sequence[np.nd
             answer[np.isfinite(recording.y) & (task.weights > 0)] = moved - row[1] @ np.linalg.lstsq(row[1], moved)[0]
             left = np.concatenate([left, answer])
     return np.where(task.weights > 0, _size(left) / np.where(task.weights > 0, task.weights, 1.0), 0.0)
+
+
+def may_be_rounded(task: Task, found: Minimum, rounded: np.ndarray) -> bool:
+    """Whether what is left can hold what rounding would leave (ny,), SI: the levels of a command are no digits."""
+    left = _size(np.concatenate([run for run in _runs(task, found) if run is not None]))
+    return bool(np.all(left >= SHOWS * rounded * task.weights))
 
 
 def _size(values: np.ndarray) -> np.ndarray:

@@ -163,7 +163,7 @@ def on_period(record: Record, period: float, inputs: Sequence[Signal]) -> Record
     """The recording at the block's period, as a run of the block sees it (held inputs held)."""
     if record.uniform and abs(record.period - period) <= 1e-6 * period:
         return record
-    return record.resample(period, hold=[s.name for s in inputs if s.interpolation != "linear"])
+    return record.resample(period, hold=[s.name for s in inputs if s.held])
 
 
 def split_tail(record: Record, share: float) -> tuple[Record, Record]:

@@ -46,7 +46,8 @@ def told(inputs: Sequence[Signal], wanted: Mapping[str, str], owner: str) -> dic
         if name not in names:
             raise DeclarationError(f"interpolation: {owner}: no input '{name}'. {nearest(name, names)}")
         if kind not in INTERPOLATIONS:
-            raise DeclarationError(f"interpolation {name}={kind}: there is none. Write {name}=hold or {name}=linear.")
+            known = " or ".join(f"{name}={one}" for one in INTERPOLATIONS)
+            raise DeclarationError(f"interpolation {name}={kind}: there is none. Write {known}.")
     return {n: {"interpolation": kind, "chosen_by": "user", "shift": 0.0, "why": ""} for n, kind in wanted.items()}
 
 
@@ -109,7 +110,7 @@ def sentences(inputs: Sequence[Signal]) -> list[str]:
             continue
         late = f", {abs(s.shift):.3g} s {'later' if s.shift > 0 else 'earlier'} than it is stamped" if s.shift else ""
         why = f": {s.why}" if s.why else ""
-        kind = "linear" if s.interpolation == "linear" else "held"
+        kind = "held" if s.held else s.interpolation
         said.append(f"input {s.name} is {kind} between samples{late} (chosen by {_who(s)}{why})")
     return said
 

@@ -76,6 +76,7 @@ def recorded_step(values: np.ndarray) -> float:
 
 def _step_of_digits(values: np.ndarray) -> float:
     """Root mean square of the step of the last digit, in whatever unit the values were written; 0: too many digits."""
+    signed = np.unique(values[:: max(1, len(values) // _LOOKED_AT)])
     values = np.abs(values[:: max(1, len(values) // _LOOKED_AT)])
     values = values[values > 0]
     levels = np.unique(values)
@@ -85,6 +86,7 @@ def _step_of_digits(values: np.ndarray) -> float:
     for unit in _mantissas():  # an inch is a rounder number of inches than of metres
         digits = _coarsest(levels / unit, _decade(levels / unit), _MOST_DIGITS)
         decimals = _coarsest(levels / unit, _decade(levels[-1:] / unit), _MOST_DECIMALS)
+        decimals *= _in_common(signed / unit, decimals * _decade(levels[-1:] / unit))
         steps = np.maximum(digits * _decade(values / unit), decimals * _decade(levels[-1:] / unit))
         coarsest = max(coarsest, float(unit * np.sqrt(np.mean(steps**2))))
     return coarsest
@@ -105,6 +107,11 @@ def _coarsest(written: np.ndarray, decade: np.ndarray, most: int) -> float:
             break
         found = 10.0**-k
     return found
+
+
+def _in_common(written: np.ndarray, step: np.ndarray) -> int:
+    """How many of its last digit a value moves at least: a sensor of 0.5 mm written in tenths of one."""
+    return int(np.gcd.reduce(np.diff(np.round(written / step).astype(np.int64)))) if step[0] > 0 else 1
 
 
 @cache

@@ -60,7 +60,7 @@ def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.
             f"are not finite, the first at t = {record.time[np.argmin(known)]:g} s). {model_name} needs every "
             "sample of its inputs. Fill them, or take the part without (Record.window)."
         )
-    if signal.interpolation != "linear":
+    if signal.held:
         return resampling.hold(own, values, record.time)
     return np.interp(record.time, own, values)
 

@@ -78,13 +78,29 @@ def mean_over(time: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, lin
 
 
 def as_seen(signal: Signal, time: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """A recorded input (n,) taken for ``signal.shift`` seconds later than it is stamped, at the same samples."""
-    if not signal.shift or len(time) < 2:
+    """A recorded input (n,) as ``signal`` has it, at the same samples.
+
+    Taken for ``signal.shift`` seconds later than it is stamped; where it is smooth, moved so that straight lines
+    between the samples have the means of the curve through those recorded.
+    """
+    if len(time) < 2:
         return column
-    if signal.interpolation == "linear":
-        return np.interp(time - signal.shift, time, column)
+    if not signal.held:
+        moved = np.interp(time - signal.shift, time, column) if signal.shift else column
+        return moved - _bulge(time, moved) if signal.interpolation == "smooth" else moved
+    if not signal.shift:
+        return column
     ends = np.append(time[1:], 2 * time[-1] - time[-2])
     return mean_over(time, column, time - signal.shift, ends - signal.shift, False)
+
+
+def _bulge(time: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """``h^2 u'' / 12`` (n,), u'' from three samples: how far the mean of a chord lies above that of its curve."""
+    if len(time) < 3:
+        return np.zeros(len(time))
+    h = np.diff(time)
+    bend = 2 * np.diff(np.diff(u) / h) / (h[1:] + h[:-1])
+    return np.pad(h[1:] * h[:-1] * bend / 12, 1, mode="edge")
 
 
 def at(time: np.ndarray, u: np.ndarray, instant: np.ndarray, linear: bool, side: str) -> np.ndarray:

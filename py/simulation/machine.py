@@ -27,7 +27,7 @@ class VirtualMachine:
 
     def __init__(self, flat: FlatModel, to: Directions, implicit: bool):
         self.flat, self.to, self.implicit = flat, to, implicit
-        self.linear = [s.interpolation == "linear" for s in flat.inputs]
+        self.linear = [not s.held for s in flat.inputs]
         self._delays = equations.delays(flat)
         self.nominal = np.array([s.nominal for s in flat.states])
         self._kept = equations.states_with_rows(flat, to)

@@ -26,7 +26,7 @@ def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
 
 def sampled_inputs(block: Block, time: np.ndarray, u: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """Inputs (m, nu) at the block's samples: the held or the linear value there, the last one after the end."""
-    columns = [inputs.at(time, u[:, j], grid, s.interpolation == "linear", "right") for j, s in enumerate(block.inputs)]
+    columns = [inputs.at(time, u[:, j], grid, not s.held, "right") for j, s in enumerate(block.inputs)]
     return np.column_stack(columns) if columns else np.empty((len(grid), 0))
 
 

@@ -91,7 +91,7 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         _table("FREE", [*to.parameters, *(-1 for _ in to.states)]),
         _table("NOMINAL_FREE", map(repr, _nominals(flat, to)), "double"),
         _table("DELAY", delay),
-        _table("LINEAR", [int(s.interpolation == "linear") for s in flat.inputs]),
+        _table("LINEAR", [int(not s.held) for s in flat.inputs]),
         _table("KEPT", kept),
         _table("ZERO", to.zero),
         _table("DEAD_INPUT", [j for j, _ in to.dead]),

@@ -40,7 +40,7 @@ InterpolationOption = Annotated[
     typer.Option(
         "--interpolation",
         metavar="INPUT=HOW",
-        help="an input between samples: hold (a command) or linear (a measured quantity); the recordings show it else",
+        help="an input between samples: hold (a command), linear or smooth (measured); the recordings show it else",
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
@@ -136,7 +136,9 @@ def interpolation_from(changes: list[str] | None) -> dict[str, str]:
     pairs = [change.rpartition("=") for change in changes or []]
     for (name, _, how), change in zip(pairs, changes or [], strict=True):
         if not name or how not in INTERPOLATIONS:
-            raise DeclarationError(f"--interpolation {change}: no 'input=hold' or 'input=linear'. Write force=linear.")
+            raise DeclarationError(
+                f"--interpolation {change}: no 'input=hold', 'input=linear' or 'input=smooth'. Write force=linear."
+            )
     return {name: how for name, _, how in pairs}
 
 

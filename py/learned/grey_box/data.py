@@ -172,7 +172,7 @@ def coarser(records: Sequence[Record], period: float) -> float:
 
 def seen_late(records: Sequence[Record], period: float, input_: Signal) -> float:
     """How much later than it changes a held input is seen at the block's samples, on average over the changes [s]."""
-    if input_.interpolation == "linear":
+    if not input_.held:
         return 0.0
     late = total = 0.0
     for record in records:
@@ -188,7 +188,7 @@ def run_of(record: Record, period: float, input_: Signal, output: Signal) -> Run
     time, u = record.time, record[input_.name]
     samples = int(np.ceil((time[-1] - time[0]) / period - 1e-6)) + 1
     grid = time[0] + period * np.arange(samples)
-    at_grid = hold(time, u, grid) if input_.interpolation != "linear" else np.interp(grid, time, u)
+    at_grid = hold(time, u, grid) if input_.held else np.interp(grid, time, u)
     if record.period < 0.75 * period:
         inside = grid <= time[-1]
         time, y = grid[inside], np.interp(grid[inside], time, record[output.name])

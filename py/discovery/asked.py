@@ -59,8 +59,12 @@ class Asked:
         """The same without samples that stand alone; where they stay, they are told."""
         if alone.left_out:
             return dataclasses.replace(self, data=self.data.without(alone.masks))
-        told = tuple(f"gap: {sentence}" for sentence in alone.sentences)
-        return dataclasses.replace(self, data=dataclasses.replace(self.data, findings=(*self.data.findings, *told)))
+        return self.telling(alone.sentences)
+
+    def telling(self, sentences: Sequence[str]) -> Asked:
+        """The same with more findings."""
+        told = (*self.data.findings, *(f"gap: {sentence}" for sentence in sentences))
+        return dataclasses.replace(self, data=dataclasses.replace(self.data, findings=told))
 
 
 def bounded(model: Model, names: Sequence[str]) -> Model:

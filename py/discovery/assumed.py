@@ -56,11 +56,12 @@ def fairly(
         given_up.append(Change(sentences=strays.sentences))
         search, base = begin(asked)
     for left in range(PATIENCE, -1, -1):
-        change = questioned(search, base) if left else None
-        if change is None:
+        change = hint = questioned(search, base) if left else Change()
+        if not change.used:
             found = search_on(search, base)
-            change = questioned(search, found.last) if left and found.steps else None
-        if change is None:
+            change = questioned(search, found.last) if left and found.steps else Change()
+        if not change.used:
+            asked = asked if found.steps else asked.telling(hint.sentences)
             break
         given_up.append(change)
         model = asked.model.with_inputs(change.inputs) if change.inputs else asked.model
@@ -116,14 +117,14 @@ def judge_samples(job: RefitJob) -> Strays:
         return Strays()
 
 
-def questioned(search: Search, structure: Structure) -> Change | None:
-    """The assumption that explains what a structure leaves; None where nothing is left, or none does."""
+def questioned(search: Search, structure: Structure) -> Change:
+    """The assumption that explains what a structure leaves; none is used where nothing is left, or none does."""
     if not search.leaves(structure, CLEARLY if structure.members else MEASURABLE, search.sensors):
-        return None
+        return Change()
     asked = dataclasses.replace(search.question, noise=search.sensors)
     job = dataclasses.replace(search.refit_of(structure, coarse=True), question=asked)
     (answer,) = search.run(question_beside if structure.members else question, [job], STAGE)
-    return answer if answer.used else None
+    return answer
 
 
 def question_beside(job: RefitJob) -> Change:

@@ -30,6 +30,7 @@ from .answer import explains
 from .descent import Task, whole_runs
 from .directions import Seen, Step, loads_of, period_of, propagator_of, seen_from, with_inputs
 from .least_squares import Minimum, minimise
+from .outliers import spikes
 from .problem import free_parameters
 from .weighing import WORTH_IT, Weighed, misses, score, weighed_by_residual
 
@@ -180,6 +181,9 @@ def _hint(task: Task, found: Minimum) -> Change | None:
         seen = seen_from(task, found, inputs=True)
     except SolveError:
         return None
+    spiked = _spiked(task, found)
+    if spiked:
+        return spiked
     first = len(task.flat.inputs) + len(loads_of(task))
     for j, signal in enumerate(task.flat.outputs):
         step = seen.step((first + j,)) if task.weights[j] > 0 else None
@@ -198,6 +202,35 @@ def _hint(task: Task, found: Minimum) -> Change | None:
             )
             return Change(sentences=(words,))
     return None
+
+
+def _spiked(task: Task, found: Minimum) -> Change | None:
+    """Samples of a measured input that stand alone, where a fit with their neighbours in their place explains most."""
+    for j, signal in enumerate(task.flat.inputs):
+        masks = [spikes(r.u[:, j]) & (not signal.held) for r in task.recordings]
+        if not any(mask.any() for mask in masks):
+            continue
+        pairs = list(zip(task.recordings, masks, strict=True))
+        mended = dataclasses.replace(task, recordings=tuple(_mended(r, j, mask) for r, mask in pairs))
+        begin = dataclasses.replace(found, q=task.free.scaled(task.free.start), z=whole_runs(mended)[1])
+        try:  # from the start: such samples have led the fit far away
+            fitted = _fitted(mended, begin, np.isfinite(task.noise))
+        except SolveError:
+            continue
+        if _explains_most(Weighed(task, found, score(task, found)), fitted, FAR_MORE):
+            first, mask = next((r, mask) for r, mask in pairs if mask.any())
+            return Change(sentences=(
+                f"{sum(int(m.sum()) for m in masks)} samples of input {signal.name} stand alone, far from their "
+                f"neighbours (the first in {first.name}, {first.time[np.argmax(mask)]:.6g} s from its start): without "
+                "them most of what is left would be explained. Correct them in the file.",
+            ))  # fmt: skip
+    return None
+
+
+def _mended(recording, j: int, mask: np.ndarray):
+    u = recording.u.copy()
+    u[mask, j] = np.interp(recording.time[mask], recording.time[~mask], u[~mask, j])
+    return dataclasses.replace(recording, u=u)
 
 
 def _candidates(task: Task, group: Sequence[int], halves: np.ndarray) -> list[dict[str, dict]]:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from hydrotwin.models.language.errors import SolveError
 
@@ -134,6 +135,12 @@ def _alone(left: np.ndarray, far: float, noise: float) -> np.ndarray:
     edges = np.flatnonzero(np.diff(np.concatenate([[False], away, [False]]).astype(int)))
     longest = np.max(edges[1::2] - edges[::2], initial=0)
     return away & (longest <= ALONE) & (away.sum() <= MOST * known.sum())
+
+
+def spikes(column: np.ndarray) -> np.ndarray:
+    """Which samples (n,) of a signal that moves stand alone: many of its steps from the median of their neighbours."""
+    step = TO_SIGMA * float(np.median(np.abs(np.diff(column)))) if len(column) > 1 else 0.0
+    return _alone(column - median_filter(column, 2 * ALONE + 1, mode="nearest"), FAR, step)
 
 
 def without(task: Task, masks: Sequence[np.ndarray]) -> Task:

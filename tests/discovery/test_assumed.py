@@ -87,6 +87,15 @@ def test_samples_that_stand_alone_beside_a_missing_effect_are_told():
     assert any("stand alone" in f and "Put nan" in f for f in answer.findings) or "left out" in answer.answer
 
 
+def test_samples_of_an_input_that_stand_alone_are_told():
+    runs = [moved(s, wave(s)) for s in range(3)]
+    force = runs[0]["force"].copy()
+    force[[40, 41, 200]] = 9999.0
+    answer = found([runs[0].with_signals({"force": force}), *runs[1:]], slide())
+    assert answer.verdict == "unknown"
+    assert any("3 samples of input force stand alone" in f and "0.8 s" in f for f in answer.findings)
+
+
 def test_few_samples_that_scatter_are_no_gap_and_many_are():
     """What a lone recording cut in twelve shows in one of them by chance was told as missing."""
     few, many = (np.sqrt(1.3 / 0.98) * np.random.default_rng(1).normal(size=(n, 1)) for n in (58, 5800))
@@ -100,7 +109,7 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
 
     def asked(model, initial_states):
         asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
-        asked.without = lambda strays: asked
+        asked.without = asked.telling = lambda said: asked
         return asked
 
     def begin(asked):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
@@ -60,6 +61,12 @@ def _implicit_run(flat: FlatModel, record: Record, step: float) -> Record:
     for k in range(len(time)):
         rows.append(flat.ode(time[k], x, [column[k] for column in seen], p)[1].full().ravel())
         for j in range(cut.first[k], cut.last[k] + 1) if k + 1 < len(time) else ():
-            x = advance(cut.time[j], cut.length[j], x, cut.mean[j], p)
+            try:
+                x = advance(cut.time[j], cut.length[j], x, cut.mean[j], p)
+            except RuntimeError:
+                raise SolveError(
+                    f"{flat.name}: the implicit method with a fixed step of {step:g} s gives up at t = "
+                    f"{cut.time[j]:.4g} s. Take a smaller step, or method 'adaptive'."
+                ) from None
     columns = dict(zip([s.name for s in flat.outputs], np.array(rows).T, strict=True))
     return Record(time, columns, {s.name: s.unit for s in flat.outputs})

@@ -59,7 +59,7 @@ def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], s
         *lost,
         *_inaccurate(accuracy, task),
         *doubted,
-        *identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound),
+        *([] if doubted else identifiability(flat, free, known.information, _unrecorded(task, rows, slope), at_bound)),
         *ambiguous,
         *([] if ambiguous else _rough(best)),
         *_weighing(task, residuals),

@@ -13,7 +13,7 @@ SMOOTH = 40.0  # tolerances of roughness (`equations.rk4_substep`) up to which a
 DEEPEST = 30  # halvings of a step around a kink: a nanosecond of a second
 BURST = 10_000  # steps tried around kinks that every run may take, whatever they cost
 ACCURACY = 1e-3  # of an output's range: what a run is to reach by itself
-STILL = 1e-3, 1e-6  # of nominal, of the largest value: the least that counts as an output's range
+STILL = 1e-6, 1e-6  # of nominal, of the largest value: the least that counts as an output's range
 FAR = 4.0  # factor by which a parameter has moved far
 SMALL = 1e-2  # of nominal: parameters below are as good as zero
 
@@ -67,7 +67,7 @@ class Accuracy:
         return (
             f"not accurate: half the step changes {self.output} by {self.error:.2g} of its range (at t = "
             f"{self.time:.4g} s; {how}), and {ACCURACY:g} is wanted. "
-            "Take method 'auto', a smaller step, or smooth what jumps"
+            "Take method 'auto', a smaller step, smooth what jumps, or declare the nominal of states that move far less"
         )
 
 

@@ -85,8 +85,8 @@ def test_what_a_minimum_summed_is_what_is_left(plain):
     summed = MODULE._rmse(task, found)
     np.testing.assert_allclose(summed, pooled_rmse(MODULE.residuals_of(task, found)), rtol=1e-9)
     assert np.isnan(summed[1])
-    stopped = dataclasses.replace(found, at=dataclasses.replace(found.at, squares=np.full((2, 2), np.nan)))
-    assert MODULE._rmse(task, stopped)[0] == np.inf
+    given_up = dataclasses.replace(found, at=dataclasses.replace(found.at, squares=np.full((2, 2), np.nan)))
+    np.testing.assert_allclose(MODULE._rmse(task, given_up), summed, rtol=1e-9)  # its runs are finite all the same
 
 
 def _first_point(task):

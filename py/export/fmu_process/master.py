@@ -82,11 +82,6 @@ class Slave(Instance):
     interface = "CoSimulation"
 
     @property
-    def any_step(self) -> bool:
-        """Whether it takes communication steps of any size."""
-        return bool(self.description.coSimulation.canHandleVariableCommunicationStepSize)
-
-    @property
     def interpolates(self) -> bool:
         """Whether it can be told how its inputs move during a step (FMI 2)."""
         return bool(self.description.coSimulation.canInterpolateInputs) and not self.fmi3
@@ -135,7 +130,8 @@ def feeds_through(description: ModelDescription, outputs: Sequence[str], inputs:
     declared = {u.variable.name: u.dependencies for u in description.outputs}
     known = [declared.get(name) for name in outputs]
     named = [None if d is None else {v.name for v in d} for d in known]
-    return np.array([[d is None or name in d for name in inputs] for d in named], bool).reshape(len(outputs), -1)
+    through = [[d is None or name in d for name in inputs] for d in named]
+    return np.array(through, bool).reshape(len(outputs), len(inputs))
 
 
 def abilities_of(unzipped: str, interface: str) -> set[str]:
@@ -158,13 +154,13 @@ def run_steps(
     nothing is read between setting and stepping. What is read so has seen the inputs before a sample. An output that
     follows an input at once would be one sample late beside a recording, whose rows hold what was there together: where
     such an input jumps, a step that is as good as none (1e-10 of the next) is made with the new value, those outputs
-    are read after it, and the slave is brought back where it can be. One of one step size cannot: see `late_outputs`.
+    are read after it, and the slave is brought back where it can be. Where it cannot be looked at: see `late_outputs`.
 
     Inputs are held over a step; those named in ``linear`` move towards the next sample where the FMU can be told how,
     else they are held at their mean over the step.
     """
     straight = np.array([name in linear for name in inputs], bool)
-    through = feeds_through(slave.description, outputs, inputs) & slave.any_step
+    through = feeds_through(slave.description, outputs, inputs) & may_look(slave.description)
     found, seen = np.empty((len(time), len(outputs))), u[0]
     found[0] = slave.read(outputs)
     for k in range(len(time)):
@@ -212,10 +208,24 @@ def _set_for_step(slave: Slave, values: dict, now: np.ndarray, after: np.ndarray
     return np.where(moving, after, now)
 
 
-def late_outputs(description: ModelDescription, outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
-    """Outputs that a run shows one sample late: they follow an input at once and the FMU takes one step size only."""
+def may_look(description: ModelDescription) -> bool:
+    """Whether a step more than the recording asks for does no harm.
+
+    The FMU takes steps of any size, and is brought back, or has no discrete output that might count steps: none that
+    does not say what it depends on.
+    """
     slave = description.coSimulation
-    if slave is None or slave.canHandleVariableCommunicationStepSize:
+    if not slave.canHandleVariableCommunicationStepSize:
+        return False
+    said = {u.variable.name for u in description.outputs if u.dependencies is not None}
+    outputs = [v for v in description.modelVariables if v.causality == "output" and v.name not in said]
+    counts = any(v.type not in FLOATS or v.variability == "discrete" for v in outputs)
+    return bool(slave.canGetAndSetFMUstate) or not counts
+
+
+def late_outputs(description: ModelDescription, outputs: Sequence[str], inputs: Sequence[str]) -> list[str]:
+    """Outputs that a run shows one sample late: they follow an input at once and the FMU cannot be looked at."""
+    if description.coSimulation is None or may_look(description):
         return []
     through = feeds_through(description, outputs, inputs).any(axis=1)
     return [name for name, late in zip(outputs, through, strict=True) if late]

@@ -4,6 +4,7 @@
 #include "internal.h"
 
 #define MOST_SUBSTEPS 1e8
+#define MOST_HALVINGS 12 /* of an adaptive step */
 #define MOST_PARTS 1e6 /* tried in one refined step: a state that chatters has no solution to wait for */
 
 /* ---- the generated functions ---- */
@@ -88,7 +89,7 @@ static int refined_step(ht_instance *s, double t, double h, double *x, double *s
 }
 
 /* A step of the generated Rosenbrock method, in as many steps of its own as it takes: one where it is fixed. */
-static int rosenbrock_step(ht_instance *s, double t, double h, double *x, double *scratch) {
+static int implicit_step(ht_instance *s, double t, double h, double *x, double *scratch) {
     const double *arg[5];
     double *res[1], *u = s->scratch;
     ht_inputs_mean(s, t, t + h, u);
@@ -99,12 +100,28 @@ static int rosenbrock_step(ht_instance *s, double t, double h, double *x, double
     return 0;
 }
 
+/* The same; in halves where the method gives up, whose steps would be too many. */
+static int adaptive_step(ht_instance *s, double t, double h, double *x, double *scratch) {
+    size_t n = s->model->states;
+    double all = ldexp(1.0, MOST_HALVINGS), done = 0.0, part = all, *before = scratch + n;
+    while (done < all) {
+        memcpy(before, x, n * sizeof(double));
+        if (!implicit_step(s, t + h * (done / all), h * (part / all), x, scratch) && ht_finite(x, n)) {
+            done += part;
+            continue;
+        }
+        memcpy(x, before, n * sizeof(double));
+        if ((part *= 0.5) < 1.0) return 1;
+    }
+    return 0;
+}
+
 /* An internal step from t over h, x in place; not 0: it failed. */
 typedef int internal_step(ht_instance *s, double t, double h, double *x, double *scratch);
 
 ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
     const ht_model *m = s->model;
-    internal_step *step = m->method == HT_EXPLICIT ? explicit_step : m->method == HT_REFINED ? refined_step : rosenbrock_step;
+    internal_step *step = m->method == HT_EXPLICIT ? explicit_step : m->method == HT_REFINED ? refined_step : m->method == HT_IMPLICIT ? implicit_step : adaptive_step;
     double *x = ht_values(s, HT_STATE), *work = s->scratch + m->inputs;
     double count = ceil(size / m->step - 1e-6), from = t, to, h, k;
     if (m->method == HT_ADAPTIVE && ht_inputs_steady(s) && !s->watcher) count = 1.0;

@@ -171,15 +171,16 @@ def refuse_hand_conversions(
     """
     for equation in equations:
         for unit, factor in (factors[key] for key in equation.symbols if key in factors):
-            literals = [abs(v) for side in (equation.left, equation.right) for v in _literals(side)]
-            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(literals)):
+            numbers = [abs(v) for side in (equation.left, equation.right) for v in literals(side)]
+            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(numbers)):
                 raise UnitError(
                     f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations "
                     "are in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
                 )
 
 
-def _literals(expression: ca.SX) -> list[float]:
+def literals(expression: ca.SX) -> list[float]:
+    """The numbers written in an expression, but for those that change nothing or a sign."""
     f = ca.Function("f", ca.symvar(expression), [expression])
     found = [f.instruction_constant(k) for k in range(f.n_instructions()) if f.instruction_id(k) == ca.OP_CONST]
     return [v for v in found if v not in (0.0, 1.0, -1.0)]

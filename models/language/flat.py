@@ -98,6 +98,7 @@ class FlatModel:
     ode : ``(t, x, u, p) -> (xdot, y)``, a CasADi SX function with these argument names; t scalar, the rest columns.
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
+    loops : nonlinear ones, each by the unknowns it is solved for and ``(t, x, u, p) -> 1`` where it has a solution.
     black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
 
@@ -112,6 +113,7 @@ class FlatModel:
     initialisation: object
     step: float = 1e-3
     description: str = ""
+    loops: tuple[tuple[str, ca.Function], ...] = ()
 
     def __repr__(self) -> str:
         counts = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
@@ -128,6 +130,10 @@ class FlatModel:
             if name not in known:
                 raise DeclarationError(f"{self.name}: no state '{name}'. {nearest(name, known)}")
         return self.initialisation(tuple(given))
+
+    def lost_loop(self, t: float, x, u, p) -> str:
+        """The unknowns of the first nonlinear loop that has no solution there, as far as Newton's iteration finds one."""
+        return next((names for names, solved in self.loops if not float(solved(t, x, u, p)) == 1), "")
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> np.ndarray:
         """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""

@@ -20,7 +20,7 @@ from .flat import FlatModel, ParameterValue, Signal, StateVariable
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
-from .regularity import check_solvable
+from .regularity import check_solvable, loops_of
 from .units import compatible
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
@@ -232,6 +232,7 @@ class Model:
             ode=ode,
             initialisation=start,
             step=self.step,
+            loops=loops_of(solved),
         )
         check_solvable(solved, flat)
         if self.additions and not self.sought:

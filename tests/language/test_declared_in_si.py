@@ -191,3 +191,50 @@ def test_a_conversion_in_two_literals_is_found_too():
 
     with pytest.raises(UnitError, match="to or from rpm by hand"):
         Model(Turning(), "turning").flat  # noqa: B018
+
+
+def following(**declared) -> Model:
+    class Part(Component):
+        y = Output("1")
+        x = State(0.0, "1")
+        T = Parameter(0.1, "s")
+        n = Parameter(2.0, "1")
+        turn = Parameter(10, "deg")
+        low, high = Parameter(5, "bar"), Parameter(10, "bar")
+
+        def equations(self):
+            yield self.T * der(self.x) == -self.x
+            yield self.y == self.x
+
+    return Model(type("Given", (Part,), declared)(), "given")
+
+
+@pytest.mark.parametrize(
+    ("function", "unit", "right"),
+    (
+        (lambda c: 30.0, "deg", np.pi / 6),
+        (lambda c: 1, "deg", np.pi / 180),
+        (lambda c: 50.0, "%", 0.5),
+        (lambda c: 160, "bar", 160e5),
+        (lambda c: 20, "degC", 293.15),
+        (lambda c: ca.SX(3), "ms", 3e-3),
+        (lambda c: 2 * c.turn, "deg", np.pi / 9),
+        (lambda c: c.low / c.high, "%", 0.5),
+        (lambda c: 3 * c.low, "bar", 15e5),
+    ),
+)
+def test_what_a_function_gives_is_in_si_as_if_it_stood_there(function, unit, right):
+    (follower, _), = [f for f in following(a=Parameter(function, unit)).followers if f[0].name == "a"]
+    assert follower.value == pytest.approx(right)
+    assert following(x=State(function, unit), y=Output(unit)).equilibrium()[0] == pytest.approx(right)
+
+
+@pytest.mark.parametrize("name", ("a", "x"))
+def test_a_function_of_pure_numbers_does_not_tell_a_degree_from_a_radian(name):
+    kind = {"a": Parameter, "x": State}[name]
+    for function, unit in ((lambda c: 30 * c.n, "deg"), (lambda c: 50 * c.low / c.high, "%")):
+        with pytest.raises(UnitError, match=rf"{name}: declared in {unit}, so .* may mean {unit} or"):
+            following(**{name: kind(function, unit)}).equilibrium()
+    with pytest.raises(DeclarationError, match="declared in deg, so 30 alone may mean deg or rad"):
+        changed = following(**{name: kind(1.0, "deg")}).root.but(**{name: lambda c: 30.0})
+        Model(changed, "given").equilibrium()

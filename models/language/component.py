@@ -38,7 +38,26 @@ def declarations(kind: type) -> Mapping[str, object]:
     return MappingProxyType(found)
 
 
-class Component(_Declared):
+class _Body(dict):
+    """What a class body holds: nothing declared in it may be lost to a second one of the same name."""
+
+    def __setitem__(self, name, value):
+        if isinstance(self.get(name), KINDS):
+            raise DeclarationError(
+                f"{Here()}'{name}' is declared a second time in one class: the first would be lost. Rename one of them."
+            )
+        super().__setitem__(name, value)
+
+
+class _Kind(type):
+    """The class of components: it sees what their class bodies say."""
+
+    @classmethod
+    def __prepare__(cls, name, bases, **options):
+        return _Body()
+
+
+class Component(_Declared, metaclass=_Kind):
     """A part of a machine: class attributes declare its quantities, `equations` ties them.
 
     Subclassing extends, keyword arguments modify: a number for a parameter or a start value, a law for a slot, another

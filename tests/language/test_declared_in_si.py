@@ -125,6 +125,11 @@ def test_a_number_alone_for_what_was_declared_in_bar_is_asked_for_its_unit():
         ({"value": True}, "no number"),
         ({"free": "yes"}, "true or false"),
         ("5 bar", "no number"),
+        (None, r"no number \(got None\)\. Write \{'value': 1\.0\}"),
+        ({"value": None}, "no number"),
+        ([5], "no number"),
+        ({"unit": "MPa"}, "a unit and no value"),
+        ({"unit": "MPa", "free": True}, "a unit and no value"),
     ),
 )
 def test_what_a_setting_cannot_say_is_refused_with_the_nearest_key(change, said):
@@ -193,6 +198,36 @@ def test_a_conversion_in_two_literals_is_found_too():
         Model(Turning(), "turning").flat  # noqa: B018
 
 
+@pytest.mark.parametrize(
+    ("given", "said"),
+    (
+        ({"name": 5}, "the name is no text"),
+        ({"settings": None}, "settings are not given by name"),
+        ({"settings": 5}, "settings are not given by name"),
+        ({"settings": "tank"}, "settings are not given by name"),
+        ({"settings": {5: 1.0}}, "one of the settings has no name"),
+        ({"settings": {"line.volume.volume": 1e-3}}, r"Write 'volume\.volume': paths begin within"),
+        ({"settings": {"tnk.pressure": 1e5}}, r"line: no parameter 'tnk\.pressure'\. Did you mean 'tank\.pressure'"),
+        ({"inputs": None}, "inputs are not given by name"),
+        ({"inputs": {"flow": "hold"}}, "changes are not given by name"),
+        ({"inputs": {"flw": {"interpolation": "hold"}}}, "no input 'flw'. Did you mean 'flow'"),
+        ({"inputs": {"flow": {"interpolation": "cubic"}}}, "unknown interpolation"),
+        ({"inputs": {"flow": {"interpolaton": "hold"}}}, "Did you mean 'interpolation'"),
+        ({"inputs": {"flow": {"nominal": 0}}}, "nothing to change by the name 'nominal'"),
+        ({"inputs": {"flow": {"shift": float("nan")}}}, "the shift is no time"),
+    ),
+)
+def test_what_a_model_cannot_be_given_is_refused_with_what_to_write(given, said):
+    with pytest.raises(DeclarationError, match=said):
+        Model(Line(), **{"name": "line", **given}).flat  # noqa: B018
+    if "inputs" in given:
+        with pytest.raises(DeclarationError, match=said):
+            Model(Line(), "line").with_inputs(given["inputs"])
+    if "settings" in given:
+        with pytest.raises(DeclarationError, match=said):
+            Model(Line(), "line").with_settings(given["settings"]).flat  # noqa: B018
+
+
 def following(**declared) -> Model:
     class Part(Component):
         y = Output("1")
@@ -224,7 +259,7 @@ def following(**declared) -> Model:
     ),
 )
 def test_what_a_function_gives_is_in_si_as_if_it_stood_there(function, unit, right):
-    (follower, _), = [f for f in following(a=Parameter(function, unit)).followers if f[0].name == "a"]
+    ((follower, _),) = [f for f in following(a=Parameter(function, unit)).followers if f[0].name == "a"]
     assert follower.value == pytest.approx(right)
     assert following(x=State(function, unit), y=Output(unit)).equilibrium()[0] == pytest.approx(right)
 

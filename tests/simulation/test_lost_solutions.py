@@ -62,7 +62,7 @@ def test_whatever_the_equation_it_is_solved_or_the_run_stops(law, last):
 def test_up_to_there_the_solution_and_its_derivatives_are_right(method):
     flat = implicit(lambda z: z + z**3).flat
     run = prepare(flat, method=method, free_parameters=("T",))
-    y, dy, x, _ = run.sensitivity(TIME, RAMP["u"], flat.parameter_vector(), [0.0], np.zeros((1, 1)))
+    y, dy, _, _ = run.sensitivity(TIME, RAMP["u"], flat.parameter_vector(), [0.0], np.zeros((1, 1)))
     np.testing.assert_allclose(y[:, 0] + y[:, 0] ** 3, RAMP["u"], atol=1e-9)
     assert np.isfinite(dy).all()
     root = float(flat.ode(0, [0.0], [0.5], flat.parameter_vector())[1])

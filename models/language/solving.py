@@ -15,7 +15,7 @@ from .errors import TopologyError
 
 NEWTON_STEPS = 12
 LARGEST_NONLINEAR_BLOCK = 4
-UNSOLVED = 1e-3  # last of the steps, over the nominal value or how far they went: from here on there is no solution
+UNSOLVED = 1e-3  # last of the steps, over the nominal value or the unknown's size: from here on there is no solution
 ROUNDING = 1e-8  # of nominal: a last step that is none
 GOLDEN = 0.6180339887498949  # its multiples differ from each other, and so do differences of them
 
@@ -196,7 +196,7 @@ def _newton(model, unknowns, residual, symbols, describe):
     """Newton's iteration written out; exact derivatives follow from differentiating it.
 
     Where its steps do not end, the equations have lost their solution and the unknowns are NaN: every run stops there.
-    The last step is held against the nominal value, or against all that was gone where that is less.
+    The last step is held against the nominal value, or against the size of start and end where that is less.
     """
     matrix = ca.jacobian(residual, symbols)
     sought = {s.element_hash() for s in ca.vertsplit(symbols)}
@@ -204,7 +204,7 @@ def _newton(model, unknowns, residual, symbols, describe):
     evaluate = ca.Function("residual", [symbols, ca.SX(given)], [residual, matrix])
     z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
     update = ca.SX.zeros(len(unknowns))
-    reach = ca.fabs(z)
+    start = ca.fabs(z)
     for _ in range(NEWTON_STEPS):
         r, j = evaluate(z, given)
         try:
@@ -216,13 +216,12 @@ def _newton(model, unknowns, residual, symbols, describe):
                 f"them there. It is made of: {describe()}. Give its variables another start."
             ) from None
         z = z - update
-        reach = ca.fmax(reach, ca.fabs(z))
     nominal = ca.DM([u.nominal for u in unknowns])
     names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)
     error = ca.norm_inf(update / nominal)
-    ended = ca.fabs(update) < UNSOLVED * ca.fmin(nominal, reach) + ROUNDING * nominal
+    ended = ca.fabs(update) < UNSOLVED * ca.fmin(nominal, start + ca.fabs(z)) + ROUNDING * nominal
     solved = ca.SX(1)
     for one in ca.vertsplit(ended):
         solved = ca.logic_and(solved, one)
     record = NonlinearBlock(names, error, solved, symbols, sizes, residual, matrix, describe)
-    return [ca.if_else(solved, value, np.nan) for value in ca.vertsplit(z)], record
+    return [value + ca.if_else(solved, 0, np.nan) for value in ca.vertsplit(z)], record

@@ -122,7 +122,8 @@ class Parameter(_Quantity):
     """A constant of the machine: value in ``unit``, meaning, bounds, scale and source.
 
     ``value`` may be a function of the component that declares it: the parameter then follows others until somebody
-    gives it a number of its own. ``free`` marks it for identification by default.
+    gives it a number of its own. A number that it gives is in ``unit``, what it makes of others is in SI. ``free``
+    marks it for identification by default.
     """
 
     points: ClassVar = ("value",)

@@ -224,4 +224,5 @@ def _newton(model, unknowns, residual, symbols, describe):
     for one in ca.vertsplit(ended):
         solved = ca.logic_and(solved, one)
     record = NonlinearBlock(names, error, solved, symbols, sizes, residual, matrix, describe)
-    return [value + ca.if_else(solved, 0, np.nan) for value in ca.vertsplit(z)], record
+    known = ca.if_else(solved, 1, np.nan)  # as a factor, so that derivatives are NaN with it
+    return [value * known for value in ca.vertsplit(z)], record

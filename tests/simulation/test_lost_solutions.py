@@ -66,6 +66,12 @@ def test_an_exported_model_discards_the_step(tmp_path, method):
         read_fmu(fmu).free_run(RAMP)
 
 
+@pytest.mark.parametrize("steady", (False, True))
+def test_there_is_no_linear_model_where_there_is_no_solution(steady):
+    with pytest.raises(SolveError, match="the equations for z have no solution at this operating point"):
+        implicit(ca.sin).linearize({"u": 1.6}, steady=steady)
+
+
 @pytest.mark.parametrize("law", [lambda z: z * ca.fabs(z) + 1e-3 * z, lambda z: z * ca.sqrt(z**2 + 1e-6)], ids="ab")
 def test_a_flow_that_turns_is_followed_through_zero(law):
     wave = Record(TIME, {"u": np.sin(7 * TIME).round(3)}, {"u": "1"}, "wave")

@@ -97,7 +97,7 @@ def setting_in_si(entry: Mapping, where: str, error: type[HydrotwinError] = Decl
     for key in ("value", "sigma"):
         if key in entry and not (key == "sigma" and entry[key] is None):
             if isinstance(entry[key], bool) or not isinstance(entry[key], Real):
-                raise error(f"{where}: {key} is no number (got {entry[key]!r}). Write {{'{key}': 1.0}}.")
+                raise error(f"{where}: {key} is no number (got {entry[key]!r}). Give a number, such as 1.0.")
             setting[key] = float(entry[key])
     if not math.isfinite(setting.get("value", 0.0)) or not (setting.get("sigma") or 0.0) >= 0.0:
         raise error(f"{where}: value and sigma must be finite and sigma not negative (got {dict(entry)!r}).")

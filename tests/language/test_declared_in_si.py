@@ -125,7 +125,7 @@ def test_a_number_alone_for_what_was_declared_in_bar_is_asked_for_its_unit():
         ({"value": True}, "no number"),
         ({"free": "yes"}, "true or false"),
         ("5 bar", "no number"),
-        (None, r"no number \(got None\)\. Write \{'value': 1\.0\}"),
+        (None, r"no number \(got None\)\. Give a number, such as 1\.0"),
         ({"value": None}, "no number"),
         ([5], "no number"),
         ({"unit": "MPa"}, "a unit and no value"),

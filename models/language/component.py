@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from numbers import Real
 from types import MappingProxyType
 
+import casadi as ca
+
 from .declarations import PLACEHOLDER, Input, Output, Parameter, Port, Slot, State, Variable, finite
-from .elaboration import Elaboration
+from .dimensions import NUMBER, check_units, literals
+from .elaboration import Elaboration, Entry, Equation
 from .errors import DeclarationError, UnitError, nearest
 from .units import dimension
-from .user_code import Here, place_of_code
+from .user_code import Here, place_of_code, running
 
 RESERVED = ("path", "parent", "changes")  # attributes of every component
 
@@ -35,7 +38,26 @@ def declarations(kind: type) -> Mapping[str, object]:
     return MappingProxyType(found)
 
 
-class Component(_Declared):
+class _Body(dict):
+    """What a class body holds: nothing declared in it may be lost to a second one of the same name."""
+
+    def __setitem__(self, name, value):
+        if isinstance(self.get(name), KINDS):
+            raise DeclarationError(
+                f"{Here()}'{name}' is declared a second time in one class: the first would be lost. Rename one of them."
+            )
+        super().__setitem__(name, value)
+
+
+class _Kind(type):
+    """The class of components: it sees what their class bodies say."""
+
+    @classmethod
+    def __prepare__(cls, name, bases, **options):
+        return _Body()
+
+
+class Component(_Declared, metaclass=_Kind):
     """A part of a machine: class attributes declare its quantities, `equations` ties them.
 
     Subclassing extends, keyword arguments modify: a number for a parameter or a start value, a law for a slot, another
@@ -108,6 +130,7 @@ class Component(_Declared):
         if isinstance(declaration, (Parameter, State)) and not isinstance(change, (Parameter, State)):
             replaced = copy.copy(declaration)
             object.__setattr__(replaced, "start" if isinstance(declaration, State) else "value", change)
+            object.__setattr__(replaced, "alone", True)
             return replaced
         return change
 
@@ -221,6 +244,45 @@ def _check_number(where: Here, declaration: Parameter | State, number: float) ->
             f"{where}: value outside its bounds (got {number:g} {declaration.unit}). It must lie in [{low:g}, "
             f"{high:g}]. Correct the value, or declare the {type(declaration).__name__.lower()} with other bounds."
         )
+
+
+def given_in_si(elaboration: Elaboration, function: Callable, scope: Component, entry: Entry) -> ca.SX:
+    """What a function gives for a Parameter or a State, in SI; its unit is checked.
+
+    A number is in the unit of the declaration, as if it stood there. What is made of other quantities is in SI, as it
+    is in equations.
+
+    Raises
+    ------
+    UnitError : another dimension, or a pure number by which nobody can tell which of two units is meant.
+    """
+    where, declaration = f"{elaboration.name}.{entry.path}", entry.declaration
+    with running(where):
+        given = ca.SX(function(scope))
+    if given.is_constant():
+        number = finite(where, "what its function gives", float(given))
+        if declaration.alone:
+            _check_number(where, declaration, number)
+        return given
+    equation = Equation(entry.symbol, given, entry.path)
+    check_units(elaboration.name, [equation], elaboration.units)
+    if declaration.written_in and dimension(declaration.unit) == NUMBER and literals(given):
+        _refuse_unclear(elaboration, where, declaration, equation)
+    return given
+
+
+def _refuse_unclear(elaboration: Elaboration, where: str, declaration, equation: Equation) -> None:
+    """A pure number times pure numbers: the dimension does not tell a degree from a radian."""
+    entries = (*elaboration.parameters, *elaboration.states)
+    known = {e.symbol.element_hash(): e.declaration for e in entries}
+    for one in (known.get(key) for key in equation.sides[1]):
+        same = one is not None and one.unit == declaration.unit
+        if same and (declaration.unit != "1" or one.written_in == declaration.written_in):
+            return
+    raise UnitError(
+        f"{where}: declared in {declaration.written_in}, so '{equation.right}' may mean {declaration.written_in} or "
+        f"{declaration.unit}. Declare it in {declaration.unit}, and let its function give that."
+    )
 
 
 def _follows(change) -> bool:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from numbers import Real
 from typing import ClassVar
+
+import casadi as ca
 
 from .errors import DeclarationError, UnitError
 from .flat import INTERPOLATIONS
@@ -22,12 +25,14 @@ PLACEHOLDER = "signal"  # in a unit: the unit of a signal that is known only whe
 class _Quantity:
     """What has a unit. Whatever unit it is written in, from its declaration on it is in SI, with all its numbers.
 
-    ``written_in`` is the unit it was written in where that was not SI, else "". ``refused`` says why no model can hold
+    ``written_in`` is the unit it was written in where that was not SI, else "". ``alone`` marks a value that was given
+    anew without a unit. ``refused`` says why no model can hold
     it (it is a vector): told where one shall, so that the other models of its file still load.
     """
 
     points: ClassVar[tuple[str, ...]] = ()  # fields that hold a value in the unit; it may have a zero of its own
     written_in: ClassVar[str] = ""
+    alone: ClassVar[bool] = False
     refused: ClassVar[str] = ""
 
     def __post_init__(self):
@@ -38,7 +43,9 @@ class _Quantity:
             if hasattr(value, "__len__") and not isinstance(value, str):
                 object.__setattr__(self, "refused", f"{where}: {name} is no number (got {value!r}). {_EACH}")
                 return
-            if not callable(value):
+            if callable(value):
+                object.__setattr__(self, name, partial(_number_in_si, value, known) if known else value)
+            else:
                 number = finite(where, name, value)
                 object.__setattr__(self, name, known.factor * number + known.offset if known else number)
         if self.nominal is not None:
@@ -69,6 +76,15 @@ class _Quantity:
                 f"{where}: {point} outside its bounds (got {value:g} {self.unit}). "
                 f"It must lie in [{low:g}, {high:g}]. Correct the {point} or widen the bounds."
             )
+
+
+def _number_in_si(function: Callable, unit: Unit, component):
+    """What a function gives for a component: a number is in the unit of the declaration, a quantity is in SI."""
+    given = function(component)
+    is_number = isinstance(given, Real) and not isinstance(given, bool)
+    if not is_number and not (isinstance(given, ca.SX) and given.is_constant() and given.is_scalar()):
+        return given
+    return unit.factor * float(given) + unit.offset
 
 
 def _unit(where: Here, unit: str) -> Unit | None:
@@ -107,7 +123,8 @@ class Parameter(_Quantity):
     """A constant of the machine: value in ``unit``, meaning, bounds, scale and source.
 
     ``value`` may be a function of the component that declares it: the parameter then follows others until somebody
-    gives it a number of its own. ``free`` marks it for identification by default.
+    gives it a number of its own. A number that it gives is in ``unit``, what it makes of others is in SI. ``free``
+    marks it for identification by default.
     """
 
     points: ClassVar = ("value",)

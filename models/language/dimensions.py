@@ -13,7 +13,7 @@ from itertools import combinations, product
 
 import casadi as ca
 
-from .elaboration import Equation
+from .elaboration import Equation, unit_of
 from .errors import DeclarationError, UnitError
 from .units import BASE_UNITS, dimension
 
@@ -56,7 +56,7 @@ def dimensions_of(expressions: Sequence[ca.SX], units: Mapping[int, str]) -> lis
 
 def _dimension_of(expression: ca.SX, units: Mapping[int, str]) -> Dimension | None:
     if expression.is_symbolic():
-        return dimension(units[expression.element_hash()])
+        return dimension(unit_of(expression, units))
     symbols = ca.symvar(expression)
     f = ca.Function("f", symbols, [expression])
     work: dict[int, Dimension | None] = {}
@@ -65,14 +65,14 @@ def _dimension_of(expression: ca.SX, units: Mapping[int, str]) -> Dimension | No
     for k in range(f.n_instructions()):
         op, inputs, outputs = f.instruction_id(k), f.instruction_input(k), f.instruction_output(k)
         if op == ca.OP_INPUT:
-            work[outputs[0]] = dimension(units[symbols[inputs[0]].element_hash()])
+            work[outputs[0]] = dimension(unit_of(symbols[inputs[0]], units))
             constants.pop(outputs[0], None)
         elif op == ca.OP_OUTPUT:
             result = work[inputs[0]]
         elif op == ca.OP_CONST:
             value = f.instruction_constant(k)
             if not math.isfinite(value):
-                raise DeclarationError(f"a number in it is not finite (got {value})")
+                raise DeclarationError(f"a number in it is not finite (got {value}). Write a finite number.")
             work[outputs[0]], constants[outputs[0]] = (ANY if value == 0 else NUMBER), value
         else:
             arguments = [work[i] for i in inputs]
@@ -117,7 +117,12 @@ def _apply(op: int, arguments: list[Dimension | None], exponent: float | None) -
     if op in _NUMBER_ONLY:
         _pure(arguments, "the argument of a transcendental function")
         return NUMBER
-    raise UnitError(f"operation {op} has no rule for units")
+    if op == ca.OP_CALL:
+        raise DeclarationError(
+            "a function object of CasADi is called in it. Write the formula itself; ca.pw_lin(x, xs, ys) for a table, "
+            "and a Variable with an equation of its own for what a rootfinder would find."
+        )
+    raise UnitError(f"an operation of CasADi (number {op}) that has no rule for units")
 
 
 def _in_seconds(arguments: list[Dimension | None], literal: list[bool]) -> list[Dimension | None]:
@@ -150,7 +155,7 @@ def check_units(model: str, equations: Sequence[Equation], units: Mapping[int, s
                 f"Check the units of the quantities that meet there.{_LITERAL}"
             ) from None
         except DeclarationError as error:
-            raise DeclarationError(f"{equation.at}{where}: {error}: '{equation}'. Write a finite number.") from None
+            raise DeclarationError(f"{equation.at}{where}: '{equation}': {error}") from None
         if left is not ANY and right is not ANY and left != right:
             raise UnitError(
                 f"{equation.at}{where}: units do not balance in '{equation}' (got {written(left)} on the left and "
@@ -171,15 +176,16 @@ def refuse_hand_conversions(
     """
     for equation in equations:
         for unit, factor in (factors[key] for key in equation.symbols if key in factors):
-            literals = [abs(v) for side in (equation.left, equation.right) for v in _literals(side)]
-            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(literals)):
+            numbers = [abs(v) for side in (equation.left, equation.right) for v in literals(side)]
+            if any(math.isclose(abs(math.log(v / factor)), 0.0, abs_tol=SAME_FACTOR) for v in _products(numbers)):
                 raise UnitError(
                     f"{equation.at}{model}: '{equation}' converts to or from {unit} by hand ({factor:g}). Equations "
                     "are in SI whatever the unit of a declaration: leave the factor out, or declare the quantity in SI."
                 )
 
 
-def _literals(expression: ca.SX) -> list[float]:
+def literals(expression: ca.SX) -> list[float]:
+    """The numbers written in an expression, but for those that change nothing or a sign."""
     f = ca.Function("f", ca.symvar(expression), [expression])
     found = [f.instruction_constant(k) for k in range(f.n_instructions()) if f.instruction_id(k) == ca.OP_CONST]
     return [v for v in found if v not in (0.0, 1.0, -1.0)]

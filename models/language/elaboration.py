@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextvars
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -90,6 +90,17 @@ class Equation:
 def _symbols(expression: ca.SX) -> dict[int, ca.SX]:
     found = [expression] if expression.is_symbolic() else ca.symvar(expression)
     return {s.element_hash(): s for s in found}
+
+
+def unit_of(symbol: ca.SX, units: Mapping[int, str]) -> str:
+    """The unit a symbol is declared in, or an error for one that nobody declared."""
+    unit = units.get(symbol.element_hash())
+    if unit is None:
+        raise DeclarationError(
+            f"'{symbol}' is a symbol that no component declares. Declare it in the class body, "
+            f"{symbol} = Variable(unit), and write self.{symbol}."
+        )
+    return unit
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +203,7 @@ class Elaboration:
         if key == self.time.element_hash():
             return ca.SX(1)
         if key not in self.derivatives:
-            rate = self.symbol(f"der({symbol})", f"({self.units[key]})/s")
+            rate = self.symbol(f"der({symbol})", f"({unit_of(symbol, self.units)})/s")
             self.derivatives[key] = (symbol, rate)
         return self.derivatives[key][1]
 
@@ -288,10 +299,10 @@ def delay(argument: ca.SX, dead_time: ca.SX) -> ca.SX:
                 "Only an input of the model can be delayed, by one parameter. "
                 "Give the expression a variable or parameter of its own."
             )
-    unit = elaboration.units[dead_time.element_hash()]
+    unit = unit_of(dead_time, elaboration.units)
     if not compatible(unit, "s"):
         raise UnitError(f"{elaboration.name}.{dead_time}: a dead time must be in s (got {unit}). Correct its unit.")
-    symbol = elaboration.symbol(f"delay({argument})", elaboration.units[argument.element_hash()])
+    symbol = elaboration.symbol(f"delay({argument})", unit_of(argument, elaboration.units))
     elaboration.delays.append(Delay(symbol, argument, dead_time))
     return symbol
 

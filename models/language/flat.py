@@ -8,8 +8,9 @@ Everything is in SI. Methods (simulation, identification, export, ...) see a mod
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import ClassVar
 
 import casadi as ca
@@ -48,22 +49,39 @@ class Signal:
 
 
 INTERPOLATIONS = ("hold", "linear", "smooth")
+CHANGES = ("interpolation", "chosen_by", "why", "shift")  # what a recording or a user may say of an input
+
+
+def by_name(given, owner: str, what: str, example: str) -> Mapping:
+    """What is given by names, or an error that says how to write it."""
+    if not isinstance(given, Mapping):
+        raise DeclarationError(f"{owner}: {what} are not given by name (got {given!r}). Write {example}.")
+    for name in given:
+        if not isinstance(name, str):
+            raise DeclarationError(f"{owner}: one of the {what} has no name (got {name!r}). Write {example}.")
+    return given
 
 
 def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str) -> tuple[Signal, ...]:
     """The inputs of ``owner`` with other ``interpolation``, ``chosen_by``, ``shift`` or ``why``, by name.
 
-    Raises DeclarationError for an unknown input or interpolation.
+    Raises DeclarationError for an unknown input, key or interpolation, and a shift that is no time.
     """
     names = [s.name for s in inputs]
-    for name, change in changes.items():
+    for name, change in by_name(changes, owner, "inputs", "{'name': {'interpolation': 'linear'}}").items():
         if name not in names:
             raise DeclarationError(f"{owner}: no input '{name}'. {nearest(name, names)}")
+        where = f"{owner}: input '{name}'"
+        for key in by_name(change, where, "changes", "{'interpolation': 'linear'}"):
+            if key not in CHANGES:
+                raise DeclarationError(f"{where}: nothing to change by the name '{key}'. {nearest(key, CHANGES)}")
         if change.get("interpolation", "hold") not in INTERPOLATIONS:
             raise DeclarationError(
-                f"{owner}: input '{name}': unknown interpolation (got '{change['interpolation']}'). Use 'hold' for a "
+                f"{where}: unknown interpolation (got '{change['interpolation']}'). Use 'hold' for a "
                 "command that is kept between samples, 'linear' or 'smooth' for a measured quantity."
             )
+        if not isinstance(shift := change.get("shift", 0.0), Real) or not np.isfinite(shift):
+            raise DeclarationError(f"{where}: the shift is no time (got {shift!r}). Give seconds.")
     return tuple(dataclasses.replace(s, **changes.get(s.name, {})) for s in inputs)
 
 
@@ -104,6 +122,7 @@ class FlatModel:
     ode : ``(t, x, u, p) -> (xdot, y)``, a CasADi SX function with these argument names; t scalar, the rest columns.
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
+    loops : nonlinear ones, each by the unknowns it is solved for and ``(t, x, u, p) -> 1`` where it has a solution.
     black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
 
@@ -118,6 +137,7 @@ class FlatModel:
     initialisation: object
     step: float = 1e-3
     description: str = ""
+    loops: tuple[tuple[str, ca.Function], ...] = ()
 
     def __repr__(self) -> str:
         counts = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
@@ -135,6 +155,10 @@ class FlatModel:
                 raise DeclarationError(f"{self.name}: no state '{name}'. {nearest(name, known)}")
         return self.initialisation(tuple(given))
 
+    def lost_loop(self, t: float, x, u, p) -> str:
+        """The unknowns of the first nonlinear loop of which Newton's iteration finds no solution there; "" for none."""
+        return next((names for names, solved in self.loops if float(solved(t, x, u, p)) != 1), "")
+
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> np.ndarray:
         """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""
         values = np.array([p.value for p in self.parameters], dtype=float)
@@ -146,9 +170,7 @@ class FlatModel:
         """Position of a parameter in ``p``; an unknown name raises with the nearest right one."""
         names = [p.name for p in self.parameters]
         if parameter not in names:
-            owner, _, leaf = parameter.rpartition(".")
-            where = f"{self.name}.{owner}" if owner else self.name
-            raise DeclarationError(f"{where}: no parameter '{leaf}'. {nearest(parameter, names)}")
+            raise no_parameter(self.name, parameter, names)
         return names.index(parameter)
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> FlatModel:
@@ -164,6 +186,17 @@ class FlatModel:
                 dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
             ),
         )
+
+
+def no_parameter(model: str, path: str, known: Iterable[str], hint: str = "") -> DeclarationError:
+    """The error for a path that leads to no parameter; paths begin within the model."""
+    known, (owner, _, leaf) = list(known), path.rpartition(".")
+    within = path.removeprefix(f"{model}.")
+    if within in known:
+        return DeclarationError(f"{model}: no parameter '{path}'. Write '{within}': paths begin within the model.")
+    is_part = any(name.startswith(f"{owner}.") for name in known)
+    where, name = (f"{model}.{owner}", leaf) if is_part else (model, path)
+    return DeclarationError(f"{where}: no parameter '{name}'. {hint or nearest(path, known)}")
 
 
 def fixed_start(values: Sequence[float], names: Sequence[str], inputs: int, parameters: int):

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import casadi as ca
 
 from .additions import Addition, wire
-from .component import Component, declarations
+from .component import Component, declarations, given_in_si
 from .dimensions import check_units, refuse_hand_conversions
 from .elaboration import BoundPort, Elaboration, Equation, _current
 from .errors import DeclarationError, TopologyError
 from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
 from .units import parse_unit
-from .user_code import numbers_refused, running, unsaid
+from .user_code import numbers_refused, unsaid
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,9 +52,9 @@ def elaborate(
         with numbers_refused():
             bound = root.bind("", elaboration)
             wire(elaboration, additions, declarations(type(root)))
+            entries = {p.path: p for p in elaboration.parameters}
             for path, (function, scope) in list(elaboration.bindings.items()):
-                with running(f"{name}.{path}"):
-                    elaboration.bindings[path] = ca.SX(function(scope))
+                elaboration.bindings[path] = given_in_si(elaboration, function, scope, entries[path])
     finally:
         _current.reset(token)
     for path in overrides:
@@ -123,9 +123,10 @@ def solve(elaboration: Elaboration) -> Solved:
     """Check units and balance, then solve for every unknown."""
     name = elaboration.name
     symbol_of = {p.path: p.symbol for p in elaboration.parameters}
-    bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in elaboration.bindings.items()]
+    follow = {path: e for path, e in elaboration.bindings.items() if not e.is_constant()}
+    bound = [Equation(symbol_of[path], e, path.rpartition(".")[0]) for path, e in follow.items()]
     equations = [*elaboration.equations, *connection_equations(elaboration)]
-    check_units(name, [*bound, *equations, *elaboration.initial_equations], elaboration.units)
+    check_units(name, [*equations, *elaboration.initial_equations], elaboration.units)
     refuse_hand_conversions(name, [*bound, *equations], _other_units(elaboration))
     bindings = _resolved_bindings(elaboration)
     unknowns = [

@@ -8,13 +8,12 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 import numpy as np
 
-from .dimensions import check_units
-from .elaboration import Equation
+from .component import given_in_si
 from .errors import DeclarationError, TopologyError
 from .flattening import Solved, replace
 from .solving import LinearBlock, NonlinearBlock, Unknown, solve_block
 from .structure import match, ordered_blocks
-from .user_code import numbers_refused, running
+from .user_code import numbers_refused
 
 LARGEST_LAST_STEP = 1e-6  # of nominal
 
@@ -79,11 +78,8 @@ def _declared_start(solved: Solved, state) -> ca.SX:
     start = state.declaration.start
     if not callable(start):
         return ca.SX(start)
-    e = solved.elaboration
-    with running(f"{e.name}.{state.path}"), numbers_refused():
-        given = ca.SX(start(state.owner))
-    check_units(e.name, [Equation(state.symbol, given, state.path)], e.units)
-    return solved.of(given)
+    with numbers_refused():
+        return solved.of(given_in_si(solved.elaboration, start, state.owner, state))
 
 
 def _followed(name: str, expression: ca.SX, known: Mapping[int, ca.SX], role: str) -> ca.SX:

@@ -93,6 +93,11 @@ def operating_point(model, at: Mapping[str, float] | None = None, *, steady: boo
     if not np.all(np.isfinite(x)):
         lost = ", ".join(name for name, value in zip(names, x, strict=True) if not np.isfinite(value))
         raise SolveError(f"{flat.name}: no static equilibrium found for {lost} (got {at}). Give these states.")
+    if lost := flat.lost_loop(0, x, u, p):
+        raise SolveError(
+            f"{flat.name}: the equations for {lost} have no solution at this operating point, or none that Newton's "
+            f"iteration finds (got {at}). Give other inputs or states."
+        )
     if steady:
         x = _steady(flat, x, u, p, [k for k, name in enumerate(names) if name not in given])
     rates = np.array(flat.ode(0, x, u, p)[0]).ravel()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Iterable, Mapping
 from functools import cached_property
 from types import MappingProxyType
@@ -16,11 +15,11 @@ from .additions import Addition
 from .component import Component
 from .declarations import finite
 from .errors import DeclarationError, SolveError, TopologyError, UnitError, nearest
-from .flat import FlatModel, ParameterValue, Signal, StateVariable
+from .flat import FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, no_parameter
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
-from .regularity import check_solvable
+from .regularity import check_solvable, loops_of
 from .units import compatible
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
@@ -60,30 +59,29 @@ class Model:
             raise DeclarationError(f"Model: {root!r} is no component. Give an instance of a Component subclass.")
         self.root = root
         kind = type(root).__name__
+        if not isinstance(name, str | None):
+            raise DeclarationError(f"Model: the name is no text (got {name!r}). Write name='press'.")
         self.name = name or kind[0].lower() + kind[1:]
         self.step = finite(f"{self.name}: Model", "step", step)
         if not self.step > 0:
             raise DeclarationError(f"{self.name}: the step is no time ahead (got {step:g} s). Give seconds above zero.")
         self.provenance = dict(provenance or {})
         self.additions = tuple(additions)
-        self.inputs_changed = {k: dict(v) for k, v in inputs.items()}
-        if isinstance(settings, str):
-            raise DeclarationError(f"{self.name}: settings are no text (got {settings!r}). Write {{'part.name': 1.0}}.")
-        self.settings = {path: self._setting(path, change) for path, change in dict(settings).items()}
+        self.inputs_changed = dict(by_name(inputs, self.name, "inputs", "{'name': {'interpolation': 'linear'}}"))
+        self.settings = self._in_si(settings)
 
-    def _setting(self, path: str, change) -> dict:
-        """A setting in SI; a number alone is a value."""
-        change = change if isinstance(change, Mapping) else {"value": change}
-        if not isinstance(path, str):
-            raise DeclarationError(f"{self.name}: a setting has no name (got {path!r}). Write {{'part.name': ..}}.")
-        return setting_in_si(change, f"{self.name}.{path}")
+    def _in_si(self, settings: Mapping) -> dict[str, dict]:
+        """Settings in SI; a number alone is a value."""
+        settings = by_name({} if settings == () else settings, self.name, "settings", "{'part.name': 1.0}")
+        rows = {path: c if isinstance(c, Mapping) else {"value": c} for path, c in settings.items()}
+        return {path: setting_in_si(change, f"{self.name}.{path}") for path, change in rows.items()}
 
     # -- other models ------------------------------------------------------------------------------------------
     def with_settings(self, settings: Mapping, provenance: Mapping | None = None) -> Model:
         """The same structure with further values, bounds, sigmas or sources, by path."""
         merged = {k: dict(v) for k, v in self.settings.items()}
-        for path, change in settings.items():
-            merged.setdefault(path, {}).update(self._setting(path, change))
+        for path, change in self._in_si(settings).items():
+            merged.setdefault(path, {}).update(change)
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
             inputs=self.inputs_changed,
@@ -109,8 +107,8 @@ class Model:
         Raises DeclarationError for an unknown input or interpolation.
         """
         before, other = self.inputs_changed, copy.copy(self)
-        merged = {name: {**before.get(name, {}), **change} for name, change in changes.items()}
         other.__dict__ = {**self.__dict__, "flat": self.flat.with_inputs(changes)}  # the equations are the same
+        merged = {name: {**before.get(name, {}), **change} for name, change in changes.items()}
         other.inputs_changed = {**before, **merged}
         return other
 
@@ -158,11 +156,10 @@ class Model:
         known = {p.path: p.unit for p in elaboration.parameters}
         for path in self.settings:
             if path not in known:
-                owner, _, leaf = path.rpartition(".")
-                where = f"{self.name}.{owner}" if owner else self.name
+                leaf = path.rpartition(".")[2]
                 start = any(path == s.path for s in elaboration.states)
-                hint = f"It is a state: give its start to the part, ..({leaf}=..)." if start else nearest(path, known)
-                raise DeclarationError(f"{where}: no parameter '{leaf}'. {hint}")
+                hint = f"It is a state: give its start to the part, ..({leaf}=..)." if start else ""
+                raise no_parameter(self.name, path, known, hint)
         return solve(elaboration)
 
     @cached_property
@@ -221,7 +218,7 @@ class Model:
         flat = FlatModel(
             name=self.name,
             description=(type(self.root).__doc__ or "").strip().split("\n")[0],
-            inputs=tuple(self._input(i) for i in e.inputs),
+            inputs=changed([self._input(i) for i in e.inputs], self.inputs_changed, self.name),
             outputs=tuple(Signal(o.path, o.unit, o.declaration.description, o.declaration.nominal) for o in e.outputs),
             states=tuple(
                 StateVariable(s.path, s.unit, d.description, d.nominal, d.bounds, measured[s.path])
@@ -232,6 +229,7 @@ class Model:
             ode=ode,
             initialisation=start,
             step=self.step,
+            loops=loops_of(solved),
         )
         check_solvable(solved, flat)
         if self.additions and not self.sought:
@@ -242,8 +240,7 @@ class Model:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)
         by = "model" if d.interpolation else None
-        signal = Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by)
-        return dataclasses.replace(signal, **self.inputs_changed.get(entry.path, {}))
+        return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by)
 
     def _parameter(self, entry, follows: float | None = None) -> ParameterValue:
         d, change = entry.declaration, self.settings.get(entry.path, {})

@@ -95,15 +95,17 @@ def setting_in_si(entry: Mapping, where: str, error: type[HydrotwinError] = Decl
         if key in entry and not isinstance(entry[key], kind):
             raise error(f"{where}: {key} is not {form} (got {entry[key]!r}). Write {form}.")
     for key in ("value", "sigma"):
-        if key in entry and entry[key] is not None:
+        if key in entry and not (key == "sigma" and entry[key] is None):
             if isinstance(entry[key], bool) or not isinstance(entry[key], Real):
-                raise error(f"{where}: {key} is no number (got {entry[key]!r}). Give a number.")
+                raise error(f"{where}: {key} is no number (got {entry[key]!r}). Give a number, such as 1.0.")
             setting[key] = float(entry[key])
     if not math.isfinite(setting.get("value", 0.0)) or not (setting.get("sigma") or 0.0) >= 0.0:
         raise error(f"{where}: value and sigma must be finite and sigma not negative (got {dict(entry)!r}).")
     if "bounds" in entry:
         setting["bounds"] = _ordered(entry["bounds"], where, error)
     if "unit" in entry:
+        if not entry.keys() & {"value", "bounds", "sigma"}:
+            raise error(f"{where}: a unit and no value (got {dict(entry)!r}). Write the value that is in that unit.")
         _convert(setting, where)
     return setting
 

@@ -6,7 +6,7 @@ of zero. Then something is divided by nothing, and what comes out is no answer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import casadi as ca
 import numpy as np
@@ -42,12 +42,17 @@ def check_solvable(solved: Solved, flat: FlatModel) -> None:
         _check_unique(solved, flat, x, block)
 
 
-def _function(solved: Solved, ends: list[ca.SX], more: ca.SX | None = None) -> Callable:
+def loops_of(solved: Solved) -> tuple[tuple[str, ca.Function], ...]:
+    """What `FlatModel.loops` holds."""
+    return tuple((", ".join(b.unknowns), _function(solved, [solved.of(b.solved)])) for b in solved.nonlinear)
+
+
+def _function(solved: Solved, ends: list[ca.SX], *more: ca.SX) -> ca.Function:
     """Expressions of a block as a function of ``(t, x, u, p)``, and of ``more``."""
     e = solved.elaboration
     independent = [q for q in e.parameters if q.symbol.element_hash() not in solved.bindings]
     groups = [ca.SX(ca.vertcat(*(s.symbol for s in group))) for group in (e.states, e.inputs, independent)]
-    return ca.Function("block", [e.time, *groups, ca.SX(0, 1) if more is None else more], ends)
+    return ca.Function("block", [e.time, *groups, *more], ends)
 
 
 def _check_linear(solved: Solved, flat: FlatModel) -> None:
@@ -66,8 +71,8 @@ def _check_linear(solved: Solved, flat: FlatModel) -> None:
         x = start + (k > 0) * x_size * draw.uniform(-1, 1, len(start))
         u = u_rest + (k > 0) * u_size * draw.uniform(-1, 1, len(u_rest))
         other = p + OTHER * p_size * draw.uniform(-1, 1, len(p))
-        here.append(np.abs(pivots(0, x, u, p, []).full().ravel()))
-        usual.append(np.abs(pivots(0, x, u, other, []).full().ravel()))
+        here.append(np.abs(pivots(0, x, u, p).full().ravel()))
+        usual.append(np.abs(pivots(0, x, u, other).full().ravel()))
     here, usual = np.array(here), np.array(usual)
     never = _is_rounding(usual).all(axis=0)
     singular = (here <= ZERO * np.nanmax(usual, axis=0, initial=0.0)).all(axis=0) | never
@@ -94,7 +99,7 @@ def _singular(flat: FlatModel, block: LinearBlock, always: bool) -> str:
 def _check_newton(solved: Solved, flat: FlatModel, x: np.ndarray, block: NonlinearBlock) -> None:
     """Nonlinear loops must converge at the start values, or the model is refused by name."""
     check = _function(solved, [solved.of(block.error)])
-    error = float(check(0, x, [i.default for i in flat.inputs], flat.parameter_vector(), []))
+    error = float(check(0, x, [i.default for i in flat.inputs], flat.parameter_vector()))
     if not error < LARGEST_LAST_STEP:
         raise TopologyError(
             f"{flat.name}: the nonlinear loop of {', '.join(block.unknowns)} does not converge at the start "

@@ -15,6 +15,8 @@ from .errors import TopologyError
 
 NEWTON_STEPS = 12
 LARGEST_NONLINEAR_BLOCK = 4
+UNSOLVED = 1e-3  # last of the steps, over the nominal value or the unknown's size: from here on there is no solution
+ROUNDING = 1e-8  # of nominal: a last step that is none
 GOLDEN = 0.6180339887498949  # its multiples differ from each other, and so do differences of them
 
 
@@ -37,6 +39,7 @@ class NonlinearBlock:
 
     unknowns: tuple[str, ...]
     error: ca.SX  # last Newton step over the nominal values
+    solved: ca.SX  # 1 where the steps ended at a solution; elsewhere the unknowns are NaN
     symbols: ca.SX
     nominals: tuple[float, ...]
     residual: ca.SX
@@ -190,13 +193,18 @@ def _zeros(entries: Sequence[ca.SX], values: Mapping[int, float]) -> list[int]:
 
 
 def _newton(model, unknowns, residual, symbols, describe):
-    """Newton's iteration written out; exact derivatives follow from differentiating it."""
+    """Newton's iteration written out; exact derivatives follow from differentiating it.
+
+    Where its steps do not end, the equations have lost their solution and the unknowns are NaN: every run stops there.
+    The last step is held against the nominal value, or against the size of start and end where that is less.
+    """
     matrix = ca.jacobian(residual, symbols)
     sought = {s.element_hash() for s in ca.vertsplit(symbols)}
     given = ca.vertcat(*(s for s in ca.symvar(residual) if s.element_hash() not in sought))
     evaluate = ca.Function("residual", [symbols, ca.SX(given)], [residual, matrix])
     z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
     update = ca.SX.zeros(len(unknowns))
+    start = ca.fabs(z)
     for _ in range(NEWTON_STEPS):
         r, j = evaluate(z, given)
         try:
@@ -211,5 +219,10 @@ def _newton(model, unknowns, residual, symbols, describe):
     nominal = ca.DM([u.nominal for u in unknowns])
     names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)
     error = ca.norm_inf(update / nominal)
-    record = NonlinearBlock(names, error, symbols, sizes, residual, matrix, describe)
-    return [z[i] for i in range(len(unknowns))], record
+    ended = ca.fabs(update) < UNSOLVED * ca.fmin(nominal, start + ca.fabs(z)) + ROUNDING * nominal
+    solved = ca.SX(1)
+    for one in ca.vertsplit(ended):
+        solved = ca.logic_and(solved, one)
+    record = NonlinearBlock(names, error, solved, symbols, sizes, residual, matrix, describe)
+    known = ca.if_else(solved, 1, np.nan)  # as a factor, so that derivatives are NaN with it
+    return [value * known for value in ca.vertsplit(z)], record

@@ -7,6 +7,8 @@ it; CasADi's functions say the same for symbols.
 from __future__ import annotations
 
 import ast
+import builtins
+import functools
 import inspect
 import linecache
 import re
@@ -18,6 +20,7 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import ModuleType
 
 import casadi as ca
 import numpy as np
@@ -33,6 +36,7 @@ _STANDARD = sysconfig.get_paths()["stdlib"]
 if hasattr(ca.GlobalOptions, "setNumpyMode"):
     ca.GlobalOptions.setNumpyMode(-1)  # np.where and the like on quantities, as CasADi always understood them, unwarned
 
+_LIBRARIES = tuple({sysconfig.get_paths()[name] for name in ("purelib", "platlib")})
 _PLACED = re.compile(r".*?: line \d+: ")
 _KNOWN = "a quantity has a value only when the model runs"
 
@@ -43,14 +47,37 @@ _CALLS = {
     "abs": "ca.fabs(x)", "round": "ca.floor(x + 0.5)", "int": "ca.floor(x)", "float": "the quantity itself",
     "trunc": "ca.sign(x) * ca.floor(ca.fabs(x))", "bool": "the comparison itself, in ca.if_else",
     "sorted": "ca.fmin(a, b) and ca.fmax(a, b)", "any": "ca.logic_or(a, b)", "all": "ca.logic_and(a, b)",
+    "float64": "the quantity itself", "asarray": "the quantity itself", "complex": "the quantity itself",
     "where": "ca.if_else(condition, a, b)", "piecewise": "ca.if_else(condition, a, b)",
     "select": "ca.if_else(condition, a, b)", "pow": "x**y", "dist": "ca.sqrt(ca.sumsqr(x))",
     "radians": "x * math.pi / 180", "degrees": "x * 180 / math.pi", "exp2": "2**x", "cbrt": "ca.sign(x) * "
     "ca.fabs(x)**(1/3)", "isclose": "ca.fabs(a - b) < tolerance", "isnan": "nothing: a quantity is never NaN",
     "range": "a number of Python (a class attribute such as count = 3), for a model cannot change its size",
+    "mod": "ca.fmod(a, b)", "absolute": "ca.fabs(x)", "sqr": "x**2", "square": "x**2", "power": "x**y",
+    "ln": "ca.log(x)", "interp": "ca.pw_lin(x, [x_1, x_2], [y_1, y_2])",
     "len": "a number of Python (a class attribute such as count = 3), for a quantity is one number",
 }  # fmt: skip
 _GENERAL = "what CasADi has for it: ca.if_else(condition, a, b), ca.fmax(a, b), ca.logic_and(a, b), ca.sqrt(x)"
+_ARRAYS = ("setting an array element with a sequence", "object arrays are not supported", "only length-1 arrays")
+_MIXED = re.compile(
+    r"unsupported operand type\(s\) for (?:[-+*/%@]|//|\*\*)(?:=| or pow\(\))?: '(.+)' and '(.+)'"
+    r"|'[<>]=?' not supported between instances of '(.+)' and '(.+)'|can't multiply sequence by non-int"
+)
+_ARGUMENT = re.compile(r"([\w.]+)\(\) (?:got an unexpected keyword argument '(\w+)'|missing \d+ required)")
+_PARTNERS = {  # what meets a quantity in an operation -> the next step
+    "int": "A whole number so large is none that a model can hold: write one below 1e308.",
+    "NoneType": "Write a number or a quantity for None.",
+    "str": "Write the number without quotes.",
+    "complex": "Write the real and the imaginary part as two quantities.",
+    "Decimal": "Write float(..) around that number.",
+    "Fraction": "Write float(..) around that number.",
+    "MX": "Write quantities of the component, self.NAME, for what is made with ca.MX.",
+}
+_DECLARED = ("Parameter", "State", "Input", "Output", "Variable", "Port")
+_DECLARED_HERE = (
+    "A declaration has a value only inside equations(), as self.NAME of a part declared in the class body; a "
+    "parameter that follows others is Parameter(lambda c: 2 * c.other, ...)."
+)
 _STATEMENTS = {
     ast.If: "y = ca.if_else(condition, a, b) for 'if condition: y = a, else: y = b'",
     ast.IfExp: "ca.if_else(condition, a, b) for 'a if condition else b'",
@@ -127,9 +154,14 @@ def as_sentence(error: BaseException, where: str) -> DeclarationError:
 
 
 def _at(error: BaseException) -> traceback.FrameSummary | None:
-    """The deepest line that is neither the language's nor a library's."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return next((f for f in reversed(frames) if f.lineno and not _is_foreign(f.filename)), None)
+    """The deepest line that is neither the language's nor a library's; of an installed model, its own."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if f.lineno and not _is_foreign(f.filename)]
+    own = [f for f in frames if f.filename.startswith(_MODELS) or not _is_library(f.filename)]
+    return (own or frames or [None])[-1]
+
+
+def _is_library(file: str) -> bool:
+    return file.startswith(_LIBRARIES) or "site-packages" in file or "dist-packages" in file
 
 
 def _is_foreign(file: str) -> bool:
@@ -169,14 +201,31 @@ def _float_of_a_number(symbol: ca.SX) -> float:
 def _for_a_quantity(error: BaseException, at: traceback.FrameSummary | None) -> str:
     """The sentence for what Python cannot do with a quantity; "" where that was not it."""
     text = str(error)
-    symbolic = "truth value of a CasADi" in text or "SX" in text or "casadi/core" in text
+    symbolic = any(word in text for word in ("truth value of a CasADi", "SX", "casadi/core", *_ARRAYS))
     if not symbolic or "object has no attribute" in text or "overloaded" in text:
         return ""
+    if mixed := _MIXED.match(text):
+        other = next((t for t in mixed.groups() if t and t != "SX"), "str")  # what multiplies is a text or a list
+        return f"{_source(at)}a quantity and {other.rpartition('.')[2]} do not go together. {_mended(other)}"
     found = _construct(at) if at else None
     if found is None:
-        return f"Python cannot decide or compute with a quantity here: {_KNOWN}. Write {_GENERAL}."
+        return f"{_source(at)}Python cannot decide or compute with a quantity here: {_KNOWN}. Write {_GENERAL}."
     written = ast.unparse(found).split("\n")[0]
     return f"'{written}' cannot be decided or computed by Python: {_KNOWN}. Write {_instead(found)}."
+
+
+def _mended(other: str) -> str:
+    """What to write where a quantity met something of the type ``other``."""
+    if other.endswith(_DECLARED):
+        return _DECLARED_HERE
+    return _PARTNERS.get(other.rpartition(".")[2], "Write a number or another quantity for it.")
+
+
+def _source(at: traceback.FrameSummary | None) -> str:
+    """``'what is written': `` where the line is known."""
+    written = linecache.getline(at.filename, at.lineno) if at and at.lineno == at.end_lineno else ""
+    written = written.encode()[at.colno : at.end_colno].decode(errors="replace").strip() if written else ""
+    return f"'{written}': " if written else ""
 
 
 def _construct(at: traceback.FrameSummary) -> ast.AST | None:
@@ -241,11 +290,19 @@ def _for_python(error: BaseException) -> str:
     """The next step for an error that has nothing to do with symbols."""
     text = str(error)
     if isinstance(error, NameError):
-        name = getattr(error, "name", "") or ""
+        name = getattr(error, "name", "") or next(iter(re.findall(r"'(\w+)'", text)), "")
+        if isinstance(error, UnboundLocalError):
+            return f"Give '{name}' a value before that line, whichever branch is taken."
         imports = {"ca": "import casadi as ca", "casadi": "import casadi", "np": "import numpy as np"}
         if name in imports:
             return f"Write '{imports[name]}' at the top of the file."
         return f"Define '{name}' or import it; quantities of a component are written self.{name}."
+    if isinstance(error, AttributeError) and isinstance(module := getattr(error, "obj", None), ModuleType):
+        if instead := _CALLS.get(error.name):
+            return f"Write {instead}."
+        return nearest(error.name, [name for name in dir(module) if not name.startswith("_")])
+    if isinstance(error, TypeError) and (said := _ARGUMENT.match(text)):
+        return _for_arguments(error, *said.groups())
     if "overloaded" in text or "'SX' object has no attribute" in text:
         return f"A function of CasADi takes other arguments, or a quantity has no such attribute. Write {_GENERAL}."
     if isinstance(error, AttributeError) and hasattr(getattr(error, "obj", None), "changes"):
@@ -255,12 +312,27 @@ def _for_python(error: BaseException) -> str:
         return "Something calls itself without end: break the circle."
     if isinstance(error, ImportError) and ("circular" in text or "hydrotwin_user_" in text):
         return "Two files import each other, or it has no such name: move what both need into a third file."
-    if any(word in text for word in ("'Parameter'", "'State'", "'Input'", "'Output'", "'Variable'", "Port'")):
-        return (
-            "A declaration has a value only inside equations(), as self.NAME of a part declared in the class body; a "
-            "parameter that follows others is Parameter(lambda c: 2 * c.other, ...)."
-        )
+    if any(f"{word}'" in text for word in _DECLARED):
+        return _DECLARED_HERE
     return "Correct the file."
+
+
+def _for_arguments(error: TypeError, called: str, unknown: str | None) -> str:
+    """How something is called that was called otherwise: the nearest argument, or all of them."""
+    step = error.__traceback__
+    while step.tb_next:
+        step = step.tb_next
+    known = {**vars(builtins), **step.tb_frame.f_globals, **step.tb_frame.f_locals}
+    first, *rest = called.removesuffix(".__init__").split(".")
+    found = functools.reduce(lambda one, name: getattr(one, name, None), rest, known.get(first))
+    try:
+        arguments = inspect.signature(found).parameters
+    except (TypeError, ValueError):
+        return "Correct the file."
+    if unknown:
+        return nearest(unknown, arguments)
+    needed = [name for name, a in arguments.items() if a.default is a.empty and a.kind is not a.VAR_KEYWORD]
+    return f"Write {first}({', '.join([*needed, '..'])})."
 
 
 def unsaid(kind: type, base: type) -> Iterator[str]:

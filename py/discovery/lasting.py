@@ -171,6 +171,7 @@ def with_two_values(flat: FlatModel, *names: str) -> FlatModel:
         parameters=(*flat.parameters, *added),
         ode=ode,
         initialisation=initialisation,
+        loops=(),  # they are of the parameters before
     )
 
 

@@ -30,7 +30,7 @@ def without_idle_delays(flat: FlatModel) -> tuple[FlatModel, tuple[str, ...]]:
     inputs = tuple(dataclasses.replace(s, dead_time=None) if s.dead_time in idle else s for s in flat.inputs)
     changed = dataclasses.replace(
         flat, inputs=inputs, parameters=tuple(kept), ode=_with_parameters(flat.ode, len(kept), all_of),
-        initialisation=initialisation,
+        initialisation=initialisation, loops=(),
     )  # fmt: skip
     return changed, idle
 

@@ -16,7 +16,7 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import display_units, from_si
 from hydrotwin.records import Record
 from hydrotwin.simulation import Block, simulate
-from hydrotwin.simulation.propagator import Diverged
+from hydrotwin.simulation.stops import Diverged
 
 from .grey_box.data import block_period
 from .held_out import Split

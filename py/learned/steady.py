@@ -16,7 +16,7 @@ import numpy as np
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-from hydrotwin.simulation.propagator import Diverged
+from hydrotwin.simulation.stops import Diverged
 
 from .block_file import LearnedBlock
 from .integrating import Part, cross_validated, integration, kinks_of, parts_of, rate_fit, told_forms

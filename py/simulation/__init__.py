@@ -3,8 +3,9 @@
 from .block import Block, TrainingDomain
 from .closed_loop import close_loop
 from .lowering import lower
-from .propagator import Diverged, Propagator, prepare
+from .propagator import Propagator, prepare
 from .simulate import InaccurateWarning, predict_one_step, simulate
+from .stops import Diverged
 
 __all__ = [
     "Block",

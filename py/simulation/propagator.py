@@ -17,20 +17,13 @@ from . import equations, stiffness
 from .control import TOLERANCE, Accuracy, Control, compared, moved_far
 from .engines import engine_of
 from .library import Library
-from .machine import DEAR, DONE, NO_MEMORY, OUTPUT, STATE
+from .machine import DEAR, DONE
 from .recent import Recent
+from .stops import raise_stop
 
 METHODS = ("auto", "explicit", "rosenbrock", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
 TRIALS = 4  # by how much more it may divide the steps around kinks, on the average of a run
-
-
-class Diverged(SolveError):
-    """A run that left the finite numbers; ``time`` [s] and ``state`` say where (state: None when an output did)."""
-
-    def __init__(self, message: str, time: float, state: str | None):
-        super().__init__(message)
-        self.time, self.state = time, state
 
 
 def prepare(
@@ -150,7 +143,7 @@ class Propagator:
         if answer is None or restart is not None:
             answer = self._stepped("propagate", time, u, p, x0, restart)
         status, where, y, x = answer
-        self._stop(status, where, time, u, p)
+        raise_stop(self.flat, status, where, time, u, p)
         return y, x
 
     def sensitivity(self, time, u, p, x0, x0_jacobian, with_states: bool = True):
@@ -168,7 +161,7 @@ class Propagator:
             y, x = self.run(time, u, p, x0)
             return y, np.empty((*y.shape, 0)), x, np.empty((*x.shape, 0)) if with_states else None
         status, where, y, dy, x, dx = self._stepped("propagate_tangent", time, u, p, x0, dx0, with_states)
-        self._stop(status, where, time, u, p)
+        raise_stop(self.flat, status, where, time, u, p)
         return y, dy, x, dx
 
     def costs(self, time, u, p, cuts, x0, measured, weights, limits=None) -> np.ndarray:
@@ -312,7 +305,7 @@ class Propagator:
         many equations as there are states, with a derivative to every parameter. Returns the run, as an engine does,
         when explicit steps will do, else None.
         """
-        if not self._open(p):
+        if not self._open(p) or not np.isfinite(x0).all():
             return None
         with self._deciding:
             if not self._open(p):
@@ -353,40 +346,6 @@ class Propagator:
                 found = engine_of(self.flat, self._to, implicit, self._interpreted, self._few_runs)
                 self._engines[implicit] = found
         return found
-
-    def _stop(self, status: int, where, time, u, p) -> None:
-        """Raise what a driver's status means, naming the state or output that blew up."""
-        if status == DONE:
-            return
-        name = self.flat.name
-        if status == NO_MEMORY:
-            raise SolveError(f"{name}: out of memory for the run. Shorten the recording.")
-        t, x = float(where[0]), where[1:]
-        k = max(int(np.searchsorted(time, t, side="right")) - 1, 0)
-        if status == OUTPUT:
-            y = self.flat.ode(t, x, u[k], p)[1].full().ravel()
-            bad = ~np.isfinite(y)
-            blown = self.flat.outputs[int(np.argmax(bad))].name if bad.any() else "an output"
-            raise Diverged(
-                f"{name}.{blown}: the output is not finite at t = {t:.6g} s. Check the parameters it depends on.",
-                t,
-                None,
-            )
-        blown = self._blown(t, x, u[k], p)
-        what = "left the finite numbers" if status == STATE else "could not be integrated further"
-        raise Diverged(
-            f"{name}.{self.flat.states[blown].name}: the run {what} at t = {t:.6g} s "
-            f"(got {x[blown]:.3g} {self.flat.states[blown].unit} last). "
-            "Check parameters and start there, or give a smaller step or method='rosenbrock'.",
-            t,
-            self.flat.states[blown].name,
-        )
-
-    def _blown(self, t, x, u, p) -> int:
-        """The state that moves fastest, in nominal units, from the last finite point."""
-        scale = np.array([s.nominal for s in self.flat.states])
-        speed = np.abs(self.flat.ode(t, x, u, p)[0].full().ravel() / scale)
-        return int(np.argmax(np.where(np.isfinite(speed), speed, np.inf)))
 
 
 def _shaped(label: str, values, shape: tuple[int, ...], name: str) -> np.ndarray:

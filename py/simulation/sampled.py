@@ -11,7 +11,7 @@ from hydrotwin.records import steps_over
 
 from . import inputs
 from .block import Block
-from .propagator import Diverged
+from .stops import Diverged
 
 CHUNK = 100  # samples per call of the interpreter
 

@@ -125,6 +125,11 @@ def test_a_number_alone_for_what_was_declared_in_bar_is_asked_for_its_unit():
         ({"value": True}, "no number"),
         ({"free": "yes"}, "true or false"),
         ("5 bar", "no number"),
+        (None, r"no number \(got None\)\. Give a number, such as 1\.0"),
+        ({"value": None}, "no number"),
+        ([5], "no number"),
+        ({"unit": "MPa"}, "a unit and no value"),
+        ({"unit": "MPa", "free": True}, "a unit and no value"),
     ),
 )
 def test_what_a_setting_cannot_say_is_refused_with_the_nearest_key(change, said):
@@ -191,3 +196,80 @@ def test_a_conversion_in_two_literals_is_found_too():
 
     with pytest.raises(UnitError, match="to or from rpm by hand"):
         Model(Turning(), "turning").flat  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    (
+        ({"name": 5}, "the name is no text"),
+        ({"settings": None}, "settings are not given by name"),
+        ({"settings": 5}, "settings are not given by name"),
+        ({"settings": "tank"}, "settings are not given by name"),
+        ({"settings": {5: 1.0}}, "one of the settings has no name"),
+        ({"settings": {"line.volume.volume": 1e-3}}, r"Write 'volume\.volume': paths begin within"),
+        ({"settings": {"tnk.pressure": 1e5}}, r"line: no parameter 'tnk\.pressure'\. Did you mean 'tank\.pressure'"),
+        ({"inputs": None}, "inputs are not given by name"),
+        ({"inputs": {"flow": "hold"}}, "changes are not given by name"),
+        ({"inputs": {"flw": {"interpolation": "hold"}}}, "no input 'flw'. Did you mean 'flow'"),
+        ({"inputs": {"flow": {"interpolation": "cubic"}}}, "unknown interpolation"),
+        ({"inputs": {"flow": {"interpolaton": "hold"}}}, "Did you mean 'interpolation'"),
+        ({"inputs": {"flow": {"nominal": 0}}}, "nothing to change by the name 'nominal'"),
+        ({"inputs": {"flow": {"shift": float("nan")}}}, "the shift is no time"),
+    ),
+)
+def test_what_a_model_cannot_be_given_is_refused_with_what_to_write(given, said):
+    with pytest.raises(DeclarationError, match=said):
+        Model(Line(), **{"name": "line", **given}).flat  # noqa: B018
+    if "inputs" in given:
+        with pytest.raises(DeclarationError, match=said):
+            Model(Line(), "line").with_inputs(given["inputs"])
+    if "settings" in given:
+        with pytest.raises(DeclarationError, match=said):
+            Model(Line(), "line").with_settings(given["settings"]).flat  # noqa: B018
+
+
+def following(**declared) -> Model:
+    class Part(Component):
+        y = Output("1")
+        x = State(0.0, "1")
+        T = Parameter(0.1, "s")
+        n = Parameter(2.0, "1")
+        turn = Parameter(10, "deg")
+        low, high = Parameter(5, "bar"), Parameter(10, "bar")
+
+        def equations(self):
+            yield self.T * der(self.x) == -self.x
+            yield self.y == self.x
+
+    return Model(type("Given", (Part,), declared)(), "given")
+
+
+@pytest.mark.parametrize(
+    ("function", "unit", "right"),
+    (
+        (lambda c: 30.0, "deg", np.pi / 6),
+        (lambda c: 1, "deg", np.pi / 180),
+        (lambda c: 50.0, "%", 0.5),
+        (lambda c: 160, "bar", 160e5),
+        (lambda c: 20, "degC", 293.15),
+        (lambda c: ca.SX(3), "ms", 3e-3),
+        (lambda c: 2 * c.turn, "deg", np.pi / 9),
+        (lambda c: c.low / c.high, "%", 0.5),
+        (lambda c: 3 * c.low, "bar", 15e5),
+    ),
+)
+def test_what_a_function_gives_is_in_si_as_if_it_stood_there(function, unit, right):
+    ((follower, _),) = [f for f in following(a=Parameter(function, unit)).followers if f[0].name == "a"]
+    assert follower.value == pytest.approx(right)
+    assert following(x=State(function, unit), y=Output(unit)).equilibrium()[0] == pytest.approx(right)
+
+
+@pytest.mark.parametrize("name", ("a", "x"))
+def test_a_function_of_pure_numbers_does_not_tell_a_degree_from_a_radian(name):
+    kind = {"a": Parameter, "x": State}[name]
+    for function, unit in ((lambda c: 30 * c.n, "deg"), (lambda c: 50 * c.low / c.high, "%")):
+        with pytest.raises(UnitError, match=rf"{name}: declared in {unit}, so .* may mean {unit} or"):
+            following(**{name: kind(function, unit)}).equilibrium()
+    with pytest.raises(DeclarationError, match="declared in deg, so 30 alone may mean deg or rad"):
+        changed = following(**{name: kind(1.0, "deg")}).root.but(**{name: lambda c: 30.0})
+        Model(changed, "given").equilibrium()

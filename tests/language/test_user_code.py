@@ -83,6 +83,33 @@ REFUSED = {
     "yield self.y == {}['a']": "KeyError",
     "yield connect(self.y)": "TypeError",
     "yield self.y == self.T": "units do not balance",
+    "yield self.y == ca.SX.sym('z')": r"'z' is a symbol that no component declares.*z = Variable\(unit\)",
+    "yield self.y == der(ca.SX.sym('z'))": "'z' is a symbol that no component declares",
+    "yield self.y == (q if False and (q := 3) else q)": "Give 'q' a value before that line",
+    "from scipy.interpolate import interp1d; yield self.y == interp1d([0, 1], [0, 1])(self.u)": "ca.if_else",
+    "v = np.zeros(2); v[0] = self.u; yield self.y == v[0]": "x_1, x_2",
+    "yield self.y == np.float64(self.u)": "the quantity itself",
+    "yield self.y == np.asarray(self.u, dtype=float)": "the quantity itself",
+    "if np.any(self.u): yield self.y == 1": "ca.if_else",
+    "yield self.y == ca.interpolant('a', 'linear', [[0, 1, 2]], [0, 1, 4])(self.u)": "ca.pw_lin",
+    "z = ca.SX.sym('z'); yield self.y == ca.rootfinder('r', 'newton', {'x': z, 'g': z - 1})(self.u)": "rootfinder",
+    "yield self.y == ca.maximum(self.u, 0)": r"Write ca\.fmax\(a, b\)",
+    "yield self.y == ca.mod(self.u, 1)": r"Write ca\.fmod\(a, b\)",
+    "yield self.y == ca.sqrtt(self.u)": "Did you mean 'sqrt'",
+    "Parameter(0.1)": r"Write Parameter\(value, unit, \.\.\)",
+    "State(0.1, '1', nominall=3)": "Did you mean 'nominal'",
+    "Model(Part(), setings={})": "Did you mean 'settings'",
+    "yield self.y == self.u * 10**400": "'self.u . 10..400': a quantity and int do not.*below 1e308",
+    "yield self.y == self.u + None": "NoneType do not go together",
+    "yield self.y == '2' * self.u": "without quotes",
+    "yield self.y == 1j * self.u": "complex do not go together",
+    "from decimal import Decimal; yield self.y == self.u * Decimal(2)": r"Write float\(\.\.\) around",
+    "from fractions import Fraction; yield self.y == Fraction(1, 2) * self.u": r"Write float\(\.\.\) around",
+    "yield self.y == self.u + {}": "dict do not go together",
+    "yield self.y == (self.u < None)": "NoneType do not go together",
+    "yield self.y == self.u ** None": "NoneType do not go together",
+    "self.u += None": "NoneType do not go together",
+    "yield self.y == self.u * Parameter(1.0, '1')": "only inside equations",
 }
 
 
@@ -242,3 +269,16 @@ def test_a_vector_is_refused_where_a_model_holds_it():
 
     with pytest.raises(DeclarationError, match=r"line \d+: State 'x': .*one number: declare each .*x_1"):
         Model(Two(), "two").flat  # noqa: B018
+
+
+def test_what_is_declared_twice_in_one_class_is_refused_where_the_second_stands():
+    with pytest.raises(DeclarationError, match=r"test_user_code\.py: line \d+: 'T' is declared a second time"):
+
+        class Twice(Component):
+            T = Parameter(0.1, "s")
+            T = Parameter(0.2, "s")
+
+    class Other(Gain):
+        k = Parameter(3.0, "1", "a gain of its own")
+
+    assert Model(Other(), "other").flat.parameter_vector() == [3.0]

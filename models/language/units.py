@@ -197,6 +197,11 @@ def _hides_turns(one: Unit, two: Unit) -> bool:
     return not with_angle.dimension[1] or not {"min", "h"}.isdisjoint(_Reader(without.text).read())
 
 
+def power(symbol: str, unit: str) -> Fraction:
+    """The exponent of a symbol in the SI form of a unit: 1 for rad in rpm."""
+    return _power(symbol, parse_unit(unit).si)
+
+
 def _power(symbol: str, si: str) -> Fraction:
     return _Reader(si).read().get(symbol, Fraction(0))
 

@@ -87,7 +87,7 @@ def alone(v: np.ndarray) -> np.ndarray:
 
 
 def _noise(v: np.ndarray) -> float:
-    """Standard deviation of one sample, from the differences of neighbours; that of a value between two steps at least."""
+    """Standard deviation of one sample, from the differences of neighbours; at least that between two steps."""
     steps = np.abs(np.diff(v)) if len(v) > 1 else np.zeros(1)
     rounding = max(recorded_step(v) / 2, 1e-9 * float(np.abs(v).max(initial=0.0)), 1e-300)
     return max(float(np.median(steps)) / (0.6745 * np.sqrt(2)), rounding)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from itertools import product
 
 import numpy as np
 
@@ -58,6 +59,9 @@ def parse_unit(unit: str) -> Unit:
     'm3/s'
     """
     powers = _Reader(unit).read()
+    for degree, scale in product(("deg", "°"), ("C", "F")):
+        if degree in powers and powers.get(scale) == powers[degree]:
+            raise UnitError(f"unit '{unit}': a degree times {scale}. For a temperature write deg{scale} in one word.")
     return _unit(unit, {"rpm": Fraction(1)} if powers == _PER_MINUTE else powers)
 
 

@@ -27,31 +27,31 @@ def require(record: Record, signals: Sequence[Signal], model_name: str) -> Recor
                 f"{record.source or record.name}: no column '{signal.name}', {model_name} needs "
                 f"'{signal.name} [{signal.unit}]'. {nearest(signal.name, record.names)}"
             )
-    return as_needed(record, signals).select([s.name for s in signals])
-
-
-def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
-    """The record with the columns of those ``signals`` that it holds in the dimension needed.
-
-    A bare 1/min was read as revolutions per minute; where no angle is needed it counts what it says, per minute.
-    Raises `UnitError` for a column of another dimension; it names the file.
-    """
-    counted = {}
+    record = as_needed(record, signals)
     for signal in signals:
-        if signal.name not in record or compatible(record.units[signal.name], signal.unit):
-            continue
-        shown = record.display_units.get(signal.name, record.units[signal.name])
-        if not compatible(shown, signal.unit):
+        if not compatible(record.units[signal.name], signal.unit):
+            shown = record.display_units.get(signal.name, record.units[signal.name])
             why = f" {way_out(shown, signal.unit)}" if dimension(shown) == dimension(signal.unit) else ""
             raise UnitError(
                 f"{record.source or record.name}: column '{signal.name}' is in {shown}, the model needs "
                 f"{signal.unit}.{why}{_scales(shown, signal)}"
             )
-        counted[signal.name] = to_si(convert(from_si(record[signal.name], shown), shown, signal.unit), signal.unit)
-    if not counted:
-        return record
-    values, units = ({name: column[k] for name, column in counted.items()} for k in (0, 1))
-    return record.with_signals(values, units)
+    return record.select([s.name for s in signals])
+
+
+def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
+    """The record with what 1/min means for ``signals``: read as revolutions, it is a rate where no angle is needed.
+
+    Whoever takes a column by the name of a signal takes it from here. A column of another dimension stays as it is.
+    """
+    values, units = {}, {}
+    for signal in signals:
+        own = record.units.get(signal.name, signal.unit)
+        shown = record.display_units.get(signal.name, own)
+        if not compatible(own, signal.unit) and compatible(shown, signal.unit):
+            counted = convert(from_si(record[signal.name], shown), shown, signal.unit)
+            values[signal.name], units[signal.name] = to_si(counted, signal.unit)
+    return record.with_signals(values, units) if values else record
 
 
 def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> Record:

@@ -143,7 +143,9 @@ def test_per_minute_counts_turns_only_where_an_angle_is_needed(unit, needed, one
     assert require(record, [Signal("strokes", needed)], "rig")["strokes"][0] == record["strokes"][0]
 
 
-@pytest.mark.parametrize(("unit", "needed", "told"), [("L", "m3/rad", "=1 1/rev .*=1 1/rad "), ("1/s2", "rad/s2", "=1 rev")])
+@pytest.mark.parametrize(
+    ("unit", "needed", "told"), [("L", "m3/rad", "=1 1/rev .*=1 1/rad "), ("1/s2", "rad/s2", "=1 rev .*=1 rad ")]
+)
 def test_an_angle_left_out_is_scaled_by_a_turn_or_a_radian(unit, needed, told, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(f"time [s],x [{unit}]\n0,1\n1,2\n")

@@ -159,7 +159,10 @@ def fit_stribeck(
     fit = _answer(curve, x, weight, confidence, known)
     without = dataclasses.replace(curve, F=F - curve.drifted(x), drift=None)
     kept = x[: len(without.names)]
-    findings = (*fit.findings, *_by_direction(without, kept, weight))
+    sides = _by_direction(without, kept, weight)
+    if sides and drift and not curve.drift:
+        sides = _rather_drifting(dataclasses.replace(curve, drift=drift.unseen()), weight) or sides
+    findings = (*fit.findings, *sides)
     return dataclasses.replace(fit, force=without.F + (load or 0.0), findings=findings)
 
 
@@ -246,11 +249,27 @@ def _at_fault(dropped: Sequence[Stretch]) -> list[str]:
 
 
 def _drifting(drift: FrictionCoefficient, seen: Drift) -> list[str]:
+    uneven = " But its rate changes from plateau to plateau: the values are rough." if seen.chance < DIFFERENT else ""
     return [
         f"friction test: the force drifts by {drift.value:.3g} N/s ({drift.interval[0]:.3g} to {drift.interval[1]:.3g} "
         f"N/s), {drift.value * np.ptp(seen.time):.3g} N over the test (a sensor that warms up, a line that fills). "
-        "The fit takes the drift as constant and out of the forces; a load is that at the start. Let the sensor warm "
-        "up and record again to do without this assumption."
+        f"The fit takes the drift as constant and out of the forces; a load is that at the start.{uneven} Let the "
+        "sensor warm up and record again to do without this assumption."
+    ]
+
+
+def _rather_drifting(drifting: Curve, weight: np.ndarray) -> list[str]:
+    """Said where a drift that the plateaus themselves do not show leaves less than a curve for each direction."""
+    v, x = drifting.v, drifting.descended(weight)
+    parts = [(Curve(v[side], drifting.F[side], False, False), weight[side]) for side in (v > 0, v < 0)]
+    apart = sum(float((part.residual(part.descended(w), w) ** 2).sum()) for part, w in parts)
+    left = float((drifting.residual(x, weight) ** 2).sum())
+    if left / (len(v) - len(x)) > apart / (len(v) - 2 * OF_FRICTION):
+        return []
+    return [
+        f"friction test: a force that drifts by {x[-1]:.3g} N/s fits better than friction that differs between the "
+        "directions, but the plateaus are too short, or the force too coarse, to show it. The values and the load hold "
+        "the drift. Let the sensor warm up, or keep each speed longer, and record again."
     ]
 
 

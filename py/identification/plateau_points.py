@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import chdtrc, stdtrit
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records.noise import recorded_step
@@ -43,8 +43,9 @@ class Points:
             return None
         weight = 1 / self.slope_error**2
         rate = float(weight @ self.slope / weight.sum())
-        scatter = float(weight @ (self.slope - rate) ** 2) / (len(weight) - 1)
-        return Drift(self.time, rate, float(np.sqrt(max(scatter, 1.0) / weight.sum())))
+        scatter, freedom = float(weight @ (self.slope - rate) ** 2), len(weight) - 1
+        sigma = float(np.sqrt(max(scatter / freedom, 1.0) / weight.sum()))
+        return Drift(self.time, rate, sigma, float(chdtrc(freedom, scatter)))
 
 
 def points_of(record, velocity: str, force: str) -> tuple[Points, list[Stretch]]:

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares, nnls
 
 UNITS = {"kinetic": "N", "static": "N", "viscous": "N.s/m", "stribeck_velocity": "m/s", "load": "N", "drift": "N/s"}
 OF_FRICTION = 4  # coefficients of friction alone, the first ones
+UNKNOWN = 1e9  # N/s: standard deviation of a drift of which nothing is known
 GRID = 60  # Stribeck velocities tried before the descent
 
 
@@ -24,11 +25,19 @@ def stribeck(v: np.ndarray, F_k: float, F_s: float, F_v: float, v_s: float) -> n
 
 @dataclass(frozen=True)
 class Drift:
-    """How the force drifts: ``time`` (n,) s of the points, and the ``rate`` +- ``sigma`` [N/s] seen within them."""
+    """How the force drifts: ``time`` (n,) s of the points, and the ``rate`` +- ``sigma`` [N/s] seen within them.
+
+    chance : that slopes of one rate scatter so much.
+    """
 
     time: np.ndarray
     rate: float
     sigma: float
+    chance: float = 1.0
+
+    def unseen(self) -> Drift:
+        """As if nothing were known from within the points."""
+        return Drift(self.time, 0.0, UNKNOWN)
 
 
 @dataclass(frozen=True)
@@ -92,7 +101,7 @@ class Curve:
         forces = [k for k, name in enumerate(self.names) if UNITS[name] == "N"]
         unit[forces] = np.maximum(unit[forces], 1e-6 * self._largest())
         if self.drift:
-            unit[-1] = max(unit[-1], self.drift.sigma)
+            unit[-1] = max(unit[-1], 1e-6 * self._largest() / max(float(np.abs(self.drift.time).max()), 1e-9))
         least = 0.0 if self.told else -np.inf
         lower = [least, least, 0, 1e-3] + [-np.inf] * (len(unit) - OF_FRICTION)
         found = least_squares(

@@ -65,6 +65,23 @@ def test_a_force_that_drifts_gives_the_friction_without_the_drift(speeds, rate):
     assert fit.told[-1] is fit.drift and fit.force == pytest.approx(fit.curve(fit.velocity), abs=1.0)
 
 
+def test_a_drift_that_is_not_steady_is_told_to_be_rough():
+    recording = pushed(kept(BOTH, 2.0))
+    warming = 60.0 * (1 - np.exp(-recording.time / 15.0))
+    findings = friction_test([changed(recording, force=recording["force"] + warming)]).findings
+    assert any("its rate changes from plateau to plateau" in said for said in findings)
+    steady = friction_test([changed(recording, force=recording["force"] + 1.5 * recording.time)]).findings
+    assert any("drifts" in said for said in steady) and not any("its rate changes" in said for said in steady)
+
+
+def test_a_drift_that_a_coarse_force_hides_within_the_plateaus_is_not_called_a_direction():
+    recording = pushed(kept(BOTH, 2.0), ramp=0.1)
+    drifting = recording["force"] + 1.5 * recording.time
+    findings = friction_test([changed(recording, force=np.round(drifting / 20) * 20)]).findings
+    assert any("drifts by 1.5" in said and "hold the drift" in said for said in findings)
+    assert not any("differs between the directions, and one curve" in said for said in findings)
+
+
 def test_no_drift_is_fitted_where_there_is_none():
     for seed in range(5):
         assert friction_test([pushed(kept(BOTH), load=80.0, seed=seed)]).drift is None

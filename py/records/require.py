@@ -51,7 +51,7 @@ def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
         if not compatible(own, signal.unit) and compatible(shown, signal.unit):
             counted = convert(from_si(record[signal.name], shown), shown, signal.unit)
             values[signal.name], units[signal.name] = to_si(counted, signal.unit)
-    return record.with_signals(values, units) if values else record
+    return record.with_signals(values, units, units) if values else record
 
 
 def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> Record:

@@ -220,11 +220,10 @@ def _check_time(table: Table) -> None:
 
 
 def rounding_of(time: np.ndarray) -> float:
-    """How much double precision rounds a time of this size, as a share of the usual step; nan is left out."""
-    steps = np.abs(np.diff(time))
-    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
-    largest = float(np.nanmax(np.abs(time), initial=0.0))
-    return float(np.spacing(largest)) / usual if usual else np.inf
+    """How much double precision rounds a time of this size, as a share of the usual step; (n,) finite or not."""
+    time = time[np.isfinite(time)]
+    usual = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
+    return float(np.spacing(np.abs(time).max())) / usual if usual else np.inf
 
 
 def _from_first_time(table: Table) -> Table:

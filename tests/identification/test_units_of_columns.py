@@ -8,7 +8,7 @@ import pytest
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, der
 from hydrotwin.models.language.errors import UnitError
-from hydrotwin.records import read_record
+from hydrotwin.records import read_record, write_record
 from hydrotwin.simulation import simulate
 
 
@@ -32,11 +32,13 @@ def recorded(tmp_path):
     return read_record(path)
 
 
-def test_strokes_per_minute_reach_a_model_as_strokes_and_not_as_radians(recorded):
+def test_strokes_per_minute_reach_a_model_as_strokes_and_not_as_radians(recorded, tmp_path):
     flat = Model(Pumping()).flat
     (found,) = recordings(flat, [recorded], None, "run")
     assert found.u[:, 0] == pytest.approx(2.0) and found.y[:, 0] == pytest.approx(1.0)
-    y = simulate(Model(Pumping()), recorded)["counted"]
+    run = simulate(Model(Pumping()), recorded)
+    write_record(run, tmp_path / "run.csv")
+    y = read_record(tmp_path / "run.csv")["counted"]
     assert y == pytest.approx(2.0 - np.exp(-recorded.time / 0.1), rel=1e-6)  # from the first count, 1/s
 
 

@@ -117,3 +117,11 @@ def test_seconds_since_1970_that_have_lost_their_steps_are_refused(tmp_path):
         read(tmp_path, frame)
     coarse = read(tmp_path, frame.assign(**{"time [s]": EPOCH + np.arange(5) * 0.01}))
     assert coarse.time[0] == EPOCH  # its steps are good to 1e-4: the clock of the logger stays
+
+
+@pytest.mark.parametrize("cells", [["nan", "nan", "nan"], ["inf", "inf", "1"], ["5", "5", "5"]])
+def test_a_time_that_is_none_is_refused_and_not_warned_about(cells, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time [s],x [1]\n" + "".join(f"{cell},1\n" for cell in cells))
+    with pytest.raises(DataError, match=r"a.csv: row 2|a.csv: row 3"):
+        read_record(path)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
+from itertools import product
 
 import numpy as np
 
@@ -58,6 +59,9 @@ def parse_unit(unit: str) -> Unit:
     'm3/s'
     """
     powers = _Reader(unit).read()
+    for degree, scale in product(("deg", "°"), ("C", "F")):
+        if degree in powers and powers.get(scale) == powers[degree]:
+            raise UnitError(f"unit '{unit}': a degree times {scale}. For a temperature write deg{scale} in one word.")
     return _unit(unit, {"rpm": Fraction(1)} if powers == _PER_MINUTE else powers)
 
 
@@ -195,6 +199,11 @@ def _hides_turns(one: Unit, two: Unit) -> bool:
     if max(angles) > 0:
         return not _power("m", with_angle.si)
     return not with_angle.dimension[1] or not {"min", "h"}.isdisjoint(_Reader(without.text).read())
+
+
+def power(symbol: str, unit: str) -> Fraction:
+    """The exponent of a symbol in the SI form of a unit: 1 for rad in rpm."""
+    return _power(symbol, parse_unit(unit).si)
 
 
 def _power(symbol: str, si: str) -> Fraction:

@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import NoiseFloor, Record, distinct, noise_floor, require
+from hydrotwin.records import NoiseFloor, Record, as_needed, distinct, noise_floor, require
 from hydrotwin.records.between import between, settled, told
 
 from .comparison import (
@@ -68,7 +68,7 @@ def compare(
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
     noise = {r.name: noise_floor(r) for r in records}
-    records = [with_rates(r, sloped) for r in records]
+    records = [with_rates(as_needed(r, wanted), sloped) for r in records]
     plan = _Plan(tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), repeats, noise)
     runs = [(c, r, m) for m in modes for c in contenders for r in records]
     found = _Findings([], [], {}, [], [], [])

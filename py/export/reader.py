@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, changed
-from hydrotwin.records import Record, known_inputs, require, steps_over
+from hydrotwin.records import Record, as_needed, known_inputs, require, steps_over
 from hydrotwin.records.between import settled, told
 from hydrotwin.simulation.inputs import as_seen
 
@@ -90,6 +90,7 @@ class FmuBlock:
                 f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
+        record = as_needed(record, self.outputs)
         job, arrays = settled(self, [record])._job("restart", record, record)
         pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
@@ -99,6 +100,7 @@ class FmuBlock:
 
     def starts_of(self, record: Record) -> dict[str, float]:
         """What a run of ``record`` sets before initialization, in the FMU's own units."""
+        record = as_needed(record, self.outputs)
         known = {p: o for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
         return {**{p: float(self._to_fmu(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
 

@@ -11,8 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
+
+from hydrotwin.records.noise import recorded_step
 
 STEADY = 0.02  # share of the speed (of the largest force) by which the mean may wander within a plateau
+ALONE = 8.0  # standard deviations of one sample by which it must leave its neighbours to stand alone
 JUMP = 5.0  # standard errors by which two means must differ to be two
 SLOPE = 3.0  # standard errors of its slope from which on a stretch is a ramp
 BRIDGE = 3.0  # times shorter than a neighbour: then a piece must prove that it is no part of a ramp
@@ -26,7 +30,10 @@ TABLE_STEP = 0.5  # s from row to row from which on rows need not jump: a table 
 
 @dataclass(frozen=True)
 class Stretch:
-    """A part of a recording from ``start`` to ``end`` [s], its mean speed [m/s], and why it gives no point."""
+    """A part of a recording from ``start`` to ``end`` [s], its mean speed [m/s], and why it gives no point.
+
+    fault : samples that are wrong, as against samples of another speed.
+    """
 
     recording: str
     start: float
@@ -34,25 +41,25 @@ class Stretch:
     samples: int
     velocity: float
     reason: str
+    fault: bool = False
 
     def __str__(self) -> str:
         when = f"{self.recording}, {self.start:.4g} s to {self.end:.4g} s"
         return f"{when} ({self.samples} samples, mean {self.velocity:.3g} m/s): {self.reason}"
 
 
-def plateaus(name: str, time: np.ndarray, v: np.ndarray, F: np.ndarray) -> tuple[list[slice], list[Stretch]]:
-    """Sample ranges of steady speed and force, without their edges; and the stretches that give no point, with reasons.
+def plateaus(name: str, time: np.ndarray, v: np.ndarray) -> tuple[list[slice], list[Stretch]]:
+    """Sample ranges of steady speed, without their edges; and the stretches that give no point, with reasons.
 
-    time, v, F : (n,) s, m/s, N, finite.
+    time, v : (n,) s, m/s, finite.
     """
     noise = _noise(v)
     pieces = _pieces(v, noise)
-    largest = float(np.abs(F).max(initial=0.0))
     found, dropped = [], []
     for k, (first, last) in enumerate(pieces):
         inner = _inner(first, last)
         reason = _too_short(first, last) or _moving(v, pieces, k, noise)
-        if reason := reason or _unsteady(v[inner], F[inner], largest, noise):
+        if reason := reason or _at_rest(v[inner], noise):
             dropped.append((first, last, reason))
         else:
             found.append(inner)
@@ -71,10 +78,19 @@ def is_table(time: np.ndarray, v: np.ndarray, found: list[slice]) -> bool:
     return kept < 0.5 * len(v) or bool(np.std(scatter) > TABLE * np.sqrt(np.mean(v**2)))
 
 
+def alone(v: np.ndarray) -> np.ndarray:
+    """Which samples, (n,) bool, are one or two that jump away from their neighbours on both sides and back."""
+    if len(v) < 5:
+        return np.zeros(len(v), dtype=bool)
+    middle = median_filter(v, size=5, mode="nearest")
+    return np.abs(v - middle) > np.maximum(ALONE * _noise(v), STEADY * np.abs(middle))
+
+
 def _noise(v: np.ndarray) -> float:
-    """Standard deviation of one sample, from the differences of neighbours; a rounding error at least."""
+    """Standard deviation of one sample, from the differences of neighbours; at least that between two steps."""
     steps = np.abs(np.diff(v)) if len(v) > 1 else np.zeros(1)
-    return max(float(np.median(steps)) / (0.6745 * np.sqrt(2)), 1e-9 * float(np.abs(v).max(initial=0.0)), 1e-300)
+    rounding = max(recorded_step(v) / 2, 1e-9 * float(np.abs(v).max(initial=0.0)), 1e-300)
+    return max(float(np.median(steps)) / (0.6745 * np.sqrt(2)), rounding)
 
 
 def _pieces(v: np.ndarray, noise: float) -> list[tuple[int, int]]:
@@ -117,15 +133,10 @@ def _too_short(first: int, last: int) -> str:
     return f"the speed is kept for {last - first} samples, at least {SHORTEST} are needed"
 
 
-def _unsteady(v: np.ndarray, F: np.ndarray, largest: float, noise: float) -> str:
-    """Why samples of one speed, (n,) m/s and N, give no point; "" if they give one."""
-    if abs(v.mean()) <= AT_REST * max(noise, v.std()) / np.sqrt(len(v)):
-        return "at rest, or slower than the noise of the velocity shows"
-    half = len(v) // 2
-    change = abs(F[-half:].mean() - F[:half].mean())
-    if change > max(STEADY * largest, JUMP * F.std() / np.sqrt(2 * half)):
-        return f"the force changes by {change:.3g} N within it"
-    return ""
+def _at_rest(v: np.ndarray, noise: float) -> str:
+    """Why samples of one speed, (n,) m/s, are none of sliding; "" if they are."""
+    rest = abs(v.mean()) <= AT_REST * max(noise, v.std()) / np.sqrt(len(v))
+    return "at rest, or slower than the noise of the velocity shows" if rest else ""
 
 
 def _moving(v: np.ndarray, pieces: list[tuple[int, int]], k: int, noise: float) -> str:

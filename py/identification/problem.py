@@ -11,7 +11,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import known_inputs
+from hydrotwin.records import as_needed, known_inputs, require
 from hydrotwin.records.noise import recorded_step
 from hydrotwin.simulation.inputs import as_seen
 
@@ -148,7 +148,9 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
     time = np.asarray(record.time, dtype=float)
     if len(time) < 2 or np.any(np.diff(time) <= 0):
         raise DataError(f"{name}: time must increase over at least two samples (got {len(time)}). Sort or trim it.")
-    columns, record = [], known_inputs(record, flat.inputs, flat.name)
+    needed = [s for s in (*flat.inputs, *flat.outputs) if s.name in record.signals]
+    require(record, [s for s in needed if s.name in wanted or s in flat.inputs], flat.name)
+    columns, record = [], known_inputs(as_needed(record, needed), flat.inputs, flat.name)
     for signal in flat.inputs:
         if signal.name not in record.signals:
             raise DataError(

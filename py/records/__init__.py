@@ -4,7 +4,7 @@ from .files import read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .record import Gap, Record, distinct
-from .require import known_inputs, require
+from .require import as_needed, known_inputs, require
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
@@ -13,6 +13,7 @@ __all__ = [
     "NoiseFloor",
     "Record",
     "Scale",
+    "as_needed",
     "distinct",
     "known_inputs",
     "noise_floor",

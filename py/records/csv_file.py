@@ -13,9 +13,9 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .decimal_sign import found_decimal, number_in, other_sign, without_groups
+from .decimal_sign import MINUS, exact_from_first, found_decimal, number_in, other_sign, without_groups
 from .record import Record
-from .table import Column, Table, split_header
+from .table import UNSEEN, Column, Table, rounding_of, split_header
 
 _LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
 _BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold commas: no number contains it
@@ -31,6 +31,7 @@ def read_csv(path: Path, decimal: str | None = None) -> Table:
     skip, header, delimiter = _header(text, path)
     *comments, body = text.split("\n", skip)
     body = body.partition("\n")[2]
+    body = body if body.isascii() else body.translate(MINUS)
     stated = re.search(r"^#\s*decimal\s*=\s*([.,])\s*$", "\n".join(comments), re.MULTILINE)
     decimal = stated[1] if stated and decimal is None else decimal
     if delimiter == "," and '"' in body and re.search(r'"[^",\n]*\d,\d', body):
@@ -39,6 +40,10 @@ def read_csv(path: Path, decimal: str | None = None) -> Table:
     if decimal is None:
         decimal = "." if delimiter == "," else found_decimal(body, delimiter, path, skip + 2)
     values, row = _numbers(body, header, delimiter, decimal, skip + 2, path)
+    names = [split_header(h)[0] for h in header]
+    if "time" in names and len(values) > 1 and rounding_of(values[:, names.index("time")]) > UNSEEN:
+        cells = (row[names.index("time")] for _, row in _rows(body, delimiter))
+        values[:, names.index("time")] = exact_from_first(cells, decimal)
     columns = tuple(Column(*split_header(h), values[:, k]) for k, h in enumerate(header))
     return Table(str(path), columns, row, hashlib.sha256(content).hexdigest(), f"row {skip + 1}")
 
@@ -139,25 +144,31 @@ def _read_carefully(
 ) -> tuple[np.ndarray, Callable[[int], int]]:
     """Cell by cell: raises with row and column of the first cell that is wrong; missing ones become NaN."""
     values, rows = [], []
-    lines = body.split("\n")
-    last = max(k for k, line in enumerate(lines) if line.strip())
-    for k, line in enumerate(lines):
-        if not line.strip():
-            continue
-        cells = next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
+    cut_off = body.count("\n") if body.rpartition("\n")[2].strip() else None  # a last line without its end
+    for k, cells in _rows(body, delimiter):
         if len(cells) != len(header):
-            _fail_ragged(path, first_row + k, cells, header, cut_off=k == last and len(lines) == last + 1)
+            _fail_ragged(path, first_row + k, cells, header, cut_off=k == cut_off)
         numbers = [number_in(cell, decimal) for cell in cells]
         if None in numbers:
             column = numbers.index(None)
+            other = other_sign(decimal)
+            one = cells[column].count(other) == 1
+            state = f" Or state the other sign above the header: '# decimal={other}'." if one else ""
             raise DataError(
                 f"{path}: row {first_row + k}, column '{split_header(header[column])[0]}': not a number "
                 f"(got '{cells[column]}'). Write a decimal {'point' if decimal == '.' else 'comma'}; "
-                f"'{other_sign(decimal)}' may only part groups of three digits; no unit in the cell."
+                f"'{other}' may only part groups of three digits; no unit in the cell.{state}"
             )
         values.append(numbers)
         rows.append(first_row + k)
     return np.array(values), lambda k: rows[k] if k < len(rows) else rows[-1] + 1
+
+
+def _rows(body: str, delimiter: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of every line that is not blank."""
+    for k, line in enumerate(body.split("\n")):
+        if line.strip():
+            yield k, next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
 
 
 def _fail_ragged(path: Path, row: int, cells: list[str], header: list[str], cut_off: bool) -> None:

@@ -6,12 +6,16 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from decimal import Decimal, localcontext
+
+import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
 SIGNS = (".", ",")
 _SPACES = " \u00a0\u202f\u2009'\u2019"  # blanks and apostrophes: they only ever group thousands
+MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))  # what word processors write for a minus
 _MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 
 
@@ -61,25 +65,38 @@ def without_groups(body: str, decimal: str) -> str | None:
 
 def number_in(cell: str, decimal: str) -> float | None:
     """The number in a cell, NaN for a missing one, None for text and for groups that are none."""
-    cell = cell.strip()
-    if cell.lower() in _MISSING_TEXTS:
-        return float("nan")
-    if _GROUPED[decimal].fullmatch(cell):
-        cell = re.sub(f"[{other_sign(decimal)}{_SPACES}]", "", cell)
-    if "_" in cell or other_sign(decimal) in cell:
-        return None
+    text = _plain(cell, decimal)
     try:
-        return float(cell.replace(decimal, "."))
+        return None if text is None else float(text)
     except ValueError:
         return None
 
 
+def exact_from_first(cells: Iterable[str], decimal: str) -> np.ndarray:
+    """Numbers less the first of them, with all the digits that are written; NaN for missing ones."""
+    with localcontext(prec=60):
+        numbers = [Decimal(_plain(cell, decimal) or "nan") for cell in cells]
+        first = next((number for number in numbers if number.is_finite()), Decimal(0))
+        return np.array([float(number - first) for number in numbers])
+
+
+def _plain(cell: str, decimal: str) -> str | None:
+    """The cell as digits and a decimal point, "nan" for a missing value; None for groups that are none."""
+    cell = cell.strip()
+    if cell.lower() in _MISSING_TEXTS:
+        return "nan"
+    if _GROUPED[decimal].fullmatch(cell):
+        cell = re.sub(f"[{other_sign(decimal)}{_SPACES}]", "", cell)
+    return None if "_" in cell or other_sign(decimal) in cell else cell.replace(decimal, ".")
+
+
 def _grouped(decimal: str) -> re.Pattern:
-    """Groups of three behind one sign, or the Indian 12,34,567; then, if any, decimals."""
+    """Groups of three behind one sign, or the Indian 12,34,567 (with commas only); then, if any, decimals."""
     group, d = other_sign(decimal), re.escape(decimal)
     threes = rf"\d{{1,3}}(?P<sign>[{group}{_SPACES}])\d{{3}}(?:(?P=sign)\d{{3}})*"
     indian = rf"\d{{1,2}}(?:{re.escape(group)}\d{{2}})+{re.escape(group)}\d{{3}}"
-    return re.compile(rf"[-+]?(?!0)(?:{threes}|{indian})(?:{d}\d*(?:[eE][-+]?\d+)?)?")
+    groups = f"{threes}|{indian}" if group == "," else threes
+    return re.compile(rf"[-+]?(?!0)(?:{groups})(?:{d}\d*(?:[eE][-+]?\d+)?)?")
 
 
 _GROUPED = {decimal: _grouped(decimal) for decimal in SIGNS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from .record import Record
 from .resampling import ROUNDING
 from .table import Column, Table, split_header
 
+_ELEMENT = re.compile(r".*\S(\[\d+\])+")  # of a channel that is an array: its index is no unit
 _ALL_INVALID = 1  # flag of a channel of which no sample is valid (ASAM MDF 4, cn_flags bit 0)
 _IN_TIME = (0, 1)  # synchronisation of a master channel that is time, or does not say (cn_sync_type)
 
@@ -21,8 +23,8 @@ _IN_TIME = (0, 1)  # synchronisation of a master channel that is time, or does n
 def read_mdf(path: Path) -> Table:
     """The table of an MDF 4 file: its numeric channels on the union of the times of all groups.
 
-    A channel is unknown (NaN) where its group has no sample and where its invalidation bit is set. Text and groups over
-    an angle or a distance are left out.
+    A channel is unknown (NaN) where its group has no sample and where its invalidation bit is set. A channel of
+    arrays is one column per element, ``name[0]``. Text and groups over an angle or a distance are left out.
     """
     mdf = _asammdf(path)
     content = content_of(path)
@@ -40,7 +42,7 @@ def read_mdf(path: Path) -> Table:
     time = union_of_times(axes)
     columns = [Column("time", "s", time)]
     for signal, axis, samples in zip(signals, axes, values, strict=True):
-        name, unit = split_header(signal.name)
+        name, unit = (signal.name, None) if _ELEMENT.fullmatch(signal.name) else split_header(signal.name)
         on_time = np.full(len(time), np.nan)
         on_time[np.searchsorted(time, axis + ROUNDING * _step([axis]), side="right") - 1] = samples
         columns.append(Column(name, signal.unit or unit, on_time))

@@ -8,7 +8,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible, dimension, way_out
+from hydrotwin.models.language.units import compatible, convert, dimension, from_si, power, si_unit, to_si, way_out
 
 from . import resampling
 from .record import Record
@@ -17,25 +17,41 @@ OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is 
 
 
 def require(record: Record, signals: Sequence[Signal], model_name: str) -> Record:
-    """The record with just the columns of ``signals``, in that order, all present and of the right dimension.
+    """The record with just the columns of ``signals``, in that order, all present and in the dimension needed.
 
     Raises `DataError` for a missing column, `UnitError` for one of another dimension; each names the file.
     """
-    where = record.source or record.name
     for signal in signals:
         if signal.name not in record:
             raise DataError(
-                f"{where}: no column '{signal.name}', {model_name} needs '{signal.name} [{signal.unit}]'. "
-                f"{nearest(signal.name, record.names)}"
+                f"{record.source or record.name}: no column '{signal.name}', {model_name} needs "
+                f"'{signal.name} [{signal.unit}]'. {nearest(signal.name, record.names)}"
             )
+    record = as_needed(record, signals)
+    for signal in signals:
         if not compatible(record.units[signal.name], signal.unit):
             shown = record.display_units.get(signal.name, record.units[signal.name])
             why = f" {way_out(shown, signal.unit)}" if dimension(shown) == dimension(signal.unit) else ""
             raise UnitError(
-                f"{where}: column '{signal.name}' is in {shown}, the model needs {signal.unit}.{why} "
-                f"Give a scale: --scale {signal.name}={_example(shown, signal)}."
+                f"{record.source or record.name}: column '{signal.name}' is in {shown}, the model needs "
+                f"{signal.unit}.{why}{_scales(shown, signal)}"
             )
     return record.select([s.name for s in signals])
+
+
+def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
+    """The record with what 1/min means for ``signals``: read as revolutions, it is a rate where no angle is needed.
+
+    Whoever takes a column by the name of a signal takes it from here. A column of another dimension stays as it is.
+    """
+    values, units = {}, {}
+    for signal in signals:
+        own = record.units.get(signal.name, signal.unit)
+        shown = record.display_units.get(signal.name, own)
+        if not compatible(own, signal.unit) and compatible(shown, signal.unit):
+            counted = convert(from_si(record[signal.name], shown), shown, signal.unit)
+            values[signal.name], units[signal.name] = to_si(counted, signal.unit)
+    return record.with_signals(values, units, units) if values else record
 
 
 def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> Record:
@@ -65,14 +81,25 @@ def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.
     return np.interp(record.time, own, values)
 
 
-def _example(shown: str, signal: Signal) -> str:
-    """A scale that would do: full range in % is taken as the signal's nominal value, a bare 1/s as radians."""
-    if dimension(shown) == dimension(signal.unit) == dimension("1/s"):
-        return "1 rad" if compatible(signal.unit, "rad/s") else "1 1/rev"
+def _scales(shown: str, signal: Signal) -> str:
+    """The scales that would do: full range in % is taken as the signal's nominal value.
+
+    Where only the angle is left out, the column may count turns (Hz does) or radians.
+    """
+    give = f"--scale {signal.name}="
+    lacks = power("rad", signal.unit) - power("rad", shown)
+    if dimension(shown) == dimension(signal.unit) and si_unit(shown) != "1":
+        if abs(lacks) != 1:
+            return ""
+        turns, radians = ("1 rev", "1 rad") if lacks > 0 else ("1 1/rev", "1 1/rad")
+        if "Hz" in shown or "Hz" in signal.unit or (power("rad", shown) and "rad" not in shown):
+            return f" Give a scale: {give}{turns}."
+        return f" Give a scale: {give}{turns} where it counts turns, {give}{radians} where it counts radians."
     if shown == "1":
-        return f"{signal.nominal:g} {signal.unit}"
+        return f" Give a scale: {give}{signal.nominal:g} {signal.unit}."
     over = f"({shown})" if any(c in shown for c in "./*") else shown
-    return f"{signal.nominal / (100 if shown == '%' else 1):g} {_divided(signal.unit, over)}"
+    size = signal.nominal / (100 if shown == "%" else 1)
+    return f" Give a scale: {give}{size:g} {_divided(signal.unit, over)}."
 
 
 def _divided(unit: str, over: str) -> str:

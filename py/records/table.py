@@ -16,6 +16,7 @@ from .scale import Scale
 
 MISSING = ("error", "drop rows", "keep")
 SLOWER = 0.05  # share of the steps that leaving rows out may lengthen; beyond, what is left is another sampling
+UNSEEN, ROUGH = 1e-4, 1e-2  # of a step: rounding of the time that nobody sees; that makes steps uneven
 FEW = 3  # steps that may always be longer: a short table with a flaw or two
 
 
@@ -63,6 +64,7 @@ def record_from_table(
     table = _without_missing(table, missing)
     _check_finite(table)
     _check_time(table)
+    table = _from_first_time(table)
     return _in_si(table, name, scale)
 
 
@@ -215,6 +217,29 @@ def _check_time(table: Table) -> None:
         f"{where}: time runs backward (got {now:.9g} {unit} after {before:.9g} {unit}; {wrong.sum()} such steps). "
         "Sort the rows, or split the file if it joins two recordings."
     )
+
+
+def rounding_of(time: np.ndarray) -> float:
+    """How much double precision rounds a time of this size, as a share of the usual step; (n,) finite or not."""
+    time = time[np.isfinite(time)]
+    usual = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
+    return float(np.spacing(np.abs(time).max())) / usual if usual else np.inf
+
+
+def _from_first_time(table: Table) -> Table:
+    """Time counted from the first sample where its size, as microseconds since 1970, would cost digits of its steps."""
+    time = table.columns[0]
+    share = rounding_of(time.values)
+    if share <= UNSEEN:
+        return table
+    first = time.values[0]
+    if share > ROUGH and (time.values != np.round(time.values)).any():
+        raise DataError(
+            f"{table.path}: column 'time' begins at {first:.17g} {time.unit}, and a number of that size is rounded to "
+            f"{np.spacing(first):.2g} {time.unit}, {100 * share:.2g} % of a step. The steps of the recording are lost. "
+            "Store time from the start of the recording, or as whole numbers."
+        )
+    return replace(table, columns=(replace(time, values=time.values - first), *table.columns[1:]))
 
 
 def _in_si(table: Table, name: str, scale: Mapping[str, Scale]) -> Record:

@@ -21,6 +21,7 @@ _MEANING = {
     "viscous": "viscous friction Fᵥ",
     "stribeck_velocity": "Stribeck velocity vₛ",
     "load": "constant load F₀",
+    "drift": "drift of the force b",
 }
 
 
@@ -85,7 +86,8 @@ def coefficients(fit) -> Table:
             numbers("upper", "to", [c.interval[1] for c in rows]),
             texts("unit", "Unit", [pretty_unit(c.unit) for c in rows]),
         ),
-        note="F(v) = (Fₖ + (Fₛ − Fₖ) exp(−(v/vₛ)²)) sign(v) + Fᵥ v + F₀, Eq. 8 of the C-EHA paper and a load",
+        note="F(v) = (Fₖ + (Fₛ − Fₖ) exp(−(v/vₛ)²)) sign(v) + Fᵥ v + F₀, Eq. 8 of the C-EHA paper and a load"
+        + (", and b t" if fit.drift else ""),
     )
 
 

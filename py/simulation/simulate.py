@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Record, known_inputs, require
+from hydrotwin.records import Record, as_needed, known_inputs, require
 from hydrotwin.records.between import settled
 
 from . import sampled
@@ -56,7 +56,7 @@ def simulate(
 
     Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
     """
-    _filled(record, model)
+    record = _filled(record, model)
     model = settled(model, [record], interpolation)
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
@@ -87,7 +87,7 @@ def predict_one_step(
     At every sample the measured outputs replace the states they determine (``StateVariable.measured_by``); all other
     states are those of the free run. The first sample is that of the free run.
     """
-    _filled(record, model)
+    record = _filled(record, model)
     model = settled(model, [record])
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
@@ -116,9 +116,11 @@ def _since_start(record: Record) -> np.ndarray:
     return record.time - record.time[0]
 
 
-def _filled(record: Record, model) -> None:
+def _filled(record: Record, model) -> Record:
+    system = getattr(model, "flat", model)
     if len(record.time) == 0:
         raise DataError(f"{record.source or record.name}: no samples to run {model.name} on. Give one with data.")
+    return as_needed(record, (*system.inputs, *system.outputs))
 
 
 def _driven(flat: FlatModel, record: Record, parameters, start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -40,3 +40,20 @@ def test_one_direction_gives_no_bound_that_it_cannot_know(folder):
     assert "same direction" in answer["findings"][0]
     known = hydrotwin("friction", "one.csv", "--load", "80")
     assert "same direction" not in known.said and "300" in known.said
+
+
+def test_glitches_and_a_drift_are_told_everywhere(folder):
+    recording = pushed(kept(BOTH, 2.0))
+    force = recording["force"] + 1.5 * recording.time
+    force[50::97] = 9999.0
+    write_record(recording.with_signals({"force": force}), folder / "glitches.csv")
+    said = hydrotwin("friction", "glitches.csv", "--out", "page").said
+    assert "the force drifts by 1.5 N/s" in said and "samples stand far" in said
+    assert "the force of 9999 N" in said and "more stretches: on the page" in said
+    answer = json.loads(hydrotwin("friction", "glitches.csv", "--json").out)
+    faults = [row for row in answer["dropped"] if row["fault"]]
+    assert len(faults) > 20 and all("9999 N" in row["reason"] for row in faults)
+    drift = next(row for row in answer["coefficients"] if row["name"] == "drift")
+    assert drift["unit"] == "N/s" and drift["value"] == pytest.approx(1.5, abs=0.01)
+    page = (folder / "page" / "friction.md").read_text(encoding="utf-8")
+    assert page.count("the force of 9999 N stands far from") >= len(faults) and "drift of the force" in page

@@ -250,3 +250,9 @@ def test_modelica_units_follow_its_grammar():
     assert modelica_unit("m3/(s.Pa)") == "m3/(s.Pa)"
     assert modelica_unit("%") == "1"
     assert modelica_unit("m3/(s.sqrt(Pa))") == ""
+
+
+@pytest.mark.parametrize("text", ["deg C", "° C", "deg.C", "W/(m2.deg C)", "deg F"])
+def test_a_degree_apart_from_its_scale_is_told_the_word_to_write(text):
+    with pytest.raises(UnitError, match=rf"write deg{'F' if 'F' in text else 'C'} in one word"):
+        parse_unit(text)

@@ -82,3 +82,16 @@ def test_a_group_whose_time_does_not_grow_is_refused(tmp_path):
     path = written(tmp_path, [channel("a", [0, 1, 2], [0, 1, 2])], [channel("b", [0, 0.5, 0.5], [0, 1, 2])])
     with pytest.raises(DataError, match=r"row 3 of the group of channel 'b', column 'time': time must grow"):
         read_record(path)
+
+
+@pytest.mark.parametrize("shape", [(3,), (2, 2)])
+def test_a_channel_of_arrays_is_one_column_per_element(shape, tmp_path):
+    time = np.arange(10) * 0.01
+    many = np.zeros(10, dtype=[("p", "<f8", shape)])
+    many["p"] = np.arange(10 * np.prod(shape), dtype=float).reshape(10, *shape)
+    record = read_record(written(tmp_path, [channel("p", time, many), channel("q", time, np.arange(10.0))]))
+    columns = {f"p{''.join(f'[{i}]' for i in at)}": many["p"][:, *at] for at in np.ndindex(shape)}
+    assert set(record.names) == {*columns, "q"}
+    assert record.units[next(iter(columns))] == "Pa"
+    for name, values in columns.items():
+        np.testing.assert_allclose(record[name], values * 1e5)

@@ -114,7 +114,8 @@ def test_a_bare_rate_for_a_speed_of_rotation_is_refused_with_what_to_write(unit,
     path = tmp_path / "a.csv"
     path.write_text(f"time [s],speed [{unit}]\n0,1\n1,2\n")
     signal = Signal("speed", "rad/s", nominal=100.0)
-    with pytest.raises(UnitError, match=r"write rad/s, rpm or rev/s.*--scale speed=1 rad\.$"):
+    radians = "" if unit == "Hz" else " where it counts turns, --scale speed=1 rad where it counts radians"
+    with pytest.raises(UnitError, match=rf"write rad/s, rpm or rev/s.*--scale speed=1 rev{radians}\.$"):
         require(read_record(path), [signal], "rig")
     np.testing.assert_allclose(require(read_record(path, scale="speed=1 rad"), [signal], "rig")["speed"], [1, 2])
     turns = require(read_record(path, scale="speed=1 rev"), [signal], "rig")["speed"]
@@ -122,12 +123,31 @@ def test_a_bare_rate_for_a_speed_of_rotation_is_refused_with_what_to_write(unit,
     np.testing.assert_allclose(require(read_record(path), [Signal("speed", "1/s")], "rig")["speed"], [1, 2])
 
 
-@pytest.mark.parametrize("unit", ["1/min", "rpm"])
-def test_revolutions_for_a_rate_are_refused_with_the_scale_that_counts_them(unit, tmp_path):
+def test_revolutions_for_a_rate_are_refused_with_the_scale_that_counts_them(tmp_path):
     path = tmp_path / "a.csv"
-    path.write_text(f"time [s],rate [{unit}]\n0,60\n1,120\n")
+    path.write_text("time [s],rate [rpm]\n0,60\n1,120\n")
     with pytest.raises(UnitError, match=r"'1/s' holds no angle.*--scale rate=1 1/rev\.$"):
         require(read_record(path), [Signal("rate", "1/s")], "rig")
     np.testing.assert_allclose(
         require(read_record(path, scale="rate=1 1/rev"), [Signal("rate", "1/s")], "rig")["rate"], [1, 2]
     )
+
+
+@pytest.mark.parametrize("unit", ["1/min", "min-1", "min^-1", "/min"])
+@pytest.mark.parametrize(("needed", "one"), [("1/s", 1.0), ("Hz", 1.0), ("rad/s", 2 * np.pi), ("rpm", 2 * np.pi)])
+def test_per_minute_counts_turns_only_where_an_angle_is_needed(unit, needed, one, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],strokes [{unit}]\n0,60\n1,120\n")
+    record = require(read_record(path), [Signal("strokes", needed)], "rig")
+    np.testing.assert_allclose(record["strokes"], [one, 2 * one], rtol=1e-14)
+    assert require(record, [Signal("strokes", needed)], "rig")["strokes"][0] == record["strokes"][0]
+
+
+@pytest.mark.parametrize(
+    ("unit", "needed", "told"), [("L", "m3/rad", "=1 1/rev .*=1 1/rad "), ("1/s2", "rad/s2", "=1 rev .*=1 rad ")]
+)
+def test_an_angle_left_out_is_scaled_by_a_turn_or_a_radian(unit, needed, told, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],x [{unit}]\n0,1\n1,2\n")
+    with pytest.raises(UnitError, match=told):
+        require(read_record(path), [Signal("x", needed)], "rig")

@@ -75,3 +75,28 @@ def test_a_large_file_with_groups_is_read_as_a_small_one(tmp_path):
     rows = "".join(f"{k};{cell}\n" for k, cell in enumerate(cells))
     assert len(rows) > 2_000_000
     assert read(tmp_path, COMMA + rows)[1] == values.tolist()
+
+
+@pytest.mark.parametrize("cell", ["1.03.491", "12.34.567", "1.2.345", "1234.567.891"])
+@pytest.mark.parametrize("stated", ["# decimal=,\n", ""])
+def test_points_that_part_no_groups_of_three_are_refused(cell, stated, tmp_path):
+    with pytest.raises(DataError, match=rf"column 'x': not a number \(got '{cell}'\)"):
+        read(tmp_path, f"{stated}{COMMA}0,5;{cell}\n1,5;35.397\n")
+
+
+@pytest.mark.parametrize("minus", ["\u2212", "\u2013", "\ufe63", "\uff0d"])
+@pytest.mark.parametrize(
+    ("text", "values"),
+    [
+        (COMMA + "0;M35,5\n1;M35,4\n", [-35.5, -35.4]),
+        (COMMA + "0;M1.234,5\n1;7,5eM3\n", [-1234.5, 7.5e-3]),
+        (POINT + "0,M35.5\n1,1\n", [-35.5, 1]),
+    ],
+)
+def test_the_minus_of_a_word_processor_is_a_minus(minus, text, values, tmp_path):
+    assert read(tmp_path, text.replace("M", minus))[1] == values
+
+
+def test_where_the_other_sign_may_be_the_decimal_one_the_error_says_how_to_state_it(tmp_path):
+    with pytest.raises(DataError, match=r"got '~35,5'.*Or state the other sign above the header: '# decimal=,'"):
+        read(tmp_path, COMMA + "0;~35,5\n1;~35,4\n")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from decimal import Decimal
 
 import numpy as np
 import pytest
@@ -78,3 +79,49 @@ def test_a_stamp_that_is_missing_is_a_missing_time(tmp_path):
     stamps = [pd.Timestamp(2026, 1, 1), pd.NaT, *pd.date_range("2026-01-02", periods=3)]
     with pytest.raises(DataError, match="row 2, column 'time': no value"):
         read(tmp_path, pd.DataFrame({**X, "time": stamps}))
+
+
+EPOCH = 1_700_000_000
+
+
+@pytest.mark.parametrize(
+    ("unit", "first", "step"),
+    [
+        ("us", f"{EPOCH}000000", 1e-6),
+        ("ns", f"{EPOCH}000000000", 1e-6),
+        ("ms", f"{EPOCH}000", 1e-3),
+        ("ms", f"{EPOCH}000.125", 1e-6),
+        ("s", f"{EPOCH}.000001", 1e-6),
+        ("s", f"-{EPOCH}", 1e-6),
+    ],
+)
+@pytest.mark.parametrize("sign", [".", ","])
+def test_time_since_1970_in_a_text_keeps_every_digit_of_its_steps(unit, first, step, sign, tmp_path):
+    inside = Decimal(str(step)) / Decimal({"s": "1", "ms": "1e-3", "us": "1e-6", "ns": "1e-9"}[unit])
+    cells = [f"{Decimal(first) + k * inside:f}".replace(".", sign) for k in range(4)]
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [{unit}];x [1]\n" + "".join(f"{cell};0{sign}5\n" for cell in cells))
+    np.testing.assert_allclose(read_record(path).time, np.arange(4) * step, rtol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["int64", "uint64", "float64"])
+def test_whole_microseconds_since_1970_keep_every_digit_of_their_steps(kind, tmp_path):
+    count = (EPOCH * 1_000_000 + np.arange(5)).astype(kind)
+    record = read(tmp_path, pd.DataFrame({**X, "time [us]": count}))
+    np.testing.assert_allclose(record.time, np.arange(5) * 1e-6, rtol=1e-14)
+
+
+def test_seconds_since_1970_that_have_lost_their_steps_are_refused(tmp_path):
+    frame = pd.DataFrame({**X, "time [s]": EPOCH + np.arange(5) * 1e-6})
+    with pytest.raises(DataError, match=r"column 'time' begins at 1700000000 s.* rounded to 2.4e-07 s.*from the start"):
+        read(tmp_path, frame)
+    coarse = read(tmp_path, frame.assign(**{"time [s]": EPOCH + np.arange(5) * 0.01}))
+    assert coarse.time[0] == EPOCH  # its steps are good to 1e-4: the clock of the logger stays
+
+
+@pytest.mark.parametrize("cells", [["nan", "nan", "nan"], ["inf", "inf", "1"], ["5", "5", "5"]])
+def test_a_time_that_is_none_is_refused_and_not_warned_about(cells, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time [s],x [1]\n" + "".join(f"{cell},1\n" for cell in cells))
+    with pytest.raises(DataError, match=r"a.csv: row 2|a.csv: row 3"):
+        read_record(path)

@@ -42,6 +42,8 @@ from .shared import (
 )
 from .showing import physical
 
+LEFT_OUT = 20  # stretches of a friction test on the screen
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
@@ -255,5 +257,7 @@ def print_friction(fit) -> None:
     table(title, ["coefficient", "value", f"{fit.confidence:.0%} interval", "unit"], rows)
     for finding in fit.findings:
         mark(out, "note", str(finding))
-    for stretch in fit.dropped:
+    for stretch in fit.dropped[:LEFT_OUT]:
         mark(out, "left out", str(stretch))
+    if len(fit.dropped) > LEFT_OUT:
+        mark(out, "left out", f"{len(fit.dropped) - LEFT_OUT} more stretches: on the page (--out) and in --json.")

@@ -37,7 +37,7 @@ def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, fo
     with (folder / "said.txt").open("wb") as said:
         child = subprocess.Popen(
             [sys.executable, "-c", _BOOT, str(Path(__file__).parent), str(folder)],
-            stdin=subprocess.DEVNULL, stdout=said, stderr=subprocess.STDOUT, cwd=folder, start_new_session=True,
+            stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, cwd=folder, start_new_session=True,
         )  # fmt: skip
         try:
             code = child.wait(timeout=limit)
@@ -47,6 +47,8 @@ def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, fo
         except BaseException:
             end_child(child)
             raise
+        finally:
+            child.stdin.close()  # the child ends where this process does: see fmu_process
     answer = folder / "answer.json"
     if answer.exists():
         told = json.loads(answer.read_text(encoding="utf-8"))

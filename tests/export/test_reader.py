@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,6 +19,8 @@ from hydrotwin.simulation import predict_one_step, simulate
 from tests.discovery.slides import Drive, drive_records
 from tests.export.foreign import CRASHES, HANGS, fmi3_model_exchange, rewritten
 from tests.export.systems import arm_record, command_record
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_the_block_knows_what_the_fmu_says_of_itself(fmus, systems):
@@ -45,6 +50,30 @@ def test_a_hang_of_the_fmu_is_an_error_in_time(fmus, tmp_path):
     with pytest.raises(SolveError, match="did not come to an end"):
         read_fmu(fmu, time_limit=3.0).free_run(command_record())
     assert time.monotonic() - began < 10.0
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks children up in /proc")
+def test_whoever_kills_a_run_leaves_no_fmu_behind(fmus, tmp_path):
+    fmu = rewritten(fmus["lag"], tmp_path / "hang.fmu", c=HANGS)
+    script = f"""
+from hydrotwin.export import read_fmu
+from {command_record.__module__} import command_record
+read_fmu({str(fmu)!r}).free_run(command_record())
+"""
+    with subprocess.Popen([sys.executable, "-c", script], cwd=ROOT) as run:
+        children = Path(f"/proc/{run.pid}/task/{run.pid}/children")
+        _until(lambda: children.read_text().split())
+        (child,) = children.read_text().split()
+        time.sleep(1.0)  # it has begun
+        run.kill()
+    _until(lambda: not Path(f"/proc/{child}").exists() or " Z " in Path(f"/proc/{child}/stat").read_text())
+
+
+def _until(done, limit: float = 30.0):
+    began = time.monotonic()
+    while not done():
+        assert time.monotonic() - began < limit
+        time.sleep(0.05)
 
 
 @pytest.mark.parametrize("fmi", [2, 3])

@@ -47,7 +47,7 @@ def search(task: Task, effort: Effort, adaptable: np.ndarray) -> tuple[Task, lis
 def _undisturbed(task: Task, found: Minimum) -> Minimum:
     """Parameters that no output depends on go back to where they started, whichever start won."""
     information = np.diag(found.information())
-    blind = information <= BLIND * information.max()
+    blind = information <= BLIND * information.max(initial=0.0)
     if not blind.any():
         return found
     return dataclasses.replace(found, q=np.where(blind, task.free.scaled(task.free.start), found.q))

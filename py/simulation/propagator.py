@@ -35,6 +35,7 @@ def prepare(
     method: str = "auto",
     few_runs: bool = False,
     zero: Sequence[str] = (),
+    tolerance: float = TOLERANCE,
 ) -> Propagator:
     """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
 
@@ -44,6 +45,7 @@ def prepare(
         eigenvalues along the first run do, down to an eighth, of a model of more than eight states to one part in so
         many; else, and where refined steps become dearer, rosenbrock.
     few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
+    tolerance : error of a step that "auto" refines, in units of nominal + |x|; infinite: none is.
     zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
         while they are have none, which makes a model of many parts at rest several times faster.
 
@@ -57,7 +59,9 @@ def prepare(
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
         return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
-    return Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
+    made = Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
+    made.tolerance = tolerance
+    return made
 
 
 class _Choice(NamedTuple):
@@ -90,6 +94,7 @@ class Propagator:
         self._interpreted, self._few_runs = method == "vm", few_runs
         self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._nominal = np.array([q.nominal for q in flat.parameters])
+        self.tolerance = TOLERANCE
         self._engines, self._recents = {}, {"explicit": Recent(), "rosenbrock": Recent()}
         self._begin(self._asked[1])
         if self.method != "rosenbrock":
@@ -312,7 +317,7 @@ class Propagator:
                 return None
             most = max(FINEST, len(self.flat.states))
             for step in self._asked[0] / 2.0 ** np.arange(int(np.log2(most)) + 1):
-                control = Control(float(step), TOLERANCE, TRIALS * most)
+                control = Control(float(step), self.tolerance, TRIALS * most)
                 answer = self._engine(implicit=False).propagate(time, u, p, control, x0)
                 if answer[0] == DEAR:
                     break

@@ -132,6 +132,7 @@ def worn(count: int, first: int = 0):
 FRICTIONS = ("coulomb_friction", "position_dependent_friction", "asymmetric_friction")
 
 
+@pytest.mark.proof
 def test_a_second_dry_friction_that_explains_all_that_is_left_is_named_as_what_it_is():
     told = discover(slide(), worn(3), validate=worn(1, 7), effects=FRICTIONS, executor=Inline())
     assert [s.effect for s in told.steps] == ["position_dependent_friction", "coulomb_friction"]

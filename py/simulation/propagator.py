@@ -59,9 +59,8 @@ def prepare(
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
         return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
-    made = Propagator(flat, tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
-    made.tolerance = tolerance
-    return made
+    to = tuple(free_parameters), tuple(free_states), tuple(zero)
+    return Propagator(flat, to, longest, method, few_runs, tolerance)
 
 
 class _Choice(NamedTuple):
@@ -86,15 +85,15 @@ class Propagator:
     ``engine`` is "c" or "vm" (CasADi's interpreter).
     """
 
-    def __init__(
-        self, flat: FlatModel, free_parameters, free_states, step: float, method: str, few_runs=False, zero=()
-    ):
+    def __init__(self, flat: FlatModel, to, step: float, method: str, few_runs: bool, tolerance: float):
+        """``to`` : free parameters, free states, parameters at zero; the rest as in `prepare`."""
+        free_parameters, free_states, zero = to
         self.flat, self._asked = flat, (step, "explicit" if method == "vm" else method)
         self.free_parameters, self.free_states = free_parameters, free_states
         self._interpreted, self._few_runs = method == "vm", few_runs
         self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._nominal = np.array([q.nominal for q in flat.parameters])
-        self.tolerance = TOLERANCE
+        self._tolerance = tolerance
         self._engines, self._recents = {}, {"explicit": Recent(), "rosenbrock": Recent()}
         self._begin(self._asked[1])
         if self.method != "rosenbrock":
@@ -317,7 +316,7 @@ class Propagator:
                 return None
             most = max(FINEST, len(self.flat.states))
             for step in self._asked[0] / 2.0 ** np.arange(int(np.log2(most)) + 1):
-                control = Control(float(step), self.tolerance, TRIALS * most)
+                control = Control(float(step), self._tolerance, TRIALS * most)
                 answer = self._engine(implicit=False).propagate(time, u, p, control, x0)
                 if answer[0] == DEAR:
                     break

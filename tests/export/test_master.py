@@ -15,6 +15,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.report.answer import facts
 from tests.export.follower import follower
+from tests.export.foreign import rewritten
 
 T, PERIOD, COUNT = 0.1, 0.01, 150  # s, s, samples
 EQUAL = 1e-9  # of the range
@@ -172,6 +173,16 @@ def test_an_fmu_of_one_step_size_shows_what_follows_at_once_a_sample_late_and_sa
     measured = Record(record.time, {**record.signals, "force": x + record["u"]}, {**UNITS, "force": "N"}, "rig")
     told = facts(compare([block, read_fmu(plants[2,], name="any step")], [measured], repeats=1), {"force": "N"})
     assert any("Of follower, force, gain_seen, on_seen is shown one sample late" in sentence for sentence in told), told
+
+
+def test_into_an_fmu_whose_discrete_outputs_may_count_steps_nobody_looks(plants, tmp_path):
+    """It cannot be brought back, and does not say that what is discrete follows its inputs alone."""
+    unsaid = {'<Unknown index="7" dependencies="6"/>': '<Unknown index="7"/>'}
+    record, block = stepped(), read_fmu(rewritten(plants[2,], tmp_path / "counts.fmu", xml=unsaid))
+    found, x = block.free_run(record), exact(record, record["u"])
+    assert block.provenance[LATE] == "force, gain_seen, on_seen"
+    same(found["state"], x)
+    same(found["force"][1:], x[1:] + record["u"][:-1])
 
 
 def with_value(name: str, row: int, value: float) -> Record:

@@ -6,6 +6,7 @@ import ctypes as c
 import zipfile
 from functools import cache
 
+import casadi as ca
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -14,12 +15,15 @@ from hydrotwin.cli import app
 from hydrotwin.export import check_fmu, export_fmu, read_fmu
 from hydrotwin.export.build import compile_for, native_platform
 from hydrotwin.export.reference import reference_run
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
 from tests.export.raw import OK, Library
 from tests.export.systems import delayed_mass, lag_block, stiff_oscillator
 from tests.export.test_agreement import WITHIN, cvodes
 from tests.simulation.flat_cehA import flat_cehA
+from tests.simulation.small_models import small_model
 
 IMPLICIT = ("method", "implicit")
 
@@ -118,6 +122,34 @@ def test_the_reference_inside_is_of_the_same_method_and_step(tmp_path, system, m
     other = read_fmu(export_fmu(system, tmp_path / "y.fmu", method=method, step=1e-3))
     record = reference_run(system, **chosen)
     assert any(np.abs(other.free_run(record)[s.name] - record[s.name]).max() > 0 for s in system.outputs)
+
+
+def slamming_valve():
+    """A check valve on a small volume: a poppet on a seat of 1e8 N/m, its pressures stiff beyond any fixed step."""
+
+    def equations(t, x, u, p):
+        flow = 1e-3 * ca.fmax(x[0], 0) * (u[0] - x[2])
+        seat = 1e8 * ca.fmax(-x[0], 0)
+        force = (u[0] - x[2]) * 1e-4 - 5 - 5e3 * x[0] - x[1] + seat
+        return ca.vertcat(x[1], force / 0.01, 1.4e9 / 1e-6 * (flow - 1e-10 * x[2])), x
+
+    supply = Signal("supply", "1", nominal=1e6, default=1e5, interpolation="hold")
+    return small_model("valve", ["x", "v", "p"], {"none": 0.0}, equations, inputs=(supply,), start=[0.0, 0.0, 1e5])
+
+
+def test_an_adaptive_step_that_gives_up_is_cut(tmp_path):
+    flat = slamming_valve()
+    t = np.arange(0.0, 0.2, 0.01)
+    record = Record(t, {"supply": 1e5 + 5e5 * (t > 0.05)}, {"supply": "1"}, "opens")
+    found = read_fmu(export_fmu(flat, tmp_path / "valve.fmu", method="adaptive")).free_run(record)
+    expected = simulate(flat, record)
+    for name in ("x_seen", "p_seen"):
+        assert np.abs(found[name] - expected[name]).max() < 2e-3 * np.ptp(expected[name])
+
+
+def test_a_fixed_implicit_step_that_gives_up_is_told():
+    with pytest.raises(SolveError, match=r"gives up at t = .* Take a smaller step, or method 'adaptive'"):
+        reference_run(slamming_valve(), method="implicit")
 
 
 def test_method_and_step_are_options_of_the_command(tmp_path):

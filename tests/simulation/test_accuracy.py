@@ -220,3 +220,17 @@ def test_a_block_whose_steps_are_unstable_is_refused():
         lower(stiff_pair(fast=1e4), 0.01)
     assert lower(stiff_pair(fast=1e4), 0.01, method="rosenbrock").period == 0.01
     assert lower(stiff_pair(fast=1e3), 0.01).period == 0.01
+
+
+def test_a_motion_far_smaller_than_its_nominal_value_counts_as_one():
+    """A tenth of a micron at 1000 rad/s, where steps of a millisecond damp it and nominal is a metre."""
+
+    def equations(t, x, u, p):
+        return ca.vertcat(x[1], -1e6 * x[0]), x
+
+    small = small_model("small", ["position", "speed"], {"k": 1.0}, equations, start=[1e-7, 0.0])
+    time = np.arange(0.0, 1.0, 0.005)
+    found = simulate(small, Record(time, {}, {}, "swing"))
+    assert found["position_seen"] == pytest.approx(1e-7 * np.cos(1e3 * time), abs=5e-10)
+    with pytest.warns(InaccurateWarning):
+        simulate(small, Record(time, {}, {}, "swing"), method="explicit")

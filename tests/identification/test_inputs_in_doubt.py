@@ -100,6 +100,14 @@ def test_the_levels_of_a_command_are_no_digits(levels, second):
     assert second or fit.parameters[0].sigma < 1e-3
 
 
+@pytest.mark.parametrize("step", [2.0, 5.0, 20.0, 50.0])
+def test_the_digits_of_a_measured_force_count_in_what_is_left_and_in_the_sigmas(step):
+    true = strong(2)
+    fit = fitted([moved(2, true, lambda t: step * np.round(true(t) / step))], interpolation={"force": "linear"})
+    assert all(r.explained for r in fit.residuals)
+    assert abs(fit.values["load.mass"] - MASS) < 4 * fit.parameters[0].sigma
+
+
 @pytest.mark.parametrize(("step", "offset"), [(5e-4, 0.0), (2.5e-4, 1e-4)])
 def test_a_sensor_that_moves_by_several_of_its_last_digit_is_explained_by_its_step(step, offset):
     run = moved(2, strong(2), noise=0.0)

@@ -271,8 +271,8 @@ def _replay(block: FmuBlock, record: Record, limit: float) -> tuple[bool, str]:
         return False, f"the reference has none of the outputs {', '.join(s.name for s in block.outputs)}"
     errors = {n: _relative_difference(found[n], record[n]) for n in shared}
     worst = max(errors, key=errors.__getitem__)
-    linear = ", ".join(s.name for s in block.inputs if not s.held)
-    between = f"{linear} linear between samples" if linear else "inputs held between samples"
+    moving = ", ".join(f"{s.name} {s.interpolation}" for s in block.inputs if not s.held)
+    between = f"{moving or 'inputs held'} between samples"
     detail = f"{len(shared)} outputs, largest difference {errors[worst]:.2g} of the range at {worst}, {between}"
     return errors[worst] <= limit, detail
 

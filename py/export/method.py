@@ -15,7 +15,7 @@ from .lower import middle_of_training
 
 DURATION = 2.0  # s
 SAMPLES = 200
-SHARE = 0.2  # of nominal: the size of the inputs' movement
+SHARES = 0.2, 0.02, 0.0  # of nominal: the size of the inputs' movement, the first that the model bears
 
 METHODS = ("auto", "explicit", "implicit", "adaptive")
 
@@ -54,8 +54,8 @@ def check_method(name: str, method: str, step: float | None = None) -> None:
         raise DeclarationError(f"{name}: the internal step must be positive (got {step:g} s). Give seconds, as 1e-3.")
 
 
-def excitation(system, period: float = DURATION / SAMPLES) -> Record:
-    """Two seconds of inputs that move a fifth of nominal around their defaults, each at a frequency of its own.
+def excitation(system, period: float = DURATION / SAMPLES, share: float = SHARES[0]) -> Record:
+    """Two seconds of inputs that move a share of nominal around their defaults, each at a frequency of its own.
 
     Those of a block that knows its training domain move around the middle of it. period [s] : of the samples.
     """
@@ -63,7 +63,7 @@ def excitation(system, period: float = DURATION / SAMPLES) -> Record:
     moving = time > DURATION / 10
     signals, units = {}, {}
     for k, signal in enumerate(system.inputs):
-        wave = SHARE * signal.nominal * np.sin(2 * np.pi * (0.5 + 0.2 * k) * time) * moving
+        wave = share * signal.nominal * np.sin(2 * np.pi * (0.5 + 0.2 * k) * time) * moving
         signals[signal.name] = middle_of_training(system, signal.name, signal.default) + wave
         units[signal.name] = signal.unit
     return Record(time, signals, units, "reference")

@@ -12,7 +12,7 @@ from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
 
 from .lower import implicit_advance, middle_of_training
-from .method import excitation, held
+from .method import SHARES, excitation, held
 
 REFINED = 8
 SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
@@ -27,8 +27,12 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
     Inputs change at the samples only (held in between). It starts where the model starts by itself; a block starts with
     its measured outputs at zero, or at the middle of its training domain.
 
+    Inputs that drive the model to where its equations have no solution move less, or not at all.
+
     fine : with an eighth of the model's step, for Model Exchange: the importer's solver meets the exact solution.
     step, method : internal step [s] and method as those of `export_fmu`; not for blocks.
+
+    Raises SolveError where there is no solution though the inputs rest at their defaults.
     """
     system = getattr(model, "flat", model)
     if isinstance(system, Block):
@@ -38,10 +42,23 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
         inputs = inputs.with_signals(values, units={n: s.unit for n, s in starts.items()})
         outputs = simulate(system, inputs)
     else:
-        inputs = excitation(system)
-        outputs = _answers(held(system), inputs, step or system.step / (REFINED if fine else 1), method)
+        inputs, outputs = _endured(system, step or system.step / (REFINED if fine else 1), method)
     answers = {s.name: outputs[s.name] for s in system.outputs}
     return inputs.with_signals(answers, units={s.name: s.unit for s in system.outputs})
+
+
+def _endured(flat: FlatModel, step: float, method: str) -> tuple[Record, Record]:
+    """The inputs and what `simulate` gives, of the largest movement that the model bears."""
+    for share in SHARES:
+        inputs = excitation(flat, share=share)
+        try:
+            return inputs, _answers(held(flat), inputs, step, method)
+        except SolveError as error:
+            stopped = error
+    raise SolveError(
+        f"{flat.name}: the short run that an FMU carries along to be compared with has no solution, even with the "
+        f"inputs at their defaults ({stopped}). Give inputs and states starts from which the model runs for two seconds."
+    )
 
 
 def _answers(flat: FlatModel, inputs: Record, step: float, method: str) -> Record:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.export import export_fmu, read_fmu
+from hydrotwin.export import export_fmu, read_fmu, reference_run
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, SolveError, State, Variable, der
 from hydrotwin.records import Record
 from hydrotwin.simulation import Diverged, prepare, simulate
@@ -108,3 +108,29 @@ def test_a_start_that_the_initial_equations_do_not_have_is_named(method):
 
     with pytest.raises(Diverged, match=r"started\.x: it has no start value .* initial equations"):
         simulate(Model(Started(), "started"), RAMP, method=method)
+
+
+def test_the_run_that_an_fmu_carries_along_moves_as_far_as_there_is_a_solution(tmp_path):
+    model = implicit(lambda z: z - 2 * z**2)  # up to u = 0.125
+    carried = reference_run(model)
+    assert np.abs(carried["u"]).max() == pytest.approx(0.02, rel=1e-3)
+    fmu = export_fmu(model, tmp_path / "follower.fmu", reference=carried)
+    again = read_fmu(fmu).free_run(carried)
+    np.testing.assert_allclose(again["y"], carried["y"], atol=1e-9)
+
+
+def test_where_there_is_none_at_rest_either_it_is_said_whose_run_that_is():
+    class Filling(Component):
+        u = Input("1", "in")
+        y = Output("1", "out")
+        x = State(0.0, "1", "x")
+        T = Parameter(1.0, "s", "time")
+        z = Variable("1", "z")
+
+        def equations(self):
+            yield self.T * der(self.x) == 1
+            yield self.z - self.z**2 == self.x  # until x = 0.25
+            yield self.y == self.z + self.u
+
+    with pytest.raises(SolveError, match="that an FMU carries along .* no solution, even with the inputs at their def"):
+        reference_run(Model(Filling(), "filling"))

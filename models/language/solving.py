@@ -12,11 +12,14 @@ import casadi as ca
 import numpy as np
 
 from .errors import TopologyError
+from .jumps import jumps
 
 NEWTON_STEPS = 12
 LARGEST_NONLINEAR_BLOCK = 4
 UNSOLVED = 1e-3  # last of the steps, over the nominal value or the unknown's size: from here on there is no solution
 ROUNDING = 1e-8  # of nominal: a last step that is none
+AWAY = 1.0, -1.0, 10.0, -10.0, 0.1, -0.1  # nominal values from the start: where Newton's iteration may begin instead
+PARTS = 1.0, 0.5, 0.25, 0.125  # of a step that would end where nothing is a number
 GOLDEN = 0.6180339887498949  # its multiples differ from each other, and so do differences of them
 
 
@@ -74,7 +77,7 @@ def solve_block(
     symbols = ca.vertcat(*(u.symbol for u in unknowns))
     residual = ca.vertcat(*residuals)
     jacobian = ca.simplify(ca.jacobian(residual, symbols))
-    if not ca.depends_on(jacobian, symbols):
+    if not (ca.depends_on(jacobian, symbols) or jumps(residual, symbols)):
         offset = ca.substitute(residual, symbols, ca.SX.zeros(len(unknowns)))
         solution, pivots = _eliminate(model, unknowns, jacobian, -offset, describe, values)
         names = tuple(u.path for u in unknowns)
@@ -89,7 +92,7 @@ def solve_block(
             f"are solved). It is made of: {describe()}. Break it with a small volume, an inertia or a lag."
         )
     torn = ca.vertcat(*(u.symbol for u in left))
-    solution, record = _newton(model, left, ca.vertcat(*residuals), torn, describe)
+    solution, record = _newton(model, left, ca.vertcat(*residuals), torn, describe, values or {})
     found = dict(zip((u.path for u in left), solution, strict=True))
     for unknown, value in reversed(explicit):
         known = [u for u in unknowns if u.path in found]
@@ -121,7 +124,7 @@ def _torn(unknowns: Sequence[Unknown], residuals: Sequence[ca.SX]):
 
 def _is_given(equation: ca.SX, symbol: ca.SX) -> bool:
     slope = ca.simplify(ca.jacobian(equation, symbol))
-    return slope.is_constant() and not slope.is_zero()
+    return slope.is_constant() and not slope.is_zero() and not jumps(equation, symbol)
 
 
 def _eliminate(model, unknowns, matrix: ca.SX, right: ca.SX, describe, values=None):
@@ -192,18 +195,20 @@ def _zeros(entries: Sequence[ca.SX], values: Mapping[int, float]) -> list[int]:
     return ((found == 0) | ~np.isfinite(found)).sum(axis=0).tolist()
 
 
-def _newton(model, unknowns, residual, symbols, describe):
+def _newton(model, unknowns, residual, symbols, describe, values):
     """Newton's iteration written out; exact derivatives follow from differentiating it.
 
-    Where its steps do not end, the equations have lost their solution and the unknowns are NaN: every run stops there.
-    The last step is held against the nominal value, or against the size of start and end where that is less.
+    Where its steps do not end, or end where the slope is no number though something is left (a square root at zero),
+    the equations have lost their solution and the unknowns are NaN: every run stops there. The last step is held
+    against the nominal value, or against the size of start and end where that is less.
     """
     matrix = ca.jacobian(residual, symbols)
     sought = {s.element_hash() for s in ca.vertsplit(symbols)}
-    given = ca.vertcat(*(s for s in ca.symvar(residual) if s.element_hash() not in sought))
-    evaluate = ca.Function("residual", [symbols, ca.SX(given)], [residual, matrix])
-    z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
-    update = ca.SX.zeros(len(unknowns))
+    given = [s for s in ca.symvar(residual) if s.element_hash() not in sought]
+    evaluate = ca.Function("residual", [symbols, ca.vertcat(ca.SX(0, 1), *given)], [residual, matrix])
+    given = ca.vertcat(ca.SX(0, 1), *given)
+    z, guarded = _first_guess(unknowns, evaluate, given, values)
+    update, regular = ca.SX.zeros(len(unknowns)), ca.SX(1)
     start = ca.fabs(z)
     for _ in range(NEWTON_STEPS):
         r, j = evaluate(z, given)
@@ -215,14 +220,72 @@ def _newton(model, unknowns, residual, symbols, describe):
                 f"{model}: the nonlinear loop of {names} cannot be solved from its start values: nothing changes with "
                 f"them there. It is made of: {describe()}. Give its variables another start."
             ) from None
+        if guarded:
+            regular = ca.logic_or(_is_zero(r), _is_finite(j))
+            update = ca.if_else(_is_zero(r), 0, _shortened(evaluate, z, update, given))
         z = z - update
     nominal = ca.DM([u.nominal for u in unknowns])
     names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)
     error = ca.norm_inf(update / nominal)
     ended = ca.fabs(update) < UNSOLVED * ca.fmin(nominal, start + ca.fabs(z)) + ROUNDING * nominal
-    solved = ca.SX(1)
-    for one in ca.vertsplit(ended):
-        solved = ca.logic_and(solved, one)
+    solved = ca.logic_and(regular, _all(ended))
+    error = ca.if_else(regular, error, np.inf) if guarded else error
     record = NonlinearBlock(names, error, solved, symbols, sizes, residual, matrix, describe)
     known = ca.if_else(solved, 1, np.nan)  # as a factor, so that derivatives are NaN with it
     return [value * known for value in ca.vertsplit(z)], record
+
+
+def _first_guess(unknowns, evaluate: ca.Function, given: ca.SX, values: Mapping[int, float]):
+    """Where Newton's iteration begins, and whether it can come to where a residual or a slope is no number.
+
+    A root of zero has no slope there, and a step over an infinite slope goes nowhere: where the start is such a place
+    and no solution, it begins a nominal value away.
+    """
+    z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
+    nominal = np.array([u.nominal for u in unknowns])
+    symbols = ca.symvar(ca.veccat(given, z))
+    numbers = ca.Function("start", [ca.vertcat(ca.SX(0, 1), *symbols)], [given, z])
+    anywhere = 1.0 + np.modf(np.arange(1, len(symbols) + 1) * GOLDEN)[0]
+    points = [
+        [values.get(s.element_hash(), other * x) for s, x in zip(symbols, anywhere, strict=True)] for other in (0, 1)
+    ]
+
+    def lacking(away: float) -> int:
+        """At how many points there is no number."""
+        ends = [numbers(point) for point in points]
+        found = [[v.full() for v in evaluate(at + away * nominal, known)] for known, at in ends]
+        return sum(not all(np.isfinite(v).all() for v in both) for both in found)
+
+    missing = {away: lacking(away) for away in (0.0, *AWAY)}
+    best = min(missing, key=lambda away: missing[away])  # the first of equals
+    other = ca.if_else(_is_zero(evaluate(z, given)[0]), z, z + best * ca.DM(nominal)) if best else z
+    return other, any(missing.values())
+
+
+def _shortened(evaluate: ca.Function, z: ca.SX, update: ca.SX, given: ca.SX) -> ca.SX:
+    """The longest part of a step that ends where residual and slope are numbers, or at a solution."""
+    part = ca.SX(PARTS[-1])
+    for shorter in reversed(PARTS[:-1]):
+        part = ca.if_else(_has_numbers(evaluate, z - shorter * update, given), shorter, part)
+    return part * update
+
+
+def _has_numbers(evaluate: ca.Function, z: ca.SX, given: ca.SX) -> ca.SX:
+    """Whether residual and slope are numbers there, or it is a solution."""
+    r, j = evaluate(z, given)
+    return ca.logic_or(_is_zero(r), ca.logic_and(_is_finite(r), _is_finite(j)))
+
+
+def _is_zero(r: ca.SX) -> ca.SX:
+    return _all(ca.SX(r) == 0)
+
+
+def _is_finite(v: ca.SX) -> ca.SX:
+    return _all(ca.fabs(ca.SX(v)) < np.finfo(float).max)
+
+
+def _all(conditions: ca.SX) -> ca.SX:
+    found = ca.SX(1)
+    for one in ca.vertsplit(ca.vec(ca.densify(conditions))):
+        found = ca.logic_and(found, one)
+    return found

@@ -57,7 +57,7 @@ def _endured(flat: FlatModel, step: float, method: str) -> tuple[Record, Record]
             stopped = error
     raise SolveError(
         f"{flat.name}: the short run that an FMU carries along to be compared with has no solution, even with the "
-        f"inputs at their defaults ({stopped}). Give inputs and states starts from which the model runs for two seconds."
+        f"inputs at their defaults ({stopped}). Give inputs and states starts from which it runs for two seconds."
     )
 
 

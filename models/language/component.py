@@ -11,7 +11,7 @@ from types import MappingProxyType
 import casadi as ca
 
 from .declarations import PLACEHOLDER, Input, Output, Parameter, Port, Slot, State, Variable, finite
-from .dimensions import NUMBER, check_units, literals
+from .dimensions import NUMBER, check_units, grows_with, literals
 from .elaboration import Elaboration, Entry, Equation
 from .errors import DeclarationError, UnitError, nearest
 from .units import dimension
@@ -266,19 +266,25 @@ def given_in_si(elaboration: Elaboration, function: Callable, scope: Component, 
         return given
     equation = Equation(entry.symbol, given, entry.path)
     check_units(elaboration.name, [equation], elaboration.units)
-    if declaration.written_in and dimension(declaration.unit) == NUMBER and literals(given):
+    known = declaration.unit == "1"  # 1 - efficiency is a number, whatever its unit; 1 + angle is not
+    if declaration.written_in and dimension(declaration.unit) == NUMBER and literals(given, ones=not known):
         _refuse_unclear(elaboration, where, declaration, equation)
     return given
 
 
 def _refuse_unclear(elaboration: Elaboration, where: str, declaration, equation: Equation) -> None:
-    """A pure number times pure numbers: the dimension does not tell a degree from a radian."""
-    entries = (*elaboration.parameters, *elaboration.states)
-    known = {e.symbol.element_hash(): e.declaration for e in entries}
-    for one in (known.get(key) for key in equation.sides[1]):
-        same = one is not None and one.unit == declaration.unit
-        if same and (declaration.unit != "1" or one.written_in == declaration.written_in):
-            return
+    """A pure number among pure numbers: the dimension does not tell a degree from a radian.
+
+    A factor of something declared in the same unit is clear; what is added to it is not.
+    """
+    alike = [
+        e.symbol
+        for e in (*elaboration.parameters, *elaboration.states)
+        if e.declaration.unit == declaration.unit
+        and (declaration.unit != "1" or e.declaration.written_in == declaration.written_in)
+    ]
+    if alike and grows_with(equation.right, ca.vertcat(*alike)):
+        return
     raise UnitError(
         f"{where}: declared in {declaration.written_in}, so '{equation.right}' may mean {declaration.written_in} or "
         f"{declaration.unit}. Declare it in {declaration.unit}, and let its function give that."

@@ -12,6 +12,7 @@ from fractions import Fraction
 from itertools import combinations, product
 
 import casadi as ca
+import numpy as np
 
 from .elaboration import Equation, unit_of
 from .errors import DeclarationError, UnitError
@@ -25,6 +26,7 @@ ANY = None  # the dimension of a literal zero
 _LITERAL = " A number with a unit is a Parameter(number, unit): a literal but zero is a pure number."
 
 SAME_FACTOR = 1e-4  # relative: a literal is the factor of a unit
+SCALE, SCALED = 3.0, 4  # by which everything is made larger, at how many points, to see what grows with it
 
 _SAME = {ca.OP_ADD, ca.OP_SUB, ca.OP_FMIN, ca.OP_FMAX, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_HYPOT}
 _COMPARE = {ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE}
@@ -184,11 +186,21 @@ def refuse_hand_conversions(
                 )
 
 
-def literals(expression: ca.SX) -> list[float]:
-    """The numbers written in an expression, but for those that change nothing or a sign."""
+def literals(expression: ca.SX, ones: bool = False) -> list[float]:
+    """The numbers written in an expression, but for those that change nothing or a sign, unless ``ones`` count too."""
     f = ca.Function("f", ca.symvar(expression), [expression])
     found = [f.instruction_constant(k) for k in range(f.n_instructions()) if f.instruction_id(k) == ca.OP_CONST]
-    return [v for v in found if v not in (0.0, 1.0, -1.0)]
+    return [v for v in found if v not in ((0.0,) if ones else (0.0, 1.0, -1.0))]
+
+
+def grows_with(expression: ca.SX, symbols: ca.SX) -> bool:
+    """Whether an expression is k times as large where all ``symbols`` are: nothing in it is added to them."""
+    others = ca.vertcat(ca.SX(0, 1), *ca.symvar(ca.vertcat(expression, symbols)))
+    larger = ca.substitute(expression, symbols, SCALE * symbols)
+    both = ca.Function("both", [others], [expression, larger])
+    draw = np.random.default_rng(0).uniform(0.5, 1.5, (SCALED, others.numel()))
+    here, there = np.array([[float(v) for v in both(point)] for point in draw]).T
+    return bool(np.nan_to_num(here).any() and np.allclose(there, SCALE * here, rtol=1e-9, atol=0, equal_nan=True))
 
 
 def _products(literals: Sequence[float]) -> Iterator[float]:

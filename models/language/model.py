@@ -139,15 +139,28 @@ class Model:
 
     @cached_property
     def followers(self) -> tuple[tuple[ParameterValue, frozenset[str]], ...]:
-        """Parameters that follow others, with the values they have now, each with the paths of those it follows."""
+        """Parameters that follow others, with the values they have now, each with the paths of those it follows.
+
+        What follows a signal (a viscosity the oil's temperature) has no value, and is none of them.
+        """
         solved, found = self._solved, []
         entries = {q.symbol.element_hash(): q for q in solved.elaboration.parameters}
         for key, expression in solved.bindings.items():
+            if entries[key].path in self.varying:
+                continue
             sources = [entries[s.element_hash()] for s in ca.symvar(expression)]
             values = [self._parameter(q).value for q in sources]
             value = float(ca.substitute(expression, ca.vertcat(*(q.symbol for q in sources)), ca.vertcat(*values)))
             found.append((self._parameter(entries[key], value), frozenset(q.path for q in sources)))
         return tuple(found)
+
+    @cached_property
+    def varying(self) -> tuple[str, ...]:
+        """Paths of what is declared a parameter and follows a signal, as a viscosity the temperature of the oil."""
+        solved = self._solved
+        paths = {q.symbol.element_hash(): q.path for q in solved.elaboration.parameters}
+        follow = {key: [s.element_hash() for s in ca.symvar(e)] for key, e in solved.bindings.items()}
+        return tuple(paths[key] for key, sources in follow.items() if not set(sources) <= paths.keys())
 
     # -- flattening --------------------------------------------------------------------------------------------
     @cached_property

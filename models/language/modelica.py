@@ -17,6 +17,7 @@ import casadi as ca
 from .component import Component, declarations
 from .declarations import Input, Output, Parameter, Port, State, Variable
 from .elaboration import BoundPort, Elaboration, Equation
+from .errors import DeclarationError
 from .flattening import elaborate
 from .model import Model
 from .modelica_additions import WithAdditions, mentions, with_additions
@@ -32,8 +33,13 @@ def modelica_text(model: Model) -> str:
 
     Raises
     ------
-    DeclarationError : an expression uses an operation that Modelica has no form for.
+    DeclarationError : an expression uses an operation that Modelica has no form for, or a parameter follows a signal.
     """
+    if model.varying:
+        raise DeclarationError(
+            f"{model.name}: {', '.join(model.varying)} follows a signal, and a parameter of Modelica stays as it is. "
+            "Make it a Variable with an equation of its own."
+        )
     elaboration, root = elaborate(model.root, model.name)
     writer = _PackageWriter(elaboration)
     top, renamed = writer.class_of(root), {}

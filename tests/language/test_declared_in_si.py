@@ -23,6 +23,7 @@ from hydrotwin.models.language import (
     connect,
     der,
 )
+from hydrotwin.models.language.modelica import modelica_text
 from hydrotwin.models.language.parameter_file import parameter_settings
 
 
@@ -267,9 +268,36 @@ def test_what_a_function_gives_is_in_si_as_if_it_stood_there(function, unit, rig
 @pytest.mark.parametrize("name", ("a", "x"))
 def test_a_function_of_pure_numbers_does_not_tell_a_degree_from_a_radian(name):
     kind = {"a": Parameter, "x": State}[name]
-    for function, unit in ((lambda c: 30 * c.n, "deg"), (lambda c: 50 * c.low / c.high, "%")):
+    unclear = (
+        (lambda c: 30 * c.n, "deg"),
+        (lambda c: 50 * c.low / c.high, "%"),
+        (lambda c: c.turn + 45, "deg"),
+        (lambda c: c.turn + 1, "deg"),
+        (lambda c: ca.fmax(c.turn, 45), "deg"),
+        (lambda c: 3 - c.turn / 2, "deg"),
+    )
+    for function, unit in unclear:
         with pytest.raises(UnitError, match=rf"{name}: declared in {unit}, so .* may mean {unit} or"):
             following(**{name: kind(function, unit)}).equilibrium()
     with pytest.raises(DeclarationError, match="declared in deg, so 30 alone may mean deg or rad"):
         changed = following(**{name: kind(1.0, "deg")}).root.but(**{name: lambda c: 30.0})
         Model(changed, "given").equilibrium()
+
+
+def test_what_follows_a_signal_is_no_follower_and_no_parameter_of_modelica():
+    class Warming(Component):
+        u = Input("K", "temperature", nominal=300.0)
+        y = Output("1")
+        x = State(1.0, "1")
+        T = Parameter(lambda c: c.T0 * c.u / c.u0, "s")
+        T0, u0 = Parameter(0.1, "s"), Parameter(300, "K")
+
+        def equations(self):
+            yield self.T * der(self.x) == -self.x
+            yield self.y == self.x
+
+    model = Model(Warming(), "warming")
+    assert model.followers == () and model.varying == ("T",)
+    assert [p.name for p in model.flat.parameters] == ["T0", "u0"]
+    with pytest.raises(DeclarationError, match="warming: T follows a signal"):
+        modelica_text(model)

@@ -221,8 +221,10 @@ def _newton(model, unknowns, residual, symbols, describe, values):
                 f"them there. It is made of: {describe()}. Give its variables another start."
             ) from None
         if guarded:
-            regular = ca.logic_or(_is_zero(r), _is_finite(j))
-            update = ca.if_else(_is_zero(r), 0, _shortened(evaluate, z, update, given))
+            steep = ca.logic_not(_is_finite(j))
+            regular = ca.logic_or(_is_zero(r), ca.logic_not(steep))
+            stays = ca.logic_and(_is_zero(r), steep)  # elsewhere a step of zero still has its derivatives
+            update = ca.if_else(stays, 0, _shortened(evaluate, z, update, given))
         z = z - update
     nominal = ca.DM([u.nominal for u in unknowns])
     names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)

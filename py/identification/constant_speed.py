@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc, stdtrit
+from scipy.special import chdtrc, fdtrc, stdtrit
 
 from hydrotwin.models.language.errors import DataError
 
@@ -24,6 +24,7 @@ from .stribeck_curve import OF_FRICTION, UNITS, Curve, Drift, stribeck
 
 FEWEST_SPEEDS = 4  # that can show the four coefficients of the curve
 DIFFERENT = 1e-3  # chance below which the directions are said to differ, or the force to drift
+SCATTERED = 2.0  # times the standard error of the points: what a curve leaves when friction is not quite the same twice
 SHOWN, AGREES = 2.0, 3.0  # standard errors: of a drift within the plateaus, and from it to that of the fit
 
 
@@ -215,7 +216,7 @@ def _answer(curve: Curve, x: np.ndarray, weight: np.ndarray, confidence: float, 
     covariance = max(float(r @ r) / freedom, 1.0 if known else 0.0) * inverse / np.outer(size, size)
     reach = float(stdtrit(freedom, 0.5 + confidence / 2))
     hump = float(np.sqrt(covariance[0, 0] + covariance[1, 1] - 2 * covariance[0, 1]))
-    findings = _findings(x, curve.v, hump)
+    findings = [*_findings(x, curve.v, hump), *(_left_over(curve, x, r, freedom) if known else [])]
     sigma = np.sqrt(np.diag(covariance))
     intervals = list(zip(x - reach * sigma, x + reach * sigma, strict=True))
     if not curve.told:
@@ -235,6 +236,22 @@ def _answer(curve: Curve, x: np.ndarray, weight: np.ndarray, confidence: float, 
     friction = tuple(rows.values())[:OF_FRICTION]
     kept = covariance[:OF_FRICTION, :OF_FRICTION]
     return FrictionFit(friction, kept, curve.v, curve.F, rmse, confidence, tuple(findings), load, drift)
+
+
+def _left_over(curve: Curve, x: np.ndarray, r: np.ndarray, freedom: int) -> list[str]:
+    """Said where the curve leaves more of the points than their own scatter: weighted residuals r (m,)."""
+    times = float(np.sqrt(r @ r / freedom))
+    if times < SCATTERED or chdtrc(freedom, float(r @ r)) > DIFFERENT:
+        return []
+    left = curve.F - curve.force(x)
+    worst = int(np.argmax(np.abs(left)))
+    return [
+        f"friction test: the curve leaves {np.sqrt(np.mean(left**2)):.3g} N of the points, {times:.3g} times what the "
+        f"noise in their plateaus explains, most at {curve.v[worst]:.3g} m/s ({left[worst]:+.3g} N). Friction follows "
+        "another law (its viscous part grows with the square of the speed, its hump has another shape), or it changes "
+        "from plateau to plateau (position, temperature, another load in each recording). The values are a compromise, "
+        "and the intervals do not hold that. Look at the points beside the curve before you use them."
+    ]
 
 
 def _at_fault(dropped: Sequence[Stretch]) -> list[str]:

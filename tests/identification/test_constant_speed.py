@@ -76,3 +76,24 @@ def test_a_missing_column_is_refused():
         friction_test([pulled(0)], velocity="speed")
     with pytest.raises(DataError, match="no recording"):
         friction_test([])
+
+
+@pytest.mark.parametrize("law", ("quadratic", "another hump", "another load in each"))
+def test_friction_of_another_law_is_said_to_leave_more_than_noise(law):
+    v = np.repeat(np.geomspace(2e-3, 0.3, 12), 2) * np.tile([1.0, -1.0], 12)
+    F = stribeck(v, 200.0, 300.0, 1000.0, 0.02)
+    F += {
+        "quadratic": 8000 * v * np.abs(v),
+        "another hump": 100 * np.sign(v) * (np.exp(-np.abs(v) / 0.02) - np.exp(-((v / 0.02) ** 2))),
+        "another load in each": np.repeat([0.0, 100.0], 12),
+    }[law]
+    noise = np.random.default_rng(1).normal(0, 0.2, len(v))
+    said = " ".join(fit_stribeck(v, F + noise, 0.0, 0.2).findings)
+    assert "the curve leaves" in said and "Friction follows another law" in said
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_friction_of_this_law_is_not(seed):
+    v = np.repeat(np.geomspace(2e-3, 0.3, 12), 2) * np.tile([1.0, -1.0], 12)
+    noise = np.random.default_rng(seed).normal(0, 0.2, len(v))
+    assert "leaves" not in " ".join(fit_stribeck(v, stribeck(v, 200.0, 300.0, 1000.0, 0.02) + noise, 0.0, 0.2).findings)

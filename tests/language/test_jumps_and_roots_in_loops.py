@@ -76,6 +76,12 @@ def test_a_throttle_without_flow_has_no_pressure():
     assert pressure[0] == 0 and pressure[-1] == pytest.approx(ROOTS["throttle"][2])
 
 
+def test_a_solution_at_the_start_has_its_derivatives():
+    rooted = loop(lambda a, u: ca.sqrt(1 + a) - (1 + u))  # a = (1 + u)^2 - 1; no number below -1
+    linear = rooted.linearize({"u": 0.0})
+    np.testing.assert_allclose(linear.D, [[2.0]], rtol=1e-9)
+
+
 def test_dry_friction_that_holds_is_no_solution_of_its_sign():
     slider = loop(lambda a, u: a + 2 * ca.sign(a) - u)
     with pytest.raises(Diverged, match="the equations for a have no solution"):

@@ -46,6 +46,7 @@ LATEST = 0.6  # samples by which an input may come later than it was taken for: 
 TELLING = 10.0  # in the likelihood's logarithm: less does not tell changes apart, and the smaller one is taken
 MATTERS = 0.1  # of the noise: what an input between its samples must change to be asked
 MOST = 25  # iterations of a trial
+AGAINST, FEWEST_SEEN = -0.9, 20  # correlation of what was measured with the model at its start; samples that tell it
 HELD = {"hold": "held", None: "held"}  # what an input is said to be
 PATIENCE = 3  # assumptions given up one after the other
 
@@ -181,9 +182,9 @@ def _hint(task: Task, found: Minimum) -> Change | None:
         seen = seen_from(task, found, inputs=True)
     except SolveError:
         return None
-    spiked = _spiked(task, found)
-    if spiked:
-        return spiked
+    other = _turned(task) or _spiked(task, found)
+    if other:
+        return other
     first = len(task.flat.inputs) + len(loads_of(task))
     for j, signal in enumerate(task.flat.outputs):
         step = seen.step((first + j,)) if task.weights[j] > 0 else None
@@ -194,14 +195,49 @@ def _hint(task: Task, found: Minimum) -> Change | None:
     for j, signal in enumerate(task.flat.inputs):
         step = seen.step((j,))
         samples, share = float(step.others[0]) / 2, min(step.gain / seen.excess, 1.0)
-        if share > FAR_MORE and abs(samples) > NEAR:
-            by = f"{abs(samples) * period_of(task):.2g} s {'later' if samples > 0 else 'earlier'}"
+        seconds = abs(samples) * period_of(task)
+        if share > FAR_MORE and abs(samples) > NEAR and seconds < _pace(task):
+            by = f"{seconds:.2g} s {'later' if samples > 0 else 'earlier'}"
             words = (
                 f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of "
                 "what is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
             )
             return Change(sentences=(words,))
     return None
+
+
+def _turned(task: Task) -> Change | None:
+    """A sensor that moves against what the model does from its start values, however far off their sizes are."""
+    shooting, z = whole_runs(task)
+    q = task.free.scaled(task.free.start)
+    runs = [shooting.residuals(i, q, z[i]) for i in range(len(task.recordings))]
+    for j, signal in enumerate(task.flat.outputs):
+        alike = []
+        for recording, r in zip(task.recordings, runs, strict=True):
+            if r is None or not task.weights[j] > 0:
+                continue
+            known = np.isfinite(r[:, j])
+            measured, left = recording.y[known, j], r[known, j] / task.weights[j]
+            if len(left) > FEWEST_SEEN and np.ptp(measured) > 0 and np.ptp(measured + left) > 0:
+                alike.append(float(np.corrcoef(measured, measured + left)[0, 1]))
+        if alike and max(alike) < AGAINST:
+            return Change(sentences=(
+                f"{signal.name} moves against the model (their correlation is {max(alike):.2f} at the start values): a "
+                "sensor, or an input, with the sign turned. Turn it: --scale " + f"{signal.name}=-1, or that of the input.",
+            ))  # fmt: skip
+    return None
+
+
+def _pace(task: Task) -> float:
+    """Seconds in which the slowest of the measured outputs moves by its spread: what a linear step in time is good for."""
+    longest = 0.0
+    for recording in task.recordings:
+        for j in np.flatnonzero(task.weights > 0):
+            known = np.isfinite(recording.y[:, j])
+            y, t = recording.y[known, j], recording.time[known]
+            if len(y) > 2 and np.ptp(y) > 0:
+                longest = max(longest, float(np.std(y) / np.sqrt(np.mean((np.diff(y) / np.diff(t)) ** 2))))
+    return longest
 
 
 def _spiked(task: Task, found: Minimum) -> Change | None:

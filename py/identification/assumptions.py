@@ -222,14 +222,14 @@ def _turned(task: Task) -> Change | None:
                 alike.append(float(np.corrcoef(measured, measured + left)[0, 1]))
         if alike and max(alike) < AGAINST:
             return Change(sentences=(
-                f"{signal.name} moves against the model (their correlation is {max(alike):.2f} at the start values): a "
-                "sensor, or an input, with the sign turned. Turn it: --scale " + f"{signal.name}=-1, or that of the input.",
+                f"{signal.name} moves against the model (their correlation is {max(alike):.2f} at the start values): "
+                f"a sensor, or an input, with the sign turned. Turn it: --scale {signal.name}=-1, or that of the input.",
             ))  # fmt: skip
     return None
 
 
 def _pace(task: Task) -> float:
-    """Seconds in which the slowest of the measured outputs moves by its spread: what a linear step in time is good for."""
+    """Seconds in which the slowest of the outputs moves by its spread: how far a linear step in time is good."""
     longest = 0.0
     for recording in task.recordings:
         for j in np.flatnonzero(task.weights > 0):

@@ -122,8 +122,8 @@ def test_a_sensor_that_moves_by_several_of_its_last_digit_is_explained_by_its_st
 @pytest.mark.parametrize("turned", ("position", "force"))
 def test_a_sign_that_is_turned_is_told_and_no_delay_beyond_the_recording(turned):
     run = moved(1, strong(1))
-    units = {"position": run.units["position"], "force": run.units["force"]}
-    said = " ".join(map(str, fitted([run.with_signals({turned: -run[turned]}, units={turned: units[turned]})]).findings))
+    other = run.with_signals({turned: -run[turned]}, units={turned: run.units[turned]})
+    said = " ".join(map(str, fitted([other]).findings))
     assert "position moves against the model" in said and "sign turned" in said
     assert "later" not in said and "earlier" not in said
 

@@ -223,7 +223,7 @@ def _turned(task: Task) -> Change | None:
         if alike and max(alike) < AGAINST:
             return Change(sentences=(
                 f"{signal.name} moves against the model (their correlation is {max(alike):.2f} at the start values): "
-                f"a sensor, or an input, with the sign turned. Turn it: --scale {signal.name}=-1, or that of the input.",
+                f"the sign of a sensor, or input, is turned. Turn it: --scale {signal.name}=-1, or that of the input.",
             ))  # fmt: skip
     return None
 

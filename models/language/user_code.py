@@ -82,7 +82,7 @@ _STATEMENTS = {
     ast.If: "y = ca.if_else(condition, a, b) for 'if condition: y = a, else: y = b'",
     ast.IfExp: "ca.if_else(condition, a, b) for 'a if condition else b'",
     ast.While: "the closed form: a model has no loop whose length depends on a quantity",
-    ast.Assert: "the bounds of a Parameter, or the start of a State; a run is not watched, look at the output afterwards",
+    ast.Assert: "the bounds of a Parameter, or the start of a State; no run is watched: look at its output",
     ast.For: "a number of Python to count to, and one quantity with a name of its own for each",
     ast.Subscript: "quantities with names of their own (x_1, x_2): each is one number",
     ast.Match: "ca.if_else(condition, a, b)",

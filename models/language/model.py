@@ -146,9 +146,9 @@ class Model:
         solved, found = self._solved, []
         entries = {q.symbol.element_hash(): q for q in solved.elaboration.parameters}
         for key, expression in solved.bindings.items():
-            if entries[key].path in self.varying:
+            sources = [entries.get(s.element_hash()) for s in ca.symvar(expression)]
+            if None in sources:
                 continue
-            sources = [entries[s.element_hash()] for s in ca.symvar(expression)]
             values = [self._parameter(q).value for q in sources]
             value = float(ca.substitute(expression, ca.vertcat(*(q.symbol for q in sources)), ca.vertcat(*values)))
             found.append((self._parameter(entries[key], value), frozenset(q.path for q in sources)))
@@ -157,10 +157,11 @@ class Model:
     @cached_property
     def varying(self) -> tuple[str, ...]:
         """Paths of what is declared a parameter and follows a signal, as a viscosity the temperature of the oil."""
-        solved = self._solved
-        paths = {q.symbol.element_hash(): q.path for q in solved.elaboration.parameters}
-        follow = {key: [s.element_hash() for s in ca.symvar(e)] for key, e in solved.bindings.items()}
-        return tuple(paths[key] for key, sources in follow.items() if not set(sources) <= paths.keys())
+        elaboration, _ = elaborate(self.root, self.name, (), self.additions)
+        paths = {q.symbol.element_hash(): q.path for q in elaboration.parameters}
+        bindings = solve(elaboration).bindings
+        follow = {key: {s.element_hash() for s in ca.symvar(e)} for key, e in bindings.items()}
+        return tuple(paths[key] for key, sources in follow.items() if not sources <= paths.keys())
 
     # -- flattening --------------------------------------------------------------------------------------------
     @cached_property

@@ -38,7 +38,6 @@ class SurroundedFmu(Model):
     sought = True  # what is put before the FMU acts inside it, where there are no equations to see that
 
     kind, modes = "fmu", ("free run",)
-    varying = ()  # no parameter of an FMU, or of the effects around it, follows a signal
 
     @property
     def fmu(self) -> FmuBlock:

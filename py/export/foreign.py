@@ -14,6 +14,7 @@ from fmpy.model_description import BaseUnit, ModelDescription
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import parse_unit
 
+from .fmu_process.master import interpolates
 from .whole_numbers import Whole, whole_of
 
 
@@ -25,7 +26,7 @@ class Description:
     starts : start parameter -> record name of the output whose first sample it takes.
     measured : the same for a restart of all states: of every start parameter that an output measures.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
-    any_step : whether it takes communication steps of any size.
+    any_step : whether it takes communication steps of any size. slopes : whether its inputs may move during a step.
     period : s between the moves of a sampled block of hydrotwin, None for everything else.
     whole : the Integer, Boolean and Enumeration variables, and what each can take.
     """
@@ -43,6 +44,7 @@ class Description:
     period: float | None = None
     whole: Mapping[str, Whole] = field(default_factory=dict)
     measured: Mapping[str, str] = field(default_factory=dict)
+    slopes: bool = True
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -65,6 +67,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         source=md,
         interface="CoSimulation" if md.coSimulation is not None else "ModelExchange",
         any_step=md.coSimulation is None or bool(md.coSimulation.canHandleVariableCommunicationStepSize),
+        slopes=md.coSimulation is None or interpolates(md),
         record_names={v.name: names.get(v.name, v.name) for v in md.modelVariables},
         units={n: m[0] for n, m in meanings.items()},
         scales={n: (m[1], m[2]) for n, m in meanings.items()},

@@ -21,6 +21,7 @@ from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outp
 from .foreign import Description, describe_fmu
 
 TIME_LIMIT = 120.0
+MEAN = "the FMU takes no slopes, and each of its steps sees the mean"
 LATE = "one sample late, for they follow an input at once and the FMU takes one step size only"
 NAMED = 8  # variables in a sentence
 
@@ -48,8 +49,12 @@ class FmuBlock:
     named: tuple[str, ...] = ()
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> FmuBlock:
-        """The same FMU whose inputs do something else between samples, see `changed`."""
-        return replace(self, inputs=changed(self.inputs, changes, self.name))
+        """The same FMU whose inputs do something else between samples, see `changed`.
+
+        Of an input that moves, an FMU that takes no slopes sees the mean over each step, and ``why`` says so.
+        """
+        other = replace(self, inputs=changed(self.inputs, changes, self.name))
+        return other if self.description.slopes else replace(other, inputs=tuple(map(_seen_as_mean, other.inputs)))
 
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
@@ -169,6 +174,12 @@ class FmuBlock:
             factor, offset = self.description.scales[self.description.fmu_names[s.name]]
             signals[s.name], units[s.name] = factor * y[:, k] + offset, s.unit
         return Record(record.time, signals, units, self.name)
+
+
+def _seen_as_mean(signal: Signal) -> Signal:
+    """The input with a word about what an FMU sees of it where it moves between samples."""
+    why = signal.why.removesuffix(MEAN).rstrip("; ")
+    return replace(signal, why=why if signal.held else "; ".join(filter(None, (why, MEAN))))
 
 
 def read_fmu(

@@ -241,3 +241,13 @@ def test_check_finds_an_answer_that_depends_on_the_calls_before(plants, fault):
 
 def test_check_finds_nothing_of_the_kind_in_a_pure_one(plants):
     assert check_fmu(plants[3,])["any order of calls (Model Exchange)"].passed
+
+
+def test_what_an_fmu_sees_of_an_input_that_moves_is_said(plants):
+    def said(block) -> bool:
+        (force,) = [s for s in block.inputs if s.name == "u"]
+        return "each of its steps sees the mean" in force.why
+
+    assert said(read_fmu(plants[2,], interpolation="linear")) is False  # it takes slopes
+    assert said(read_fmu(plants[3,], interpolation="linear")) is True
+    assert said(read_fmu(plants[3,], interpolation="hold")) is False

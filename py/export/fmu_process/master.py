@@ -76,6 +76,11 @@ class Instance:
         return groups
 
 
+def interpolates(description: ModelDescription) -> bool:
+    """Whether a Co-Simulation can be told how its inputs move during a step: by their derivatives, in FMI 2."""
+    return bool(description.coSimulation.canInterpolateInputs) and not description.fmiVersion.startswith("3")
+
+
 class Slave(Instance):
     """One Co-Simulation instance."""
 
@@ -84,7 +89,7 @@ class Slave(Instance):
     @property
     def interpolates(self) -> bool:
         """Whether it can be told how its inputs move during a step (FMI 2)."""
-        return bool(self.description.coSimulation.canInterpolateInputs) and not self.fmi3
+        return interpolates(self.description)
 
     @property
     def returns(self) -> bool:

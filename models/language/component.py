@@ -266,8 +266,8 @@ def given_in_si(elaboration: Elaboration, function: Callable, scope: Component, 
         return given
     equation = Equation(entry.symbol, given, entry.path)
     check_units(elaboration.name, [equation], elaboration.units)
-    known = declaration.unit == "1"  # 1 - efficiency is a number, whatever its unit; 1 + angle is not
-    if declaration.written_in and dimension(declaration.unit) == NUMBER and literals(given, ones=not known):
+    share = declaration.unit == "1"  # 1 - efficiency is clear, whatever its unit; 1 + angle is not
+    if declaration.written_in and dimension(declaration.unit) == NUMBER and literals(given, ones=not share):
         _refuse_unclear(elaboration, where, declaration, equation)
     return given
 

@@ -208,8 +208,7 @@ def _newton(model, unknowns, residual, symbols, describe, values):
     evaluate = ca.Function("residual", [symbols, ca.vertcat(ca.SX(0, 1), *given)], [residual, matrix])
     given = ca.vertcat(ca.SX(0, 1), *given)
     z, guarded = _first_guess(unknowns, evaluate, given, values)
-    update, regular = ca.SX.zeros(len(unknowns)), ca.SX(1)
-    start = ca.fabs(z)
+    update, start = ca.SX.zeros(len(unknowns)), ca.fabs(z)
     for _ in range(NEWTON_STEPS):
         r, j = evaluate(z, given)
         try:
@@ -220,18 +219,17 @@ def _newton(model, unknowns, residual, symbols, describe, values):
                 f"{model}: the nonlinear loop of {names} cannot be solved from its start values: nothing changes with "
                 f"them there. It is made of: {describe()}. Give its variables another start."
             ) from None
+        finite, ends = _is_finite(j), _is_zero(r)
         if guarded:
-            steep = ca.logic_not(_is_finite(j))
-            regular = ca.logic_or(_is_zero(r), ca.logic_not(steep))
-            stays = ca.logic_and(_is_zero(r), steep)  # elsewhere a step of zero still has its derivatives
+            stays = ca.logic_and(ends, ca.logic_not(finite))  # elsewhere a step of zero still has its derivatives
             update = ca.if_else(stays, 0, _shortened(evaluate, z, update, given))
         z = z - update
     nominal = ca.DM([u.nominal for u in unknowns])
     names, sizes = tuple(u.path for u in unknowns), tuple(u.nominal for u in unknowns)
     error = ca.norm_inf(update / nominal)
     ended = ca.fabs(update) < UNSOLVED * ca.fmin(nominal, start + ca.fabs(z)) + ROUNDING * nominal
-    solved = ca.logic_and(regular, _all(ended))
-    error = ca.if_else(regular, error, np.inf) if guarded else error
+    regular = ca.logic_or(ends, finite)  # a step over an infinite slope is none
+    solved, error = ca.logic_and(regular, _all(ended)), ca.if_else(regular, error, np.inf)
     record = NonlinearBlock(names, error, solved, symbols, sizes, residual, matrix, describe)
     known = ca.if_else(solved, 1, np.nan)  # as a factor, so that derivatives are NaN with it
     return [value * known for value in ca.vertsplit(z)], record
@@ -241,7 +239,7 @@ def _first_guess(unknowns, evaluate: ca.Function, given: ca.SX, values: Mapping[
     """Where Newton's iteration begins, and whether it can come to where a residual or a slope is no number.
 
     A root of zero has no slope there, and a step over an infinite slope goes nowhere: where the start is such a place
-    and no solution, it begins a nominal value away.
+    and no solution, it begins about a nominal value away, every unknown elsewhere, for roots of differences.
     """
     z = ca.vertcat(*(ca.SX(u.start) for u in unknowns))
     nominal = np.array([u.nominal for u in unknowns])
@@ -251,17 +249,20 @@ def _first_guess(unknowns, evaluate: ca.Function, given: ca.SX, values: Mapping[
     points = [
         [values.get(s.element_hash(), other * x) for s, x in zip(symbols, anywhere, strict=True)] for other in (0, 1)
     ]
+    known = [numbers(point) for point in points]
 
-    def lacking(away: float) -> int:
+    def lacking(away: np.ndarray) -> int:
         """At how many points there is no number."""
-        ends = [numbers(point) for point in points]
-        found = [[v.full() for v in evaluate(at + away * nominal, known)] for known, at in ends]
+        found = [[v.full() for v in evaluate(at + away, others)] for others, at in known]
         return sum(not all(np.isfinite(v).all() for v in both) for both in found)
 
-    missing = {away: lacking(away) for away in (0.0, *AWAY)}
-    best = min(missing, key=lambda away: missing[away])  # the first of equals
-    other = ca.if_else(_is_zero(evaluate(z, given)[0]), z, z + best * ca.DM(nominal)) if best else z
-    return other, any(missing.values())
+    falling = nominal / (1 + np.arange(len(nominal)))
+    rising = nominal / (1 + np.arange(len(nominal)))[::-1]
+    tries = [0 * nominal, *(away * order for away in AWAY for order in (falling, rising))]
+    missing = [lacking(away) for away in tries]
+    best = int(np.argmin(missing))  # the first of equals
+    moved = ca.if_else(_is_zero(evaluate(z, given)[0]), z, z + ca.DM(tries[best])) if best else z
+    return moved, any(missing)
 
 
 def _shortened(evaluate: ca.Function, z: ca.SX, update: ca.SX, given: ca.SX) -> ca.SX:

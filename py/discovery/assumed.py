@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydrotwin.identification import outliers
-from hydrotwin.identification.assumptions import FAR_MORE, PATIENCE, Change, doubted
+from hydrotwin.identification.assumptions import PATIENCE, Change, doubted
 from hydrotwin.identification.descent import Task, whole_runs
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.outliers import Strays
 from hydrotwin.identification.search import Effort
+from hydrotwin.identification.trials import FAR_MORE
 from hydrotwin.models.language.errors import SolveError
 
 from .decide import CLEARLY, MEASURABLE, has_gap

@@ -29,24 +29,19 @@ from hydrotwin.models.language.errors import SolveError
 from .answer import explains
 from .descent import Task, whole_runs
 from .directions import Seen, Step, loads_of, period_of, propagator_of, seen_from, with_inputs
-from .least_squares import Minimum, minimise
-from .outliers import spikes
+from .hints import hint
+from .least_squares import Minimum
 from .problem import free_parameters
-from .weighing import WORTH_IT, Weighed, misses, score, weighed_by_residual
+from .trials import FAR_MORE, MOST_OF_IT, NEAR, explains_most, fitted
+from .weighing import WORTH_IT, Weighed, misses, score
 
 PROMISED = 0.5  # of what is left beyond the noise: what one linear step must promise before a fit is made
-FAR_MORE = 0.9  # of what is left beyond the noise: what another input between samples must explain
-MOST_OF_IT = 0.5  # the same of free starts and loads, which are nothing that an effect would be taken for
-AT_NOISE = 1.25  # times the noise: what a shift of an input, or all at once, must come down to
 CHANCE = 1e-3  # that start states which are right explain so much
 FAINT = 0.02  # of the noise's sum of squares: a load that explains less may be what interpolation leaves
 SHIFTS = (0.0, -0.5, 0.5, -1.0)  # samples; a whole one later is a dead time
-NEAR = 0.3  # samples between what is wanted and what is tried
 LATEST = 0.6  # samples by which an input may come later than it was taken for: more is a dead time
 TELLING = 10.0  # in the likelihood's logarithm: less does not tell changes apart, and the smaller one is taken
 MATTERS = 0.1  # of the noise: what an input between its samples must change to be asked
-MOST = 25  # iterations of a trial
-AGAINST, FEWEST_SEEN = -0.9, 20  # correlation of what was measured with the model at its start; samples that tell it
 HELD = {"hold": "held", None: "held"}  # what an input is said to be
 PATIENCE = 3  # assumptions given up one after the other
 
@@ -93,7 +88,9 @@ def doubted(
         better = _moved_by_starts(task, found, auto, free, freed, adaptable)
     if better is None and loads:
         better = _load_freed(task, found, auto, near, adaptable)
-    return better or (None if explained else _hint(task, found))
+    if better is None and not explained and (told := hint(task, found)):
+        return Change(sentences=(told,))
+    return better
 
 
 def _smooth(task: Task, found: Minimum, adaptable: np.ndarray) -> Change | None:
@@ -113,10 +110,10 @@ def _smooth(task: Task, found: Minimum, adaptable: np.ndarray) -> Change | None:
     else:
         return None
     try:
-        before, fitted = Weighed(task, found, score(task, found)), _fitted(other, found, adaptable)
+        before, after = Weighed(task, found, score(task, found)), fitted(other, found, adaptable)
     except SolveError:
         return None
-    return _told(before, fitted, False, inputs) if before.score - fitted.score > TELLING else None
+    return _told(before, after, False, inputs) if before.score - after.score > TELLING else None
 
 
 def _explained_better(task, found, auto, free, freed, adaptable, enough) -> Change | None:
@@ -153,16 +150,16 @@ def _load_freed(task: Task, found: Minimum, auto: Seen, near: bool, adaptable: n
         if promised.gain - auto.step().gain < least or not (moves or promised.gain > PROMISED * auto.excess):
             continue
         try:
-            fitted = _fitted(*_with_free(task, found, name), adaptable)
+            after = fitted(*_with_free(task, found, name), adaptable)
         except SolveError:
             continue
-        gained = 2 * (before.score - fitted.score) > least
-        if gained and (moves or _explains_most(before, fitted, MOST_OF_IT)):
-            p = fitted.task.free
-            value = p.values(fitted.minimum.q)[p.names.index(name)]
+        gained = 2 * (before.score - after.score) > least
+        if gained and (moves or explains_most(before, after, MOST_OF_IT)):
+            p = after.task.free
+            value = p.values(after.minimum.q)[p.names.index(name)]
             was = task.flat.parameters[task.flat.index_of(name)]
             words = f"{name} is not {was.value:.4g} {was.unit} as assumed but about {value:.4g}, and is estimated"
-            return dataclasses.replace(_told(before, fitted, False, {}, words), freed=(name,))
+            return dataclasses.replace(_told(before, after, False, {}, words), freed=(name,))
     return None
 
 
@@ -174,99 +171,6 @@ def _with_free(task: Task, found: Minimum, name: str) -> tuple[Task, Minimum]:
     other = dataclasses.replace(task, free=free_parameters(task.flat, [*free.names, name], start, bounds), prior=None)
     other = dataclasses.replace(other, propagator=propagator_of(other))
     return other, dataclasses.replace(found, q=other.free.scaled(other.free.start))
-
-
-def _hint(task: Task, found: Minimum) -> Change | None:
-    """What is only said: an input that is not to be changed, or is a dead time late, or an offset of a sensor."""
-    try:
-        seen = seen_from(task, found, inputs=True)
-    except SolveError:
-        return None
-    other = _turned(task) or _spiked(task, found)
-    if other:
-        return other
-    first = len(task.flat.inputs) + len(loads_of(task))
-    for j, signal in enumerate(task.flat.outputs):
-        step = seen.step((first + j,)) if task.weights[j] > 0 else None
-        if step and step.gain > FAR_MORE * seen.excess:
-            offset = f"{step.others[0] * abs(signal.nominal):.3g} {signal.unit}"
-            words = f"a constant offset of {offset} of {signal.name} would explain most of what is left"
-            return Change(sentences=(f"{words}. Look at its zero.",))
-    for j, signal in enumerate(task.flat.inputs):
-        step = seen.step((j,))
-        samples, share = float(step.others[0]) / 2, min(step.gain / seen.excess, 1.0)
-        seconds = abs(samples) * period_of(task)
-        if share > FAR_MORE and abs(samples) > NEAR and seconds < _pace(task):
-            by = f"{seconds:.2g} s {'later' if samples > 0 else 'earlier'}"
-            words = (
-                f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of "
-                "what is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
-            )
-            return Change(sentences=(words,))
-    return None
-
-
-def _turned(task: Task) -> Change | None:
-    """A sensor that moves against what the model does from its start values, however far off their sizes are."""
-    shooting, z = whole_runs(task)
-    q = task.free.scaled(task.free.start)
-    runs = [shooting.residuals(i, q, z[i]) for i in range(len(task.recordings))]
-    for j, signal in enumerate(task.flat.outputs):
-        alike = []
-        for recording, r in zip(task.recordings, runs, strict=True):
-            if r is None or not task.weights[j] > 0:
-                continue
-            known = np.isfinite(r[:, j])
-            measured, left = recording.y[known, j], r[known, j] / task.weights[j]
-            if len(left) > FEWEST_SEEN and np.ptp(measured) > 0 and np.ptp(measured + left) > 0:
-                alike.append(float(np.corrcoef(measured, measured + left)[0, 1]))
-        if alike and max(alike) < AGAINST:
-            return Change(sentences=(
-                f"{signal.name} moves against the model (their correlation is {max(alike):.2f} at the start values): "
-                f"the sign of a sensor, or input, is turned. Turn it: --scale {signal.name}=-1, or that of the input.",
-            ))  # fmt: skip
-    return None
-
-
-def _pace(task: Task) -> float:
-    """Seconds in which the slowest of the outputs moves by its spread: how far a linear step in time is good."""
-    longest = 0.0
-    for recording in task.recordings:
-        for j in np.flatnonzero(task.weights > 0):
-            known = np.isfinite(recording.y[:, j])
-            y, t = recording.y[known, j], recording.time[known]
-            if len(y) > 2 and np.ptp(y) > 0:
-                longest = max(longest, float(np.std(y) / np.sqrt(np.mean((np.diff(y) / np.diff(t)) ** 2))))
-    return longest
-
-
-def _spiked(task: Task, found: Minimum) -> Change | None:
-    """Samples of a measured input that stand alone, where a fit with their neighbours in their place explains most."""
-    for j, signal in enumerate(task.flat.inputs):
-        masks = [spikes(r.u[:, j]) & (not signal.held) for r in task.recordings]
-        if not any(mask.any() for mask in masks):
-            continue
-        pairs = list(zip(task.recordings, masks, strict=True))
-        mended = dataclasses.replace(task, recordings=tuple(_mended(r, j, mask) for r, mask in pairs))
-        begin = dataclasses.replace(found, q=task.free.scaled(task.free.start), z=whole_runs(mended)[1])
-        try:  # from the start: such samples have led the fit far away
-            fitted = _fitted(mended, begin, np.isfinite(task.noise))
-        except SolveError:
-            continue
-        if _explains_most(Weighed(task, found, score(task, found)), fitted, FAR_MORE):
-            first, mask = next((r, mask) for r, mask in pairs if mask.any())
-            return Change(sentences=(
-                f"{sum(int(m.sum()) for m in masks)} samples of input {signal.name} stand alone, far from their "
-                f"neighbours (the first in {first.name}, {first.time[np.argmax(mask)]:.6g} s from its start): without "
-                "them most of what is left would be explained. Correct them in the file.",
-            ))  # fmt: skip
-    return None
-
-
-def _mended(recording, j: int, mask: np.ndarray):
-    u = recording.u.copy()
-    u[mask, j] = np.interp(recording.time[mask], recording.time[~mask], u[~mask, j])
-    return dataclasses.replace(recording, u=u)
 
 
 def _candidates(task: Task, group: Sequence[int], halves: np.ndarray) -> list[dict[str, dict]]:
@@ -294,23 +198,15 @@ def _best_of(base: tuple[Task, Minimum], before: Weighed, starts: bool, tried, a
     fits: list[tuple[Weighed, Mapping[str, dict]]] = []
     for inputs in tried:
         try:
-            fitted = _fitted(with_inputs(base[0], inputs), base[1], adaptable)
+            after = fitted(with_inputs(base[0], inputs), base[1], adaptable)
         except SolveError:
             continue
         shifted = any(c["shift"] for c in inputs.values())
         at_noise = shifted or (starts and bool(inputs))
-        if _explains_most(before, fitted, enough if inputs else MOST_OF_IT, at_noise):
-            fits.append((fitted, inputs))
-    enough = min((fitted.score for fitted, _ in fits), default=np.inf) + TELLING
-    return next((_told(before, fitted, starts, inputs) for fitted, inputs in fits if fitted.score < enough), None)
-
-
-def _explains_most(before: Weighed, after: Weighed, share: float, at_noise: bool = False) -> bool:
-    was, now = (_beyond_noise(w) for w in (before, after))
-    closed = 1 - now.sum() / was.sum()
-    if closed < share or np.any(now > np.maximum(was, 0.1 * was.max())):
-        return False
-    return not at_noise or bool(np.all(misses(after.task, after.minimum) < AT_NOISE))
+        if explains_most(before, after, enough if inputs else MOST_OF_IT, at_noise):
+            fits.append((after, inputs))
+    enough = min((after.score for after, _ in fits), default=np.inf) + TELLING
+    return next((_told(before, after, starts, inputs) for after, inputs in fits if after.score < enough), None)
 
 
 def _moved_by_starts(task, found, auto, free, freed, adaptable) -> Change | None:
@@ -322,12 +218,12 @@ def _moved_by_starts(task, found, auto, free, freed, adaptable) -> Change | None
     if promised.gain - auto.step().gain < least or not np.any(np.abs(promised.q) > _sigma(found)):
         return None
     try:
-        fitted = _fitted(*freed, adaptable)
+        after = fitted(*freed, adaptable)
     except SolveError:
         return None
     before = Weighed(task, found, score(task, found))
-    moved = np.any(np.abs(fitted.minimum.q - found.q) > _sigma(found))
-    return _told(before, fitted, True, {}) if moved and 2 * (before.score - fitted.score) > least else None
+    moved = np.any(np.abs(after.minimum.q - found.q) > _sigma(found))
+    return _told(before, after, True, {}) if moved and 2 * (before.score - after.score) > least else None
 
 
 def _sigma(found: Minimum) -> np.ndarray:
@@ -356,26 +252,6 @@ def _starts_freed(task: Task, found: Minimum) -> tuple[Task, Minimum] | None:
     x = [shooting.start(r.u[0], p, z)[0] for r, z in zip(task.recordings, known, strict=True)]
     z = whole_runs(other)[0].clip(np.array(x) / nominal)
     return other, dataclasses.replace(found, z=z)
-
-
-def _fitted(task: Task, found: Minimum, adaptable: np.ndarray) -> Weighed:
-    """A fit from where another ended, under weights that suit it."""
-    reached = minimise(whole_runs(task)[0], found.q, found.z, most=MOST, relative=1e-3)
-    return weighed_by_residual(task, reached, adaptable, MOST)
-
-
-def _beyond_noise(w: Weighed) -> np.ndarray:
-    """What is left of every recording beyond the noise, in units of it, squared. (recordings,)"""
-    shooting, _ = whole_runs(w.task)
-    left = []
-    for i in range(len(w.task.recordings)):
-        r = shooting.residuals(i, w.minimum.q, w.minimum.z[i])
-        used = w.task.weights > 0
-        with np.errstate(invalid="ignore"):
-            r = r[:, used] / (w.task.weights[used] * w.task.noise[used])
-        seen = np.isfinite(r)
-        left.append(max(float((r[seen] ** 2).sum() - seen.sum()), 0.0))
-    return np.array(left) + 1e-300
 
 
 # -- words -------------------------------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -68,6 +70,30 @@ ROOTS = {
 @pytest.mark.parametrize(("equation", "nominal", "right"), ROOTS.values(), ids=ROOTS.keys())
 def test_a_root_that_starts_at_zero_is_solved(equation, nominal, right):
     np.testing.assert_allclose(answer(loop(equation, nominal)), right, rtol=1e-9)
+
+
+@pytest.mark.parametrize("nominal", (1e5, 1e7))
+@pytest.mark.parametrize(
+    "root", (ca.sqrt, lambda x: ca.sqrt(ca.fmax(x, 0)), signed_root), ids=("plain", "shut", "signed")
+)
+def test_orifices_in_series_share_the_pressure(root, nominal):
+    K, supply = np.array([3e-7, 1e-7, 2e-7, 4e-7]), 2e7
+
+    class Series(Component):
+        u = Input("1", "in", interpolation="hold")
+        y = Output("1", "out")
+        a = Variable("1", "a", nominal=nominal)
+        b = Variable("1", "b", nominal=nominal)
+        c = Variable("1", "c", nominal=nominal)
+
+        def equations(self):
+            p = [supply * self.u, self.a, self.b, self.c, 0]
+            flow = [k * root(here - there) for k, here, there in zip(K, p[:-1], p[1:], strict=True)]
+            for before, after in itertools.pairwise(flow):
+                yield before == after
+            yield self.y == self.a
+
+    np.testing.assert_allclose(answer(Model(Series(), "series")), supply * (1 - K[0] ** -2 / sum(K**-2)), rtol=1e-9)
 
 
 def test_a_throttle_without_flow_has_no_pressure():

@@ -27,6 +27,8 @@ class Site:
     name : how files and reports call it; the other fields as in `Addition`.
     unit, nominal : of the signal, where it is one.
     also_free : parameters of the effect, otherwise held at neutral, that are looked for here as well.
+    further : a place beside the usual ones of the effect, as a signal inside is for what else acts on commands: what
+        is added there carries the place in its name, and `add_effect` takes it when it is asked for alone.
     """
 
     name: str
@@ -39,6 +41,7 @@ class Site:
     nominal: float = 1.0
     holds: tuple[str, ...] = ()
     also_free: tuple[str, ...] = ()
+    further: bool = False
 
     @property
     def place(self) -> frozenset[str]:
@@ -137,6 +140,7 @@ class Candidate:
 
     name : path of the part; free : paths of its free parameters; neutral : their values when absent (for an effect
     that frees a parameter, that parameter and its present value); probes : starts, by path; typical : by path.
+    twins : labels of the same effect at other places, where the equations cannot tell it from this one.
     """
 
     effect: type[Effect]
@@ -146,6 +150,7 @@ class Candidate:
     neutral: Mapping[str, float]
     probes: tuple[Mapping[str, float], ...]
     typical: Mapping[str, tuple[float, float]]
+    twins: tuple[str, ...] = ()
 
     @property
     def id(self) -> str:
@@ -184,29 +189,38 @@ class Candidate:
 
 
 def candidates(
-    model: Model, effects: Sequence[str] | None = None, exclude: Sequence[str] = ()
+    model: Model, effects: Sequence[str] | None = None, exclude: Sequence[str] = (), *, merged: bool = True
 ) -> tuple[Candidate, ...]:
     """Every effect of the catalogue at every site of a model that it fits, in the order they act.
 
     Args: effects, exclude: globs over ids or ``id at site``; unknown ones raise DeclarationError with the nearest.
+    merged: sites that the equations cannot tell apart are one candidate, which tells its ``twins``, and sites at which
+    nothing would move are none; otherwise all that fits, each by itself.
     """
+    from .alike import gathered
     from .catalogue import CATALOGUE
 
     for pattern in (*(effects or ()), *exclude):
         word = pattern.partition(" at ")[0]
         if not fnmatch.filter(CATALOGUE, word):
             raise DeclarationError(f"effects: none is called '{word}'. {nearest(word, CATALOGUE)}")
-    places, found = Places(model), []
+    places = Places(model)
+    wanted = [e for e in CATALOGUE.values() if _wanted_somewhere(e.id, effects)]
+    sites = {effect: list(effect.sites(places)) for effect in sorted(wanted, key=lambda e: e.order)}
+    groups = gathered(places, sites) if merged else {e: [(site,) for site in found] for e, found in sites.items()}
     values = {p.name: p.value for p in (*model.flat.parameters, *(p for p, _ in model.followers))}
-    for effect in sorted(CATALOGUE.values(), key=lambda e: e.order):
-        if not _wanted_somewhere(effect.id, effects):
-            continue
-        sites = list(effect.sites(places))
-        here = {(a.effect, a.site) for a in model.additions}
-        for site in sites:
-            if (effect.id, site.name) not in here:
-                found.append(_candidate(effect, site, len(sites) > 1, values))
+    here, found = {(a.effect, a.site) for a in model.additions}, []
+    for effect, several in groups.items():
+        for group in several:
+            if not any((effect.id, site.name) in here for site in group):
+                one = _candidate(effect, group[0], _alone(group[0], sites[effect]), values)
+                found.append(replace(one, twins=tuple(f"{effect.id} at {site.name}" for site in group[1:])))
     return tuple(c for c in found if _wanted(c, effects, exclude))
+
+
+def _alone(site: Site, sites: Sequence[Site]) -> bool:
+    """Whether this is the only usual site of an effect."""
+    return [s for s in sites if not s.further] == [site]
 
 
 def _wanted_somewhere(effect: str, patterns) -> bool:
@@ -214,17 +228,17 @@ def _wanted_somewhere(effect: str, patterns) -> bool:
 
 
 def _wanted(candidate: Candidate, effects, exclude) -> bool:
-    words = (candidate.id, candidate.label)
+    words = (candidate.id, candidate.label, *candidate.twins)
     inside = effects is None or any(fnmatch.fnmatch(w, pattern) for w in words for pattern in effects)
     return inside and not any(fnmatch.fnmatch(w, pattern) for w in words for pattern in exclude)
 
 
-def _candidate(effect: type[Effect], site: Site, several: bool, values: Mapping[str, float]) -> Candidate:
+def _candidate(effect: type[Effect], site: Site, alone: bool, values: Mapping[str, float]) -> Candidate:
     if site.frees:
         path, value = site.frees, values[site.frees]
         starts, usual = effect.freed(value)
         return Candidate(effect, site, "", (path,), {path: value}, tuple({path: s} for s in starts), {path: usual})
-    name = f"{effect.id}_{re.sub(r'[^0-9A-Za-z]+', '_', site.name).strip('_')}" if several else effect.id
+    name = effect.id if alone else f"{effect.id}_{re.sub(r'[^0-9A-Za-z]+', '_', site.name).strip('_')}"
     part = effect.at(site)
     declared = {k: d for k, d in declarations(type(part)).items() if isinstance(d, Parameter)}
     own = {k: part.declared(k) for k in declared}
@@ -253,17 +267,18 @@ def add_effect(model: Model, effect: str, site: str | None = None, values: Mappi
 
     Raises DeclarationError: no such effect, no such site (or several and none chosen), no such parameter.
     """
-    fitting = candidates(model, [effect])
+    fitting = candidates(model, [effect], merged=False)
     if not fitting:
         raise DeclarationError(
             f"{model.name}: '{effect}' fits nowhere here. 'hydrotwin effects' lists what fits where."
         )
     sites = {c.site.name: c for c in fitting}
-    if site is None and len(sites) > 1:
+    usual = [c for c in fitting if not c.site.further] or fitting
+    if site is None and len(usual) > 1:
         raise DeclarationError(f"{model.name}: '{effect}' fits at several sites ({', '.join(sites)}). Choose one.")
     if site is not None and site not in sites:
         raise DeclarationError(f"{model.name}: '{effect}' does not fit at '{site}'. {nearest(site, sites)}")
-    chosen = sites[site] if site else fitting[0]
+    chosen = sites[site] if site else usual[0]
     added = model.plus([chosen.addition])
     settings = {(k if "." in k else f"{chosen.name}.{k}"): float(v) for k, v in (values or {}).items()}
     return added.with_parameters(settings, model.provenance) if settings else added

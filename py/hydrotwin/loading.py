@@ -199,12 +199,12 @@ def with_effects(model: Model, rows: Sequence[Mapping[str, str]]) -> Model:
     for row in rows:
         if row["effect"] not in CATALOGUE:
             raise DeclarationError(f"effects: none is called '{row['effect']}'. {nearest(row['effect'], CATALOGUE)}")
-    found = {(c.id, c.site.name): c for c in candidates(model, [row["effect"] for row in rows])}
+    found = {(c.id, c.site.name): c for c in candidates(model, [row["effect"] for row in rows], merged=False)}
     added: list = []
     for row in rows:
         fitting = found.get((row["effect"], row["site"]))
         if fitting is None:
-            later = candidates(model.plus(added), [row["effect"]]) if added else ()
+            later = candidates(model.plus(added), [row["effect"]], merged=False) if added else ()
             fitting = next((c for c in later if c.site.name == row["site"]), None)
         if fitting is None:
             sites = [site for effect, site in found if effect == row["effect"]]

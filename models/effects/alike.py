@@ -17,7 +17,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hydrotwin.models.language import Flange, RotationalFlange
+from hydrotwin.models.language import Flange, HydraulicPort, RotationalFlange
 from hydrotwin.models.language.additions import by_end
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.places import Places
@@ -27,7 +27,9 @@ from .law import law_of
 from .survey import Channel, Survey
 
 TOLD = 0.02  # relative: a law is never closer to the machine than that, so what differs by less is not told apart
-FAINT = 1e-3  # of the largest response of an output: what is fainter is not looked at
+FAINT = 0.01  # of the largest response of an output: below, a difference counts as if the response were so large
+HARDLY_FELT = 0.1  # the same of what is felt
+RELEVANT = 1e-9  # of the largest response of all: smaller ones are rounding
 SAME = 1e-6  # relative: parameters whose directions differ by less are one
 NOTHING = 1e-12  # of the largest response: what is left of none by rounding
 
@@ -59,7 +61,8 @@ class Alike:
         self._places = places
         self._channels = {id(site): channels_of(places, site) for site in sites}
         self._sites = sites  # whose identities are the keys
-        self._survey = self._surveyed([c for found in self._channels.values() for c in found])
+        acting = [c for found in self._channels.values() for c in found]
+        self._survey = self._surveyed([*acting, *(end for c in dict.fromkeys(acting) for end in self._ends(c))])
         self._same: dict[Channel, Channel] = {}
 
     def _surveyed(self, channels: Sequence[Channel]) -> Survey | None:
@@ -77,15 +80,11 @@ class Alike:
     def gathered(self, effect: type[Effect], sites: Sequence[Site]) -> list[tuple[Site, ...]]:
         """The sites that matter, each with those that are the same: in their order, the first stands for the rest."""
         groups: list[list[Site]] = []
-        for site in sites:
-            if self._idle(site):
-                continue
-            group = next((g for g in groups if self._one(effect, g[0], site)), None)
-            if group is None:
-                groups.append([site])
-            else:
-                group.append(site)
-        return [tuple(group) for group in groups]
+        for site in sorted(sites, key=self._within):
+            if not self._idle(site):
+                group = next((g for g in groups if self._one(effect, g[0], site)), None)
+                groups, _ = (groups, group.append(site)) if group else ([*groups, [site]], None)
+        return [tuple(group) for group in sorted(groups, key=lambda group: sites.index(group[0]))]
 
     def _idle(self, site: Site) -> bool:
         """Whether nothing that acts here moves an output, or it lies between two ports that are one place."""
@@ -118,7 +117,32 @@ class Alike:
                 return classes[0] == classes[1]
             return sorted(map(str, classes[0])) == sorted(map(str, classes[1]))
         (a,), (b,) = ours, theirs
+        if self._within(one) or self._within(other):
+            return self._place(a) == self._place(b)
         return self._one_channel(effect, one, a, b)
+
+    def _within(self, site: Site) -> bool:
+        """Whether what is put behind a port of oil lies between parts that all have the same pressure everywhere.
+
+        What is lost within a place of one pressure is lost at its ends.
+        """
+        (channel, *more) = self._channels[id(site)]
+        ends = [] if more else self._ends(channel)
+        return bool(ends) and self._survey is not None and len({self._class(end) for end in ends}) == 1
+
+    def _place(self, channel: Channel) -> Channel:
+        """The place of the port of a channel."""
+        return self._class(Channel("node", self._places.node_at(channel.path).name))
+
+    def _ends(self, channel: Channel) -> list[Channel]:
+        """The nodes of all oil ports of the parts that meet behind a port of oil."""
+        places = self._places
+        node = places.node_at(channel.path) if channel.kind == "behind" else None
+        if node is None or not issubclass(node.kind, HydraulicPort):
+            return []
+        parts = [places.part(port.rpartition(".")[0]) for port in node.ports]
+        ports = [f"{part.path}.{name}" for part in parts if part for name in part.ports_of(HydraulicPort)]
+        return [Channel("node", met.name) for met in map(places.node_at, ports) if met]
 
     def _one_channel(self, effect: type[Effect], site: Site, a: Channel, b: Channel) -> bool:
         i, j = self._survey.index(a), self._survey.index(b)
@@ -142,12 +166,14 @@ class Alike:
     def _feel_alike(self, i: int, j: int, h: np.ndarray) -> bool:
         """Whether j feels h times (points, frequencies or 1) what i feels, of the inputs and of what both do."""
         feels, inputs = self._survey.feels, self._survey.inputs
-        alike = _close(h[..., None] * feels[i][..., :inputs], feels[j][..., :inputs])
+        alike = _close(h[..., None] * feels[i][..., :inputs], feels[j][..., :inputs], HARDLY_FELT)
         kind = self._survey.channels[i].kind
         if kind == "signal":  # what is added goes on behind what is felt, and comes back through a loop alone
-            return alike and _close(feels[i][..., [inputs + i]], feels[j][..., [inputs + j]])
+            return alike and _close(feels[i][..., [inputs + i]], feels[j][..., [inputs + j]], HARDLY_FELT)
         both = [inputs + i, inputs + j]
-        return alike and (kind == "read" or _close(h[..., None] * feels[i][..., both], feels[j][..., both]))
+        return alike and (
+            kind == "read" or _close(h[..., None] * feels[i][..., both], feels[j][..., both], HARDLY_FELT)
+        )
 
     def _act_alike(self, i: int, j: int, k: np.ndarray) -> bool:
         """Whether i does k times (points, frequencies or 1) what j does."""
@@ -209,10 +235,10 @@ def _factor(a: np.ndarray, b: np.ndarray, journey: np.ndarray) -> np.ndarray | N
     return factor if np.all(factor != 0) else None
 
 
-def _close(a: np.ndarray, b: np.ndarray) -> bool:
+def _close(a: np.ndarray, b: np.ndarray, faint: float = FAINT) -> bool:
     """Whether responses (points, frequencies, n) differ by no more than is told."""
     peak = np.maximum(np.abs(a), np.abs(b)).max(axis=(0, 1), initial=0.0, keepdims=True)
-    floor = np.maximum(FAINT * peak, 1e-9 * peak.max(initial=0.0))
+    floor = np.maximum(faint * peak, RELEVANT * peak.max(initial=0.0))
     return bool(np.all(np.abs(a - b) <= TOLD * np.maximum(np.maximum(np.abs(a), np.abs(b)), floor)))
 
 

@@ -181,7 +181,7 @@ class Survey:
         for frequency in BAND:
             moved = np.linalg.solve(1j * frequency * np.eye(len(A)) - A, np.hstack([B_u, B]))
             acts.append(((C @ moved[:, B_u.shape[1] :] + D) / outputs[:, None]).T)
-            feels.append(R @ moved + np.hstack([R_u, R_a]))
+            feels.append(np.einsum("ij,jk->ik", R, moved) + np.hstack([R_u, R_a]))  # no threads for so little
         return np.stack(acts, axis=1), np.stack(feels, axis=1), felt.ravel()
 
     def _start_moves(self, flat: FlatModel, p: np.ndarray) -> np.ndarray:

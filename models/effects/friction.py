@@ -1,4 +1,4 @@
-"""Friction at a flange: forces against the motion."""
+"""Friction of what moves: forces and torques against the motion."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import casadi as ca
 from hydrotwin.models.language import Flange, HydraulicPort, Input, Parameter, State, der
 from hydrotwin.models.language.places import Places
 
-from .effect import Effect, Site
-from .sites import flanges
-from .stepping import Lagged, stepped
-from .sticking import Sticking, held
+from .bodies import OnBody, held
+from .effect import Site
+from .stepping import Lagged
+from .sticking import Sticking
 
 OLSSON = "H. Olsson et al., Friction models and friction compensation, 1998"
 CANUDAS = "C. Canudas de Wit et al., A new model for control of systems with friction, 1995"
@@ -30,7 +30,7 @@ def smoothing() -> Parameter:
     return Parameter(5e-4, "m/s", "v_0 of the smoothed sign", bounds=(1e-6, 0.1), source="numerical")
 
 
-class ViscousFriction(Effect):
+class ViscousFriction(OnBody):
     """More damping than the model has.
 
         F = b v
@@ -46,13 +46,10 @@ class ViscousFriction(Effect):
     confused_with = ("coulomb_friction", "line_friction", "internal_leakage")
     experiment = "constant speeds over a wide range, with pressures: viscous force grows in proportion"
 
-    flange = Flange("where it rubs")
     viscous = Parameter(0.0, "N.s/m", "added viscous friction b", (0, 1e6), 1000.0, OLSSON, True)
 
-    sites = staticmethod(flanges)
-
     def equations(self):
-        yield self.flange.f == self.viscous * der(self.flange.s)
+        yield self.against(self.viscous * self.speed())
 
 
 class CoulombFriction(Sticking):
@@ -75,7 +72,7 @@ class CoulombFriction(Sticking):
 
     def equations(self):
         yield self.sticking(self.force)
-        yield self.flange.f == self.force * self.sign(self.force)
+        yield self.against(self.force * self.sign(self.force))
 
 
 class StribeckFriction(Sticking):
@@ -104,13 +101,13 @@ class StribeckFriction(Sticking):
     stribeck_velocity = Parameter(0.02, "m/s", "v_s", bounds=(2e-3, 0.3), nominal=0.02, source=OLSSON, free=True)
 
     def equations(self):
-        most, v = self.force + self.excess, der(self.flange.s)
+        most, v = self.force + self.excess, self.speed()
         yield self.sticking(most)
         level = self.force + self.excess * ca.exp(-((v / self.stribeck_velocity) ** 2))
-        yield self.flange.f == level * self.sign(most)
+        yield self.against(level * self.sign(most))
 
 
-class PreslidingFriction(Lagged):
+class PreslidingFriction(OnBody, Lagged):
     """Dry friction that first gives way like a spring (LuGre without its damping, bristles normalised).
 
         zeta' = (v - |v| zeta/g(v)) / (delta + |v| T_0),   g = 1 + r exp(-(v/v_s)^2),   F = F_c zeta
@@ -133,7 +130,6 @@ class PreslidingFriction(Lagged):
     confused_with = ("coulomb_friction", "stribeck_friction", "backlash")
     experiment = "reversals so small that it only just moves: the force is then a loop over position"
 
-    flange = Flange("where it rubs")
     force = dry(source=CANUDAS)
     displacement = Parameter(1e-4, "m", "delta before sliding", (2e-5, 5e-3), 1e-4, CANUDAS, True)
     rise = Parameter(0.0, "1", "r = F_s/F_c - 1", bounds=(0, 2), nominal=0.3, source=CANUDAS, free=True)
@@ -141,14 +137,12 @@ class PreslidingFriction(Lagged):
     resolution = Parameter(1e-3, "s", "T_0", bounds=(1e-5, 0.1), source="numerical")
     bristles = State(0.0, "1", "zeta, mean deflection of the bristles", bounds=(-3, 3))
 
-    sites = stepped(flanges)
-
     def equations(self):
-        v, zeta = der(self.flange.s), self.bristles
+        v, zeta = self.speed(), self.bristles
         speed = ca.fabs(v)
         g = 1 + self.rise * ca.exp(-((v / self.stribeck_velocity) ** 2))
         yield (self.displacement + speed * self.resolution) * der(zeta) == v - speed * zeta / g
-        yield self.flange.f == self.force * zeta
+        yield self.against(self.force * zeta)
 
 
 class PositionDependentFriction(Sticking):
@@ -167,15 +161,16 @@ class PositionDependentFriction(Sticking):
     probes = ({"force": 50.0, "slope": 300.0}, {"force": 300.0, "slope": 3000.0}, {"force": 600.0, "slope": -1000.0})
     refines = {"coulomb_friction": {"force": "force"}}
     confused_with = ("coulomb_friction", "pressure_dependent_friction")
+    along = True
     experiment = "the same slow to-and-fro motion in several positions, with pressures"
 
     force = dry(0.0, "F_c at s = 0", ARMSTRONG)
     slope = Parameter(0.0, "N/m", "k", bounds=(-1e6, 1e6), nominal=1000.0, source=ARMSTRONG, free=True)
 
     def equations(self):
-        level = ca.fmax(self.force + self.slope * self.flange.s, 0)
+        level = ca.fmax(self.force + self.slope * self.position(), 0)
         yield self.sticking(level)
-        yield self.flange.f == level * self.sign(level)
+        yield self.against(level * self.sign(level))
 
 
 class AsymmetricFriction(Sticking):
@@ -202,10 +197,10 @@ class AsymmetricFriction(Sticking):
         most = ca.fmax(self.out, self.back)
         yield self.sticking(most)
         sign = self.sign(most)
-        yield self.flange.f == self.out * ca.fmax(sign, 0) + self.back * ca.fmin(sign, 0)
+        yield self.against(self.out * ca.fmax(sign, 0) + self.back * ca.fmin(sign, 0))
 
 
-class AsymmetricViscousFriction(Effect):
+class AsymmetricViscousFriction(OnBody):
     """Damping of another size in each direction, as of a gear that lifts on one side or a seal that drags oil.
 
         F = b_e |v|
@@ -222,15 +217,12 @@ class AsymmetricViscousFriction(Effect):
     confused_with = ("asymmetric_friction", "direction_asymmetry", "constant_load")
     experiment = "constant speeds in both directions, slow and fast"
 
-    flange = Flange("where it rubs")
     difference = Parameter(0.0, "N.s/m", "b_e", bounds=(-1e6, 1e6), nominal=100.0, source=ARMSTRONG, free=True)
     smoothing_velocity = smoothing()
 
-    sites = staticmethod(flanges)
-
     def equations(self):
-        v = der(self.flange.s)
-        yield self.flange.f == self.difference * v * ca.tanh(v / self.smoothing_velocity)
+        v = self.speed()
+        yield self.against(self.difference * v * ca.tanh(v / self.smoothing_velocity))
 
 
 def _pistons(places: Places) -> Iterator[Site]:
@@ -277,4 +269,4 @@ class PressureDependentFriction(Sticking):
     def equations(self):
         level = self.force + self.piston_seal * ca.fabs(self.p_a - self.p_b) + self.rod_seal * self.p_b
         yield self.sticking(level)
-        yield self.flange.f == level * self.sign(level)
+        yield self.against(level * self.sign(level))

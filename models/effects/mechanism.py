@@ -11,6 +11,7 @@ from hydrotwin.models.language import Flange, Input, Output, Parameter, Rotation
 from hydrotwin.models.language.places import Places
 from hydrotwin.models.language.units import compatible
 
+from .bodies import OnBody, links
 from .effect import Effect, Site
 from .sites import flange_joints, flanges, parameters
 from .stepping import Lagged, stepped
@@ -88,7 +89,7 @@ class LinkageError(Effect):
             yield replace(site, holds=tuple(bars))
 
 
-class ConstantLoad(Effect):
+class ConstantLoad(OnBody):
     """A force that never changes: a weight on a slide, a spring with little rate.
 
         F = F_0,   positive against larger s
@@ -104,13 +105,12 @@ class ConstantLoad(Effect):
     confused_with = ("asymmetric_friction", "null_bias", "payload_error", "gravity_tilt")
     experiment = "hold in several positions and move slowly both ways, with pressures"
 
-    flange = Flange("where it acts")
+    bodies = ("flange", "rotational", "shaft")
+
     force = Parameter(0.0, "N", "F_0, against larger s", bounds=(-1e6, 1e6), nominal=500.0, source="load", free=True)
 
-    sites = staticmethod(flanges)
-
     def equations(self):
-        yield self.flange.f == self.force
+        yield self.against(self.force)
 
 
 class GravityTilt(Effect):
@@ -138,12 +138,8 @@ class GravityTilt(Effect):
 
     @classmethod
     def sites(cls, places: Places):
-        states = {s.path: s.unit for s in places.states}
-        for part in places.parts:
-            angles = [s for s in part.states if states[s] == "rad"]
-            speeds = [s for s in part.states if compatible(states[s], "rad/s")]
-            if len(angles) == len(speeds) == 1:
-                yield Site(part.path, reads={"angle": angles[0]}, through=f"der({speeds[0]})")
+        for part, angle, speed in links(places):
+            yield Site(part, reads={"angle": angle}, through=f"der({speed})")
 
     def equations(self):
         yield self.y == self.u + self.rate * ca.sin(self.angle)

@@ -3,43 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import casadi as ca
 
-from hydrotwin.models.language import Flange, Parameter, State, der
-from hydrotwin.models.language.places import Places
+from hydrotwin.models.language import Parameter, State, der
 
+from .bodies import OnBody
 from .effect import Site
-from .inertia import moved_mass
-from .sites import flanges
-from .stepping import Lagged, SteppedSite
+from .stepping import Lagged
 
 FIRM = 1.2  # rad in a step of the model, of what is held on its bristles: explicit steps still follow 2
 LEAST = 2e-3  # of delta_1: what it gives where there is no friction, so that nothing is divided by zero
 
 
-@dataclass(frozen=True)
-class HeldSite(SteppedSite):
-    """A flange and the mass [kg] that a force on it moves, nan where it moves none at once."""
-
-    mass: float = math.nan
-
-
-def held(sites: Callable[[Places], Iterator[Site]]):
-    """The same sites, with the step of the model and the mass behind their flange."""
-
-    def found(places: Places) -> Iterator[HeldSite]:
-        for site in sites(places):
-            own = {f.name: getattr(site, f.name) for f in fields(Site)}
-            yield HeldSite(**own, step=places.model.step, mass=moved_mass(places, site.ties["flange"]))
-
-    return staticmethod(found)
-
-
-class Sticking(Lagged):
-    """What every dry friction has: sign(v) of the motion of a flange, with rest, at a friction of level F.
+class Sticking(OnBody, Lagged):
+    """What every dry friction has: sign(v) of the motion of a body, with rest, at a friction of level F.
 
         zeta' = (v - |v| zeta) / (delta + |v| T_0),   sign(v) = (delta zeta + T_0 v) / (delta + T_0 |v|)
 
@@ -53,13 +32,10 @@ class Sticking(Lagged):
 
     shortest = 0.5
 
-    flange = Flange("where it rubs")
     give = Parameter(5e-7, "m", "delta_1, most that it gives before sliding", bounds=(1e-9, 1e-2), source="numerical")
     stiffness = Parameter(1e8, "N/m", "k, stiffness that holds", bounds=(1e-3, 1e14), source="numerical")
     resolution = Parameter(2.5e-4, "s", "T_0", bounds=(1e-6, 0.1), source="numerical")
     bristles = State(0.0, "1", "zeta, mean deflection of the bristles", bounds=(-3, 3))
-
-    sites = held(flanges)
 
     @classmethod
     def at(cls, site: Site):
@@ -72,12 +48,12 @@ class Sticking(Lagged):
 
     def sign(self, level):
         """sign(v), with what holds at rest."""
-        give, v, lag = self._give(level), der(self.flange.s), self.resolution
+        give, v, lag = self._give(level), self.speed(), self.resolution
         return (give * self.bristles + lag * v) / (give + lag * ca.fabs(v))
 
     def sticking(self, level):
         """The equation of the bristles."""
-        v = der(self.flange.s)
+        v = self.speed()
         speed = ca.fabs(v)
         return der(self.bristles) == (v - speed * self.bristles) / (self._give(level) + speed * self.resolution)
 

@@ -1,6 +1,6 @@
 """Linear models around an operating point, and their modes.
 
-    x' = A (x - x0) + B (u - u0),   y = y0 + C (x - x0) + D (u - u0)
+x' = A (x - x0) + B (u - u0),   y = y0 + C (x - x0) + D (u - u0)
 """
 
 from __future__ import annotations

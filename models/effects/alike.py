@@ -19,7 +19,7 @@ import numpy as np
 
 from hydrotwin.models.language import Flange, HydraulicPort, RotationalFlange
 from hydrotwin.models.language.additions import by_end
-from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.models.language.errors import SolveError, TopologyError
 from hydrotwin.models.language.places import Places
 
 from .effect import Effect, Site
@@ -39,7 +39,7 @@ def channels_of(places: Places, site: Site) -> tuple[Channel, ...]:
     if site.frees:
         delays = {i.dead_time: i.name for i in places.model.flat.inputs if i.dead_time}
         if site.frees in delays:
-            return (Channel("signal", delays[site.frees], site.unit),)
+            return (Channel("signal", delays[site.frees], _unit(places, delays[site.frees])),)
         return (Channel("parameter", site.frees),)
     found = [Channel("node", places.node_at(port).name) for port in (site.ties or {}).values()]
     found += [Channel("behind", port) for port in by_end(site.between).values()]
@@ -72,8 +72,8 @@ class Alike:
         independent = {p.name for p in self._places.model.flat.parameters}
         try:
             survey = Survey(self._places, [c for c in channels if c.kind != "parameter" or c.path in independent])
-        except HydrotwinError:
-            return None  # a model that is not whole yet says so when it is used
+        except (TopologyError, SolveError):
+            return None  # nothing can act everywhere at once: each place counts by itself
         return survey if len(survey.journey) else None
 
     # -- what is told of one effect ----------------------------------------------------------------------------
@@ -250,5 +250,7 @@ def gathered(
     places: Places, sites: Mapping[type[Effect], Sequence[Site]]
 ) -> dict[type[Effect], list[tuple[Site, ...]]]:
     """The sites of each effect that matter, those that the equations cannot tell apart together."""
-    alike = Alike(places, [site for found in sites.values() for site in found])
-    return {effect: alike.gathered(effect, found) for effect, found in sites.items()}
+    known = {effect: list(effect.known(places)) for effect in sites}
+    alike = Alike(places, [site for effect, found in sites.items() for site in (*known[effect], *found)])
+    groups = {effect: alike.gathered(effect, [*known[effect], *found]) for effect, found in sites.items()}
+    return {effect: [g for g in found if g[0] not in known[effect]] for effect, found in groups.items()}

@@ -10,7 +10,17 @@ import numpy as np
 from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, delay, der, time
 
 from .effect import Effect, Site
-from .sites import commands, drives, model_inputs, model_inputs_of_fixed_gain, valve_spools
+from .late import Late
+from .sites import (
+    commands,
+    drives,
+    every_command,
+    every_signal,
+    inside_signals,
+    model_inputs,
+    signals_of_fixed_gain,
+    valve_spools,
+)
 from .stepping import Lagged, followed, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
@@ -44,11 +54,17 @@ class DeadTime(Effect):
     def sites(cls, places):
         delayed = {wire.path for wire in places.wires if wire.delayed}
         yield from (site for site in model_inputs(places) if site.through not in delayed)
-        parameters = {p.name: p for p in places.model.flat.parameters}
-        for signal in places.model.flat.inputs:
-            own = parameters.get(signal.dead_time)
-            if own and signal.name in delayed and not own.free:
-                yield Site(signal.name, frees=own.name, unit="s", nominal=0.01)
+        yield from (site for site, parameter in _own_delays(places) if not parameter.free)
+        yield from stepped(inside_signals).__func__(places)
+
+    @classmethod
+    def known(cls, places):
+        yield from (site for site, parameter in _own_delays(places) if parameter.free)
+
+    @classmethod
+    def at(cls, site: Site):
+        """The part for an input, or for a signal inside, which no exact delay can take."""
+        return LateInside.at(site) if site.further else super().at(site)
 
     @classmethod
     def freed(cls, value):
@@ -56,6 +72,22 @@ class DeadTime(Effect):
 
     def equations(self):
         yield self.y == delay(self.u, self.time)
+
+
+class LateInside(Late):
+    """The same for a signal inside a model."""
+
+    time = replace(DeadTime.time, source="typical 2-240 ms")
+
+
+def _own_delays(places):
+    """The delays of inputs that the model has already, with the parameter of each."""
+    parameters = {p.name: p for p in places.model.flat.parameters}
+    delayed = {wire.path for wire in places.wires if wire.delayed}
+    for signal in places.model.flat.inputs:
+        if signal.dead_time in parameters and signal.name in delayed:
+            own = parameters[signal.dead_time]
+            yield Site(signal.name, frees=own.name, unit="s", nominal=0.01), own
 
 
 class ActuatorLag(Lagged):
@@ -158,7 +190,7 @@ class CommandSaturation(Effect):
     y = Output("signal", "what is left of it")
     limit = Parameter(1e6, "signal", "limit L", bounds=(1e-3, 1e6), nominal=1.0, source="data sheet", free=True)
 
-    sites = staticmethod(commands)
+    sites = staticmethod(every_command)
 
     @classmethod
     def probes_for(cls, seen):
@@ -188,7 +220,7 @@ class CommandDeadband(Effect):
     y = Output("signal", "what is left of it")
     width = Parameter(0.0, "signal", "half width D", bounds=(0, 0.8), nominal=0.02, source="typical", free=True)
 
-    sites = staticmethod(commands)
+    sites = staticmethod(every_command)
 
     def equations(self):
         yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
@@ -213,7 +245,7 @@ class CommandGain(Effect):
     y = Output("signal", "what the drive makes of it")
     error = Parameter(0.0, "1", "error g of the gain", bounds=(-0.9, 3.0), nominal=0.05, source="typical", free=True)
 
-    sites = staticmethod(model_inputs_of_fixed_gain)
+    sites = staticmethod(signals_of_fixed_gain)
 
     def equations(self):
         yield self.y == (1 + self.error) * self.u
@@ -243,8 +275,8 @@ class DirectionAsymmetry(Effect):
 
     @classmethod
     def sites(cls, places):
-        fixed = {site.name for site in model_inputs_of_fixed_gain(places)}
-        for site in model_inputs(places):
+        fixed = {site.name for site in signals_of_fixed_gain(places)}
+        for site in every_signal(places):
             yield replace(site, also_free=("gain",)) if site.name in fixed else site
 
     def equations(self):

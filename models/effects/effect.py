@@ -87,6 +87,11 @@ class Effect(Component):
         raise NotImplementedError
 
     @classmethod
+    def known(cls, places: Places) -> Iterator[Site]:
+        """Sites at which a free parameter of the model is the effect already: it fits nowhere that is the same."""
+        return iter(())
+
+    @classmethod
     def at(cls, site: Site) -> Component | None:
         """The part for a site: units and scales of the signal put in. None for an effect that frees a parameter."""
         if site.frees:

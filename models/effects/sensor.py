@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import casadi as ca
 
 from hydrotwin.models.language import Input, Output, Parameter, State, der, time
 
 from .command import clipped, limits
 from .effect import Effect
-from .sites import model_outputs
+from .late import Late
+from .sites import model_outputs, signed_outputs
 from .stepping import Lagged, closely_followed, stepped
 
 FRADEN = "J. Fraden, Handbook of Modern Sensors, 2016"
-PADE = (1.0, 1 / 2, 3 / 28, 1 / 84, 1 / 1680)  # of the denominator of Pade's (4,4) form of exp(-s)
 
 
 class SensorLag(Lagged):
@@ -213,15 +211,8 @@ class SensorSaturation(Effect):
         yield self.y == ca.if_else(self.limit < self.far, clipped(self.u, self.limit), self.u)
 
 
-class SensorDelay(Lagged):
-    """The reading arrives late: ``y(t) = u(t - T)``, as a filter of fourth order that agrees with it to (s T)^4.
-
-        z_k = T_e^k v^(k),   z_0 + c_1 z_1 + ... + c_4 z_4 = u,   T_e = sqrt(T^2 + T_0^2),   r = T / T_e
-        y = u + sum_k m_k z_k,   m_k = sum_{j=1..k} c_(k-j) (-r)^j / j!,   c = 1, 1/2, 3/28, 1/84, 1/1680
-
-    For T well above T_0 that is Pade's (4,4) form, 0.06 % off at w T = 3 and 12 % at w T = 6; for T = 0 it is y = u,
-    with no faster state than 6.8 / T_0. It is taken to stand still at the start.
-    """
+class SensorDelay(Late):
+    """The reading arrives late: ``y(t) = u(t - T)``, as the filter of `Late`."""
 
     id, title = "sensor_delay", "delay of the sensor"
     equation = "y(t) = u(t - T)"
@@ -231,31 +222,60 @@ class SensorDelay(Lagged):
     confused_with = ("dead_time", "sensor_lag", "actuator_lag")
     experiment = "motion with two sensors: a delay of the command shows in both, a delay of one sensor in one"
     order = 4
-    shortest = 4.0
-
-    u = Input("signal", "what is measured")
-    y = Output("signal", "reading")
-    late = State(lambda part: 0.0, "signal", "v", fixed=False)
-    late_1 = State(0.0, "signal", "T_e v'")
-    late_2 = State(0.0, "signal", "T_e^2 v^(2)")
-    late_3 = State(0.0, "signal", "T_e^3 v^(3)")
-    time = Parameter(0.0, "s", "delay T", bounds=(0, 0.5), nominal=0.01, source="bus and filter", free=True)
-    resolution = Parameter(4e-3, "s", "T_0", bounds=(1e-4, 0.1), source="numerical")
 
     sites = stepped(model_outputs)
 
-    def equations(self):
-        T_e = ca.sqrt(self.time**2 + self.resolution**2)
-        z = [self.late, self.late_1, self.late_2, self.late_3]
-        z.append((self.u - sum(c * part for c, part in zip(PADE, z, strict=False))) / PADE[4])
-        for k in range(4):
-            yield der(z[k]) == z[k + 1] / T_e
-        terms = [(-self.time / T_e) ** j / math.factorial(j) for j in range(5)]
-        shares = [sum(PADE[k - j] * terms[j] for j in range(1, k + 1)) for k in range(1, 5)]
-        yield self.y == self.u + sum(m * part for m, part in zip(shares, z[1:], strict=True))
 
-    def initial_equations(self):
-        yield self.late == self.u
+class SensorAsymmetry(Effect):
+    """The reading is too large in one direction and too small in the other: ``y = u + e |u|``.
+
+    Where zero is a state of the machine and no mark on a scale: of a speed, a flow, a force, a voltage.
+    """
+
+    id, title = "sensor_asymmetry", "scale of the sensor that differs by direction"
+    equation = "y = u + e |u|"
+    source = FRADEN
+    typical = {"asymmetry": (-0.1, 0.1)}
+    probes = ({"asymmetry": 0.03}, {"asymmetry": -0.03})
+    confused_with = ("direction_asymmetry", "sensor_scale", "sensor_bias", "displacement_asymmetry")
+    experiment = "the same known speeds or loads in both directions, with a second sensor"
+    order = 2
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    asymmetry = Parameter(
+        0.0, "1", "half the difference e of the scales", bounds=(-0.9, 0.9), nominal=0.05, source=FRADEN, free=True
+    )
+
+    sites = staticmethod(signed_outputs)
+
+    def equations(self):
+        yield self.y == self.u + self.asymmetry * ca.fabs(self.u)
+
+
+class SensorDeadband(Effect):
+    """Little shows as nothing, more is read short by the band: ``y = u - D clip(u / D, -1, 1)``.
+
+    The threshold of a turbine, a bearing or an amplifier. Where as `SensorAsymmetry`.
+    """
+
+    id, title = "sensor_deadband", "threshold of the sensor"
+    equation = "y = 0 for |u| < D, else u - D sign(u)"
+    source = FRADEN
+    typical = {"width": (0.002, 0.1)}
+    probes = ({"width": 0.01}, {"width": 0.05})
+    confused_with = ("command_deadband", "coulomb_friction", "sensor_hysteresis", "sensor_curvature")
+    experiment = "slow motion through rest with a second sensor that follows from it: a position, a pressure"
+    order = 3
+
+    u = Input("signal", "what is measured")
+    y = Output("signal", "reading")
+    width = Parameter(0.0, "signal", "half width D", bounds=(0, 0.8), nominal=0.02, source=FRADEN, free=True)
+
+    sites = staticmethod(signed_outputs)
+
+    def equations(self):
+        yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
 
 
 class Quantisation(Effect):

@@ -3,21 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache
 from itertools import combinations
 
 import casadi as ca
 import numpy as np
 
-from hydrotwin.models.language import ElectricPin, Flange, HydraulicPort, Model, RotationalFlange, Shaft
+from hydrotwin.models.language import (
+    Component,
+    ElectricPin,
+    Flange,
+    HydraulicPort,
+    Input,
+    Output,
+    Parameter,
+    RotationalFlange,
+    Shaft,
+)
+from hydrotwin.models.language.additions import Addition
+from hydrotwin.models.language.declarations import PLACEHOLDER
+from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.places import Node, Places
 from hydrotwin.models.language.units import compatible
 
 from .effect import Site
+from .survey import bare
 
 HIGHEST_TANK_PRESSURE = 2e6  # Pa
 HIGHEST_OPEN_PRESSURE = 1.2e5  # Pa: that of the surroundings, gauge or absolute
 POINTS = 12  # at which two derivatives are compared
 SAME = 1e-6  # relative
+SCALES = ("m", "rad", "Pa", "K")  # where a zero is a convention
 
 
 def flanges(places: Places) -> Iterator[Site]:
@@ -57,45 +74,60 @@ def model_inputs(places: Places) -> Iterator[Site]:
     yield from (_through(wire) for wire in places.wires if wire.role == "input")
 
 
-def model_inputs_of_fixed_gain(places: Places) -> Iterator[Site]:
-    """Inputs of the model whose gain no free parameter changes."""
-    yield from (site for site in model_inputs(places) if not has_free_gain(places.model, site.through))
+def signals_of_fixed_gain(places: Places) -> Iterator[Site]:
+    """Inputs of the model and signals inside whose gain no free parameter changes."""
+    known = free_gains(places)
+    yield from (site for site in every_signal(places) if site.through not in known)
 
 
-def has_free_gain(model: Model, name: str) -> bool:
-    """Whether free parameters of a model, those of its additions aside, together do what scaling its input does.
+class _Gains(Component):
+    """A gain in a signal."""
 
-    u df/du is then the same combination of the columns of df/dp at every point; tried at some. What a black box does
-    is not known: True.
+    u = Input(PLACEHOLDER, "in")
+    y = Output(PLACEHOLDER, "out")
+    error = Parameter(0.0, "1", "error of the gain", source="none")
+
+    def equations(self):
+        yield self.y == (1 + self.error) * self.u
+
+
+@lru_cache(maxsize=64)
+def free_gains(places: Places) -> frozenset[str]:
+    """Inputs of a model and signals inside of which its free parameters together do what scaling them does.
+
+    The derivatives of rates and outputs by such a gain are then the same combination of those by the free parameters
+    at every point; tried at some. What a black box does is not known: all.
     """
-    flat = model.flat
-    if flat.black_box:
-        return True
-    freed = {a.frees for a in model.additions}
-    added = tuple(f"{a.name}." for a in model.additions if a.part is not None)
-    own = [p.free and p.name not in freed and not p.name.startswith(added) for p in flat.parameters]
-    free = [j for j, is_own in enumerate(own) if is_own]
-    k = next(k for k, i in enumerate(flat.inputs) if i.name == name)
+    signals = [(f"gain_{k}", site) for k, site in enumerate(every_signal(places))]
+    if places.model.flat.black_box:
+        return frozenset(site.through for _, site in signals)
+    parts = ((name, _Gains(u=Input(s.unit), y=Output(s.unit)), s.through) for name, s in signals)
+    flat = bare(places.model).plus([Addition(n, part, through=path) for n, part, path in parts], sought=True).flat
+    gains = [f"{name}.error" for name, _ in signals]
+    free = [j for j, p in enumerate(flat.parameters) if p.free and p.name not in gains]
+    rows = _slopes(flat, [flat.index_of(name) for name in gains], free)
+    wanted, given = rows[:, : len(gains)], rows[:, len(gains) :]
+    step, *_ = np.linalg.lstsq(given, wanted, rcond=None)
+    left = np.linalg.norm(given @ step - wanted, axis=0)
+    return frozenset(site.through for (_, site), rest in zip(signals, left, strict=True) if rest < SAME)
+
+
+def _slopes(flat: FlatModel, wanted: list[int], given: list[int]) -> np.ndarray:
+    """(rows, n): rates and outputs by these parameters at points around the start, each column of length 1."""
     t, x, u, p = flat.ode.sx_in()
-    ends = ca.vertcat(*flat.ode(t, x, u, p))
-    scaled = [ca.jacobian(ends, u)[:, k] * u[k], ca.jacobian(ends, p)[:, free]]
-    derivatives = ca.Function("derivatives", [t, x, u, p], [ca.densify(s) for s in scaled])
+    by_parameters = ca.jacobian(ca.vertcat(*flat.ode(t, x, u, p)), p)[:, [*wanted, *given]]
+    derivatives = ca.Function("derivatives", [t, x, u, p], [ca.densify(by_parameters)])
     draw, values = np.random.default_rng(0), flat.parameter_vector()
     start = np.nan_to_num(flat.start_given()([i.default for i in flat.inputs], values, []).full().ravel())
-    wanted, given = [], []
+    found = []
     for _ in range(POINTS):
         at = start + draw.uniform(-1, 1, len(start)) * [s.nominal for s in flat.states]
         inputs = draw.uniform(-1, 1, len(flat.inputs)) * [i.nominal for i in flat.inputs]
-        column, columns = (d.full() for d in derivatives(0, at, inputs, values))
-        wanted.append(column)
-        given.append(columns)
-    rows = np.concatenate([np.concatenate(wanted), np.concatenate(given)], axis=1)
+        found.append(derivatives(0, at, inputs, values).full())
+    rows = np.concatenate(found)
     rows = rows[np.isfinite(rows).all(axis=1)]
     rows = rows / np.maximum(np.abs(rows).max(axis=1, keepdims=True, initial=0.0), 1e-300)
-    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
-    column, columns = rows[:, 0] / size[0], rows[:, 1:] / size[1:]
-    step, *_ = np.linalg.lstsq(columns, column, rcond=None)
-    return bool(np.linalg.norm(columns @ step - column) < SAME)
+    return rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
 
 
 def commands(places: Places) -> Iterator[Site]:
@@ -118,8 +150,28 @@ def valve_spools(places: Places) -> Iterator[Site]:
 
 
 def inside_signals(places: Places) -> Iterator[Site]:
-    """Signals between the parts of the model."""
-    yield from (_through(wire) for wire in places.wires if wire.role == "inside")
+    """Signals between the parts of the model, beside those that come from outside."""
+    yield from (replace(_through(wire), further=True) for wire in places.wires if wire.role == "inside")
+
+
+def every_signal(places: Places) -> Iterator[Site]:
+    """Inputs of the model, then the signals inside."""
+    yield from model_inputs(places)
+    yield from inside_signals(places)
+
+
+def every_command(places: Places) -> Iterator[Site]:
+    """Commands, then the signals inside that open no valve, which has words of its own for what happens there."""
+    yield from commands(places)
+    opening = {site.through for site in valve_signals(places)}
+    yield from (site for site in inside_signals(places) if site.through not in opening)
+
+
+def signed_outputs(places: Places) -> Iterator[Site]:
+    """Outputs whose zero is a state of the machine, not a mark on a scale as that of a position or a pressure."""
+    for site in model_outputs(places):
+        if not any(compatible(site.unit, unit) for unit in SCALES):
+            yield site
 
 
 def sources(places: Places) -> Iterator[Site]:

@@ -9,7 +9,7 @@ import casadi as ca
 from hydrotwin.models.language import Component, HydraulicPort, Input, Output, Parameter, State, der
 
 from .effect import Effect, Site
-from .sites import sources, valve_signals, valve_spools
+from .sites import commands, inside_signals, sources, valve_signals, valve_spools
 from .stepping import Lagged, followed, stepped
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
@@ -85,8 +85,17 @@ def _first_signals(places):
             yield site
 
 
+def _hysteretic(places):
+    """Where moving parts of valves get their signals, then every other command and signal inside."""
+    usual = list(_first_signals(places))
+    known = {site.through for site in usual}
+    yield from usual
+    others = (*commands(places), *inside_signals(places))
+    yield from (replace(site, further=bool(usual)) for site in others if site.through not in known)
+
+
 class SpoolHysteresis(Lagged):
-    """The spool follows its signal with play, from the magnet's hysteresis and from friction.
+    """A spool follows its signal with play, from the magnet's hysteresis and from friction; so may any signal.
 
         y stays where it is while |u - y| < h
 
@@ -94,7 +103,7 @@ class SpoolHysteresis(Lagged):
     ``offset`` is where in its play it starts, -1 to 1. Source: Jelali and Kroll 2003.
     """
 
-    id, title = "spool_hysteresis", "hysteresis of the spool"
+    id, title = "spool_hysteresis", "hysteresis of the spool or of a signal"
     equation = "y stays while |u - y| < h, else follows at distance h"
     source = JELALI
     typical = {"half_width": (0.0025, 0.03)}
@@ -113,7 +122,7 @@ class SpoolHysteresis(Lagged):
     offset = Parameter(0.0, "1", "start within the play", bounds=(-1, 1), nominal=1.0, source="unknown: centre")
     resolution = Parameter(1e-3, "s", "T_p", bounds=(1e-5, 0.1), source="numerical")
 
-    sites = stepped(_first_signals)
+    sites = stepped(_hysteretic)
 
     def equations(self):
         u, w, z, h, T = self.u, self.followed, self.dragged, self.half_width, self.resolution

@@ -6,13 +6,19 @@ import importlib
 
 from .effect import Effect
 
-FAMILIES = ("friction", "leakage", "fluid", "mechanism", "valve", "command", "sensor", "vessel")
+FAMILIES = {  # file -> row of the catalogue
+    **{name: name for name in ("friction", "leakage", "fluid", "mechanism", "valve", "command")},
+    "drive": "command",
+    "sensor": "sensor",
+    "deflection": "sensor",
+    "vessel": "vessel",
+}
 
 
 def _gathered() -> dict[str, type[Effect]]:
     found: dict[str, type[Effect]] = {}
-    for family in FAMILIES:
-        module = importlib.import_module(f".{family}", __package__)
+    for file, family in FAMILIES.items():
+        module = importlib.import_module(f".{file}", __package__)
         for effect in vars(module).values():
             if (
                 isinstance(effect, type)

@@ -7,13 +7,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from hydrotwin.models.language import Input, Output, Parameter, Shaft, State, delay, der, time
+from hydrotwin.models.language import Input, Output, Parameter, State, delay, der, time
 
 from .effect import Effect, Site
 from .late import Late
 from .sites import (
     commands,
-    drives,
     every_command,
     every_signal,
     inside_signals,
@@ -340,59 +339,6 @@ class Drift(Effect):
 
     def equations(self):
         yield self.y == self.u * (1 + self.rate * time())
-
-
-class MotorDroop(Effect):
-    """A drive that slows down under load.
-
-        w = w_0 - R M,   T M' + M = M_load
-
-    Load works through the same inertia as the command does: T is the lag of the drive. A drive of first order,
-    T w' + w = k u - R M_load, is met exactly. Source: W. Leonhard, Control of Electrical Drives, 2001, section 6.
-    """
-
-    id, title = "motor_droop", "speed lost under load"
-    equation = "w = w_0 - R M,  T M' + M = M_load"
-    source = "W. Leonhard, Control of Electrical Drives, 2001"
-    typical = {"slope": (0.5, 100.0)}
-    probes = ({"slope": 2.0}, {"slope": 20.0})
-    confused_with = ("internal_leakage", "external_leakage", "turbulent_leakage", "pump_slip", "null_bias")
-    experiment = "constant speeds at two loads, with the shaft's speed measured"
-
-    a = Shaft("drive")
-    b = Shaft("what it drives")
-    torque = State(0.0, "N.m", "felt torque M", nominal=1.0, fixed=False)
-    slope = Parameter(
-        0.0, "rad/(s.N.m)", "speed lost per torque R", bounds=(0, 1e4), nominal=10.0, source="typical", free=True
-    )
-    lag = Parameter(0.03, "s", "lag T of the drive", bounds=(2e-3, 1.0), nominal=0.03, source="assumed")
-
-    sites = staticmethod(drives)
-
-    def equations(self):
-        M = self.torque
-        yield self.a.tau + self.b.tau == 0
-        yield self.lag * der(M) == self.a.tau - M
-        yield self.b.w == self.a.w - self.slope * M
-
-    def initial_equations(self):
-        yield self.torque == self.a.tau
-
-    @classmethod
-    def at(cls, site: Site):
-        return MeasuredMotorDroop() if site.through else cls()
-
-
-class MeasuredMotorDroop(MotorDroop):
-    """The same where a sensor of the drive sees it."""
-
-    id = ""
-    u_speed = Input("rad/s", "speed without the load", nominal=100.0)
-    y_speed = Output("rad/s", "measured speed", nominal=100.0)
-
-    def equations(self):
-        yield from super().equations()
-        yield self.y_speed == self.u_speed - self.slope * self.torque
 
 
 def clipped(value: ca.SX, limit: ca.SX) -> ca.SX:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import casadi as ca
+import numpy as np
 
 from hydrotwin.models.language import Component, HydraulicPort, Input, Parameter
 from hydrotwin.models.language.units import compatible
@@ -15,6 +16,8 @@ from .sites import hydraulic_nodes, hydraulic_pairs, open_tank_node, pumps
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 IVANTYSYN = "J. and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001"
+QUANTILES = (0.97, 0.90, 0.75)  # of the speeds seen, from where on chambers may not fill
+NOTHING = 1e-100  # keeps the power of a share differentiable where there is none
 
 
 class InternalLeakage(Effect):
@@ -215,6 +218,57 @@ class SpeedDependentEfficiency(Effect):
         share = self.loss * falls**-self.shape
         yield self.a.q == -share * self.q
         yield self.b.q == -share * self.q_b
+
+
+class FillingLoss(Effect):
+    """Chambers that fill the less, the faster the pump turns: efficiency falls with rising speed, from suction on.
+
+        q = q_ideal (1 + (c |w| / w_r)^n)^(-1/n)
+
+    n = 1 falls from the start, q = q_ideal / (1 + c |w| / w_r); a large n holds up to the speed w_r / c, from which on
+    no more comes, however fast it turns. Source: Ivantysyn and Ivantysynova 2001 (filling and suction). Validity: no
+    pressure helps to fill it.
+    """
+
+    id, title = "filling_loss", "filling that falls with rising speed"
+    equation = "q = q_ideal (1 + (c |w| / w_r)^n)^(-1/n)"
+    source = IVANTYSYN
+    typical = {"ratio": (0.01, 1.0), "sharpness": (1.0, 8.0)}
+    probes = (
+        {"ratio": 0.02, "sharpness": 1.0},
+        {"ratio": 0.1, "sharpness": 1.0},
+        {"ratio": 0.4, "sharpness": 4.0},
+    )
+    confused_with = ("speed_dependent_efficiency", "command_saturation", "motor_droop", "displacement_error")
+    experiment = "steady speeds up to the highest at one load, with the flow or the speed of the cylinder measured"
+
+    a = HydraulicPort("side that is filled at positive speed")
+    b = HydraulicPort("other side")
+    w = Input("rad/s", "speed of the pump", nominal=100.0)
+    q = Input("m3/s", "flow into the pump at a", nominal=1e-4)
+    q_b = Input("m3/s", "flow into the pump at b", nominal=1e-4)
+    ratio = Parameter(0.0, "1", "share c of w_r", bounds=(0, 50), nominal=0.1, source=IVANTYSYN, free=True)
+    sharpness = Parameter(1.0, "1", "n", bounds=(1, 50), nominal=1.0, source=IVANTYSYN, free=True)
+    reference_speed = Parameter(100.0, "rad/s", "w_r", bounds=(1e-3, 1e5), source="a usual speed")
+
+    sites = staticmethod(_loss_sites)
+
+    @classmethod
+    def probes_for(cls, seen):
+        """Speeds from which on no more comes among the highest seen, and a tenth lost at the highest."""
+        speeds = np.abs(np.asarray(seen["w"], float))
+        if not speeds.max() > 0:
+            return []
+        usual = cls.reference_speed.value
+        highest = sorted({float(v) for v in np.quantile(speeds, QUANTILES)} - {0.0}, reverse=True)
+        sudden = [{"ratio": usual / speed, "sharpness": 8.0} for speed in highest]
+        return [{"ratio": 0.1 * usual / float(speeds.max()), "sharpness": 1.0}, *sudden]
+
+    def equations(self):
+        n, share = self.sharpness, self.ratio * ca.fabs(self.w) / self.reference_speed
+        lost = 1 - (1 + (share + NOTHING) ** n) ** (-1 / n)
+        yield self.a.q == -lost * self.q
+        yield self.b.q == -lost * self.q_b
 
 
 class DisplacementError(Effect):

@@ -15,6 +15,7 @@ from .bodies import OnBody, links
 from .effect import Effect, Site
 from .sites import flange_joints, flanges, parameters
 from .stepping import Lagged, stepped
+from .sticking import Sticking
 
 CONTACT = "K. L. Johnson, Contact Mechanics, 1985: a pin in its hole, 1e-9 to 1e-7"
 DEPTHS = np.array([3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1])  # of the range of positions: where stops are looked for
@@ -184,6 +185,88 @@ class EndStop(Effect):
         both = [{"low": float(e), "high": float(h)} for e, h in zip(low, high, strict=True)][1:-1:2]
         ends = [{"low": -FAR, "high": float(h)} for h in high] + [{"low": float(e), "high": FAR} for e in low]
         return [*ends, *both]
+
+
+class LateLoad(OnBody):
+    """A load that engages late in the stroke: a second spring, a press that meets its work, a gap at the load.
+
+        F = (F_0 + k (s - s_0)) for s > s_0, nothing before
+
+    Over the first w behind s_0 it sets in. `EndStop` is a contact and knows no force at its beginning.
+    Source: J. Watton, Fundamentals of Fluid Power Control, 2009 (loads of actuators).
+    """
+
+    id, title = "late_load", "load that engages late in the stroke"
+    equation = "F = F_0 + k (s - s_0) for s > s_0, else 0"
+    source = "J. Watton, Fundamentals of Fluid Power Control, 2009"
+    typical = {"force": (-3000.0, 3000.0), "stiffness": (0.0, 1e5), "start": (-0.05, 1.0)}
+    probes = ({"force": 500.0, "start": 0.1}, {"force": -500.0, "start": 0.1}, {"stiffness": 1e4, "start": 0.1})
+    confused_with = ("end_stop", "constant_load", "late_friction", "backlash")
+    experiment = "slow strokes over the whole way in both directions, with pressures: where it sets in shows as a step"
+    bodies, along = ("flange", "rotational"), True
+
+    force = Parameter(0.0, "N", "F_0, against larger s", bounds=(-1e6, 1e6), nominal=500.0, source="load", free=True)
+    stiffness = Parameter(0.0, "N/m", "rate k", bounds=(0, 1e9), nominal=1e4, source="load", free=True)
+    start = Parameter(0.0, "m", "where it engages s_0", bounds=(-FAR, FAR), nominal=0.1, source="unknown", free=True)
+    width = Parameter(1e-3, "m", "way w over which it sets in", bounds=(1e-6, 1.0), source="numerical")
+
+    @classmethod
+    def probes_for(cls, seen) -> list[dict]:
+        """Places along the way seen, a force of either direction and a spring at each."""
+        return [{**probe, "start": place} for place in _along(seen) for probe in cls.probes]
+
+    def equations(self):
+        beyond = self.position() - self.start
+        load = self.force + self.stiffness * ca.fmax(beyond, 0)
+        yield self.against(load * engaged(beyond / self.width))
+
+
+class LateFriction(Sticking):
+    """A brake, or friction, that engages late in the stroke: a load cylinder behind a gap, a guide that grips.
+
+        F = F_+ sign(v) for v > 0, F_- sign(v) for v < 0, for s > s_0, nothing before;   sign as in `Sticking`
+
+    A load that its oil brakes in one direction alone has F_- = 0. Source: Armstrong-Helouvry et al. 1994.
+    """
+
+    id, title = "late_friction", "brake or friction that engages late in the stroke"
+    equation = "F = F_+ for v > 0, -F_- for v < 0, where s > s_0"
+    source = "B. Armstrong-Helouvry et al., A survey of models for machines with friction, 1994"
+    typical = {"out": (10.0, 5000.0), "back": (0.0, 5000.0), "start": (-0.05, 1.0)}
+    probes = ({"out": 500.0, "back": 0.0, "start": 0.1}, {"out": 300.0, "back": 300.0, "start": 0.1})
+    confused_with = ("position_dependent_friction", "asymmetric_friction", "late_load", "coulomb_friction")
+    experiment = "slow strokes over the whole way in both directions, with pressures: a brake acts on motion alone"
+    along = True
+
+    out = Parameter(0.0, "N", "F_+, towards larger s", bounds=(0, 1e6), nominal=500.0, source="load", free=True)
+    back = Parameter(0.0, "N", "F_-, towards smaller s", bounds=(0, 1e6), nominal=500.0, source="load", free=True)
+    start = LateLoad.start
+    width = LateLoad.width
+
+    @classmethod
+    def probes_for(cls, seen) -> list[dict]:
+        """Places along the way seen."""
+        return [{**probe, "start": place} for place in _along(seen) for probe in cls.probes]
+
+    def equations(self):
+        share = engaged((self.position() - self.start) / self.width)
+        out, back = share * self.out, share * self.back
+        most = ca.fmax(out, back)
+        yield self.sticking(most)
+        sign = self.sign(most)
+        yield self.against(out * ca.fmax(sign, 0) + back * ca.fmin(sign, 0))
+
+
+def engaged(way):
+    """0 before, 1 behind the first unit of a way, without a corner."""
+    share = ca.fmin(ca.fmax(way, 0), 1)
+    return share * share * (3 - 2 * share)
+
+
+def _along(seen) -> list[float]:
+    """Places in the way of a body that was seen, at which something may engage."""
+    way = next(np.asarray(v, float) for k, v in seen.items() if k in ("flange.s", "flange.phi", "angle"))
+    return [float(np.min(way) + share * np.ptp(way)) for share in (0.25, 0.5, 0.75)]
 
 
 class _Joint(Lagged):

@@ -256,7 +256,7 @@ class SensorAsymmetry(Effect):
 class SensorDeadband(Effect):
     """Little shows as nothing, more is read short by the band: ``y = u - D clip(u / D, -1, 1)``.
 
-    The threshold of a turbine, a bearing or an amplifier. Where as `SensorAsymmetry`.
+    Written with u / (D + D_0), so that y is u itself where D is zero. The threshold of a turbine, a bearing or an amplifier. Where as `SensorAsymmetry`.
     """
 
     id, title = "sensor_deadband", "threshold of the sensor"
@@ -272,10 +272,12 @@ class SensorDeadband(Effect):
     y = Output("signal", "reading")
     width = Parameter(0.0, "signal", "half width D", bounds=(0, 0.8), nominal=0.02, source=FRADEN, free=True)
 
+    smallest = Parameter(1e-7, "signal", "D_0", bounds=(1e-12, 1.0), source="numerical")
+
     sites = staticmethod(signed_outputs)
 
     def equations(self):
-        yield self.y == ca.fmax(self.u - self.width, 0) + ca.fmin(self.u + self.width, 0)
+        yield self.y == self.u - self.width * clipped(self.u / (self.width + self.smallest), 1)
 
 
 class Quantisation(Effect):

@@ -182,14 +182,21 @@ def sources(places: Places) -> Iterator[Site]:
                 yield Site(port, between=port)
 
 
+def driving_port(places: Places, node: Node) -> str | None:
+    """The port of a moving node through which it is driven: that of a part with oil, else the first; None for one."""
+    owners = {p: places.part(p.rpartition(".")[0]) for p in node.ports}
+    moving = [p for p, part in owners.items() if part]
+    if len(moving) < 2 or places.is_prescribed(node):
+        return None
+    return next((p for p in moving if owners[p].ports_of(HydraulicPort)), moving[0])
+
+
 def flange_joints(places: Places) -> Iterator[Site]:
     """Joints between two moving parts: the port of one of them, behind which a part ``a``-``b`` fits."""
     for node in places.nodes_of(Flange):
-        owners = {p: places.part(p.rpartition(".")[0]) for p in node.ports}
-        moving = [p for p, part in owners.items() if part]
-        if len(moving) >= 2 and not places.is_prescribed(node):
-            hydraulic = [p for p in moving if owners[p].ports_of(HydraulicPort)]
-            yield Site((hydraulic or moving)[0], between=(hydraulic or moving)[0])
+        port = driving_port(places, node)
+        if port:
+            yield Site(port, between=port)
 
 
 def parameters(unit: str, wanted: Callable[[str], bool] = lambda path: True):
@@ -232,6 +239,19 @@ def drives(places: Places) -> Iterator[Site]:
             own = [s for s in places.measured if s.name.rpartition(".")[0] == owners[driving[0]].path]
             seen = next((s.measured_by for s in own if compatible(s.unit, "rad/s")), None)
             yield Site(driving[0], between=driving[0], through={"speed": seen} if seen else None)
+
+
+def scattered(places: Places, paths: list[str]) -> np.ndarray:
+    """(len(paths), POINTS): values of variables of a model at states and inputs anywhere around its start."""
+    flat, draw = places.model.flat, np.random.default_rng(0)
+    observe, p = places.model.observe(paths), flat.parameter_vector()
+    start = np.nan_to_num(flat.start_given()([i.default for i in flat.inputs], p, []).full().ravel())
+    found = []
+    for _ in range(POINTS):
+        at = start + draw.uniform(-1, 1, len(start)) * [s.nominal for s in flat.states]
+        inputs = draw.uniform(-1, 1, len(flat.inputs)) * [i.nominal for i in flat.inputs]
+        found.append(observe(0, at, inputs, p).full().ravel())
+    return np.nan_to_num(np.array(found)).T
 
 
 def low_pressure_node(places: Places) -> Node | None:

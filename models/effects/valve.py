@@ -257,6 +257,51 @@ class SupplyDroop(Effect):
         yield self.b.p == self.a.p - self.resistance * self.drawn
 
 
+def _opened_sources(places):
+    """Supplies and tanks with the signal that opens a valve on their node."""
+    opened = [(site, places.part(site.through.rpartition(".")[0])) for site in valve_signals(places)]
+    for source in sources(places):
+        node = places.node_at(source.between)
+        fed = [site for site, part in opened if {f"{part.path}.{p}" for p in part.ports} & set(node.ports)]
+        for site in fed:
+            name = source.name if len(fed) == 1 else f"{source.name}-{site.through}"
+            reads = {"opening": site.through}
+            yield Site(name, reads=reads, between=source.between, unit=site.unit, nominal=site.nominal)
+
+
+class OpeningDroop(Effect):
+    """A supply that gives way, or a return line that backs up, as the valve opens, whatever flows.
+
+        p = p_s - D o,   T o' = |u|/u_0 - o
+
+    The set pressure of a pump's controller follows what is asked of it, not what is drawn; D < 0 backs up.
+    Source: Jelali and Kroll 2003.
+    """
+
+    id, title = "opening_droop", "supply that gives way with the opening"
+    equation = "p = p_s - D |u|/u_0"
+    source = JELALI
+    typical = {"loss": (-5e6, 5e6)}
+    probes = ({"loss": 5e5}, {"loss": 4e6}, {"loss": -5e5})
+    confused_with = ("supply_droop", "flow_saturation", "load_dependent_flow", "line_friction")
+    experiment = "the same opening at two loads, so that other flows pass it, with the supply's pressure measured"
+
+    a = HydraulicPort("supply")
+    b = HydraulicPort("what it supplies")
+    opening = Input("signal", "opening of the valve")
+    asked = State(0.0, "1", "opening o asked of late")
+    loss = Parameter(0.0, "Pa", "pressure D lost at u_0", bounds=(-3e7, 3e7), nominal=1e6, source=JELALI, free=True)
+    time_constant = Parameter(0.01, "s", "T", bounds=(1e-3, 10), source="assumed")
+    full = Parameter(1.0, "signal", "full opening u_0", bounds=(1e-6, 1e6), source="nominal of the signal")
+
+    sites = staticmethod(_opened_sources)
+
+    def equations(self):
+        yield self.a.q + self.b.q == 0
+        yield self.time_constant * der(self.asked) == ca.fabs(self.opening) / self.full - self.asked
+        yield self.b.p == self.a.p - self.loss * self.asked
+
+
 def _load_sites(places):
     """Where a valve is opened, and the valve itself: one that lies between two work ports, a supply and a tank."""
     for site in valve_signals(places):

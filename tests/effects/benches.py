@@ -17,7 +17,17 @@ from hydrotwin.models.components import (
 )
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import add_effect
-from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, connect, der
+from hydrotwin.models.language import (
+    Component,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    RotationalFlange,
+    State,
+    connect,
+    der,
+)
 from hydrotwin.models.laws import Viscous
 from hydrotwin.simulation import prepare
 
@@ -80,6 +90,45 @@ class Axis(Component):
         yield self.velocity == self.carriage.velocity
 
 
+class Table(Component):
+    """A table that turns on its flange."""
+
+    flange = RotationalFlange("where it is turned")
+    inertia = Parameter(2.0, "kg.m2", "inertia", bounds=(1e-3, 1e3), source="geometry")
+    damping = Parameter(3.0, "N.m.s/rad", "of the bearing", bounds=(0, 1e3), source="bearing")
+    angle = State(0.0, "rad", "angle", nominal=0.5)
+    rate = State(0.0, "rad/s", "rate", nominal=0.5)
+
+    def equations(self):
+        yield self.flange.phi == self.angle
+        yield der(self.angle) == self.rate
+        yield self.inertia * der(self.rate) == self.flange.tau - self.damping * self.rate
+
+
+class Actuator(Component):
+    """A torque on a flange."""
+
+    flange = RotationalFlange("where it turns")
+    torque = Input("N.m", "torque", nominal=10.0)
+
+    def equations(self):
+        yield self.flange.tau == -self.torque
+
+
+class TurningTable(Component):
+    """A table that a torque turns."""
+
+    torque = Input("N.m", "torque", nominal=10.0)
+    angle = Output("rad", "angle", nominal=0.5)
+    actuator = Actuator()
+    table = Table()
+
+    def equations(self):
+        yield connect(self.torque, self.actuator.torque)
+        yield connect(self.actuator.flange, self.table.flange)
+        yield self.angle == self.table.angle
+
+
 class Tanks(Component):
     """Two tanks, the upper one draining into the lower one; the outlets are linear."""
 
@@ -105,6 +154,10 @@ def valve_bench() -> Model:
 
 def axis() -> Model:
     return Model(Axis(), "axis")
+
+
+def turning_table() -> Model:
+    return Model(TurningTable(), "turning_table")
 
 
 def tanks() -> Model:

@@ -18,7 +18,7 @@ from hydrotwin.models.effects import CATALOGUE, candidates
 from hydrotwin.models.effects.effect import neutral_difference
 from hydrotwin.models.language import Parameter
 from hydrotwin.models.language.component import declarations
-from tests.effects import benches
+from tests.effects import benches, hoses
 
 MACHINES = {
     "cehA": cehA.model,
@@ -27,6 +27,8 @@ MACHINES = {
     "valve_bench": benches.valve_bench,
     "axis": benches.axis,
     "tanks": benches.tanks,
+    "turning_table": benches.turning_table,
+    "winch": lambda: hoses.winch(1),
 }
 EXAMPLES = {  # models of users, on which the whole catalogue is looked for
     "emps": "examples/emps/model.py:axis",

@@ -70,8 +70,11 @@ class Alike:
         if self._places.model.flat.black_box:
             return None
         independent = {p.name for p in self._places.model.flat.parameters}
+        known = [c for c in channels if c.kind != "parameter" or c.path in independent]
+        if not known:
+            return None
         try:
-            survey = Survey(self._places, [c for c in channels if c.kind != "parameter" or c.path in independent])
+            survey = Survey(self._places, known)
         except (TopologyError, SolveError):
             return None  # nothing can act everywhere at once: each place counts by itself
         return survey if len(survey.journey) else None
@@ -80,10 +83,12 @@ class Alike:
     def gathered(self, effect: type[Effect], sites: Sequence[Site]) -> list[tuple[Site, ...]]:
         """The sites that matter, each with those that are the same: in their order, the first stands for the rest."""
         groups: list[list[Site]] = []
-        for site in sorted(sites, key=self._within):
-            if not self._idle(site):
-                group = next((g for g in groups if self._one(effect, g[0], site)), None)
-                groups, _ = (groups, group.append(site)) if group else ([*groups, [site]], None)
+        for site in (s for s in sorted(sites, key=self._within) if not self._idle(s)):
+            group = next((g for g in groups if self._one(effect, g[0], site)), None)
+            if group is None:
+                groups.append([site])
+            else:
+                group.append(site)
         return [tuple(group) for group in sorted(groups, key=lambda group: sites.index(group[0]))]
 
     def _idle(self, site: Site) -> bool:
@@ -109,7 +114,7 @@ class Alike:
         ours, theirs = self._channels[id(one)], self._channels[id(other)]
         if [c.kind for c in ours] != [c.kind for c in theirs] or not ours:
             return False
-        if not all(c in self._survey._index for c in (*ours, *theirs)):
+        if not all(c in self._survey.channels for c in (*ours, *theirs)):
             return False
         if len(ours) > 1:
             classes = [[self._class(c) for c in channels] for channels in (ours, theirs)]

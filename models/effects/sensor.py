@@ -256,7 +256,8 @@ class SensorAsymmetry(Effect):
 class SensorDeadband(Effect):
     """Little shows as nothing, more is read short by the band: ``y = u - D clip(u / D, -1, 1)``.
 
-    Written with u / (D + D_0), so that y is u itself where D is zero. The threshold of a turbine, a bearing or an amplifier. Where as `SensorAsymmetry`.
+    Written with u / (D + D_0), so that y is u itself where D is zero. The threshold of a turbine, a bearing or an
+    amplifier. Where as `SensorAsymmetry`.
     """
 
     id, title = "sensor_deadband", "threshold of the sensor"

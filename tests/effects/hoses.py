@@ -5,8 +5,8 @@ from __future__ import annotations
 from hydrotwin.models.components import (
     Cylinder,
     FourEdgeValve,
-    LineVolume,
     LinearLoad,
+    LineVolume,
     Passage,
     PressureSource,
     Pump,

@@ -26,12 +26,13 @@ def test_a_dead_time_shows_the_command_as_it_was():
 
 
 def test_a_dead_time_that_the_model_has_already_is_freed_and_not_put_in_twice():
-    (found,) = candidates(spool_valve.model(), ["dead_time"])
+    (found, behind) = candidates(spool_valve.model(), ["dead_time"])
     assert found.site.frees == "solenoid.dead_time" and found.addition.part is None
+    assert found.twins == ("dead_time at slide.target",) and behind.label == "dead_time at valve.spool"
     assert all(0 < probe["solenoid.dead_time"] < 0.3 for probe in found.probes)
     late = spool_valve.model().plus([found.addition])
     assert next(p for p in late.flat.parameters if p.name == "solenoid.dead_time").free
-    assert not candidates(late, ["dead_time"])
+    assert [c.label for c in candidates(late, ["dead_time"])] == ["dead_time at valve.spool"]
 
 
 def test_a_lag_follows_a_step_exponentially():
@@ -119,7 +120,7 @@ def test_and_the_mean_of_both_may_be_off_as_well():
 )
 def test_a_gain_is_looked_for_where_no_free_parameters_are_that_gain(model, free, already):
     model = model().with_settings({name: {"free": True} for name in free})
-    found = {c.id: c for c in candidates(model, ["command_gain", "direction_asymmetry"])}
+    found = {c.id: c for c in candidates(model, ["command_gain", "direction_asymmetry"])[::-1]}
     assert ("command_gain" in found) == (not already)
     own = ("asymmetry",) if already else ("asymmetry", "gain")
     assert found["direction_asymmetry"].free == tuple(f"direction_asymmetry.{name}" for name in own)

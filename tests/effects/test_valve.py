@@ -92,8 +92,10 @@ def test_a_spool_with_hysteresis_may_start_anywhere_in_its_play():
     np.testing.assert_allclose(opening("spool_hysteresis", time, still, half_width=0.05, offset=-1.0), -0.05, atol=1e-9)
 
 
-def test_hysteresis_acts_once_on_the_way_to_a_valve_where_the_moving_part_gets_its_signal():
-    assert [c.site.name for c in candidates(spool_valve.model(), ["spool_hysteresis"])] == ["slide.target"]
+def test_hysteresis_acts_where_the_moving_part_of_a_valve_gets_its_signal_and_behind_it():
+    before, behind = candidates(spool_valve.model(), ["spool_hysteresis"])
+    assert (before.site.name, behind.site.name) == ("slide.target", "valve.spool")
+    assert before.twins == ("spool_hysteresis at current",)  # a gain of one lies between them
     assert [c.site.name for c in candidates(amplified(), ["spool_hysteresis"])] == ["valve.spool"]
     assert [c.site.name for c in candidates(valve_bench(), ["spool_hysteresis"])] == ["valve.spool"]
 

@@ -94,7 +94,7 @@ def test_the_catalogue_of_the_contract_is_not_empty():
 def test_an_effect_under_another_name_keeps_it(tmp_path):
     from dataclasses import replace
 
-    (candidate,) = candidates(cehA.model(), ["coulomb_friction"])
+    candidate = candidates(cehA.model(), ["coulomb_friction at arm.pin"])[0]
     model = cehA.model().plus([replace(candidate.addition, name="rod_seal")]).with_parameters({"rod_seal.force": 90.0})
     ht.write_model_file(tmp_path / "m.toml", "cehA", model)
     same_equations(model, ht.load(tmp_path / "m.toml"))

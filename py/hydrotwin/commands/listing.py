@@ -67,7 +67,7 @@ def kinds_of_place() -> dict[str, str]:
 
     >>> kinds = kinds_of_place()
     >>> kinds["coulomb_friction"], kinds["command_deadband"], kinds["area_error"]
-    ('a flange', 'an input of the model', 'a parameter of the machine')
+    ('a flange or a link on a joint of its own', 'an input of the model', 'a parameter of the machine')
     """
     from hydrotwin.models import cehA, spool_valve
     from hydrotwin.models.effects import CATALOGUE, candidates
@@ -94,6 +94,8 @@ def _words(site, places: Places) -> str:
     """The kind of one place."""
     if site.frees:
         return "a parameter of the machine"
+    if getattr(site, "body", "") == "joint":
+        return "a link on a joint of its own"
     if site.between:
         ports = list(by_end(site.between).values())
         return f"behind {_several('port', len(ports))} ({_port_words(ports, places)})"

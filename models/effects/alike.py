@@ -168,42 +168,38 @@ class Alike:
         return self._same[channel]
 
     # -- two channels ------------------------------------------------------------------------------------------
-    def _feel_alike(self, i: int, j: int, h: np.ndarray) -> bool:
-        """Whether j feels h times (points, frequencies or 1) what i feels, of the inputs and of what both do."""
-        feels, inputs = self._survey.feels, self._survey.inputs
-        alike = _close(h[..., None] * feels[i][..., :inputs], feels[j][..., :inputs], HARDLY_FELT)
-        kind = self._survey.channels[i].kind
-        if kind == "signal":  # what is added goes on behind what is felt, and comes back through a loop alone
-            return alike and _close(feels[i][..., [inputs + i]], feels[j][..., [inputs + j]], HARDLY_FELT)
-        both = [inputs + i, inputs + j]
-        return alike and (
-            kind == "read" or _close(h[..., None] * feels[i][..., both], feels[j][..., both], HARDLY_FELT)
-        )
+    def _feel_alike(self, i: int, j: int, h: np.ndarray, back: np.ndarray) -> bool:
+        """Whether j feels of the inputs h times what i feels, of itself ``back`` times (points, frequencies or 1)."""
+        survey = self._survey
+        felt = [survey.feels[n][..., [*range(survey.inputs), survey.inputs + n]] for n in (i, j)]
+        factors = np.concatenate([np.repeat(h[..., None], survey.inputs, axis=-1), back[..., None]], axis=-1)
+        return _close(factors * felt[0], felt[1], HARDLY_FELT)
 
     def _act_alike(self, i: int, j: int, k: np.ndarray) -> bool:
         """Whether i does k times (points, frequencies or 1) what j does."""
         return _close(self._survey.acts[i], k[..., None] * self._survey.acts[j])
 
     def _are_same(self, i: int, j: int) -> bool:
-        one = np.ones((len(self._survey.journey), 1))
-        level = _near(self._survey.values[i], self._survey.values[j])
-        return level and self._act_alike(i, j, one) and self._feel_alike(i, j, one)
+        """Whether both are one place: what either does is felt there alike."""
+        survey, one = self._survey, np.ones((len(self._survey.journey), 1))
+        if not (_near(survey.values[i], survey.values[j]) and self._act_alike(i, j, one)):
+            return False
+        both = [survey.inputs + i, survey.inputs + j]
+        across = _close(survey.feels[i][..., both], survey.feels[j][..., both], HARDLY_FELT)
+        return self._feel_alike(i, j, one, one) and (across or survey.channels[i].kind in ("read", "signal"))
 
     def _scaled(self, i: int, j: int, shifts: bool) -> bool:
         """One factor for what is felt and one for what is done; where ``shifts``, an offset between them is nothing."""
         survey, journey = self._survey, self._survey.journey
-        of = [
-            *range(survey.inputs),
-            *([] if survey.channels[i].kind == "signal" else [survey.inputs + i, survey.inputs + j]),
-        ]
-        h = _factor(survey.feels[i][..., of], survey.feels[j][..., of], journey)
+        h = _factor(survey.feels[i][..., : survey.inputs], survey.feels[j][..., : survey.inputs], journey)
         k = _factor(survey.acts[j], survey.acts[i], journey)
         if h is None or k is None or (survey.channels[i].kind == "signal" and not np.allclose(h, k, rtol=TOLD)):
             return False
         v, w = h * survey.values[i], survey.values[j]
         if shifts:
             v, w = (np.concatenate([z[journey == n] - z[journey == n].mean() for n in set(journey)]) for z in (v, w))
-        return _near(v, w) and self._act_alike(i, j, k[:, None]) and self._feel_alike(i, j, h[:, None])
+        h, k = h[:, None], k[:, None]
+        return _near(v, w) and self._act_alike(i, j, k) and self._feel_alike(i, j, h, h / k)
 
     def _filtered(self, i: int, j: int) -> bool:
         """What j feels comes from what i feels through something linear that is the same at every point."""
@@ -213,7 +209,7 @@ class Alike:
         H = np.sum(a.conj() * b, axis=-1) / np.where(size > 0, size, 1.0)
         for n in set(journey):
             H[journey == n] = H[journey == n].mean(axis=0)
-        return bool(np.all(H != 0)) and self._act_alike(i, j, H) and self._feel_alike(i, j, H)
+        return bool(np.all(H != 0)) and self._act_alike(i, j, H) and self._feel_alike(i, j, H, np.ones_like(H))
 
     def _same_direction(self, i: int, j: int) -> bool:
         """Whether two parameters change rates, outputs and start in one proportion, everywhere."""

@@ -27,10 +27,16 @@ from hydrotwin.models.language import (
 from hydrotwin.models.laws import ConstantBulkModulus, LaminarLeakage, Viscous
 
 HOSE = 4e-4  # m3 of oil in a hose
-FITTING = Parameter(1e-7, "m3/(s.Pa)", "conductance: 6 l/min lose 10 mbar in it", bounds=(0, 1e-5), source="geometry")
+FITTING = 1e-7  # m3/(s.Pa), its conductance: 6 l/min lose 10 mbar in it
 
 
-def hose(pieces: int) -> Component:
+def fitting(conductance: float = FITTING) -> Component:
+    """A short pipe."""
+    given = Parameter(conductance, "m3/(s.Pa)", "conductance", bounds=(0, 1e-5), source="geometry")
+    return Passage(law=LaminarLeakage(conductance=given))
+
+
+def hose(pieces: int, conductance: float = FITTING) -> Component:
     """A hose between ports ``a`` and ``b``, of as many volumes with fittings between them."""
     content: dict = {"__module__": __name__, "__doc__": "A hose.", "a": HydraulicPort("end"), "b": HydraulicPort("end")}
     for k in range(pieces):
@@ -38,22 +44,17 @@ def hose(pieces: int) -> Component:
             volume=HOSE / pieces, oil=ConstantBulkModulus(bulk_modulus=3e8), pressure=State(3e6, "Pa", nominal=1e6)
         )
     for k in range(1, pieces):
-        content[f"fitting_{k}"] = Passage(law=LaminarLeakage(conductance=FITTING))
+        content[f"fitting_{k}"] = fitting(conductance)
 
     def equations(self):
         yield connect(self.a, self.piece_0.a)
         for k in range(1, pieces):
-            fitting = getattr(self, f"fitting_{k}")
-            yield connect(getattr(self, f"piece_{k - 1}").b, fitting.a)
-            yield connect(fitting.b, getattr(self, f"piece_{k}").a)
+            joint = getattr(self, f"fitting_{k}")
+            yield connect(getattr(self, f"piece_{k - 1}").b, joint.a)
+            yield connect(joint.b, getattr(self, f"piece_{k}").a)
         yield connect(getattr(self, f"piece_{pieces - 1}").b, self.b)
 
     return type("Hose", (Component,), {**content, "equations": equations})()
-
-
-def connector() -> Component:
-    """A short pipe between a hose and a chamber."""
-    return Passage(law=LaminarLeakage(conductance=FITTING))
 
 
 class Drum(Component):
@@ -107,7 +108,7 @@ class _TestCylinder(_Bench):
     """A valve, two hoses behind short pipes, a cylinder and a mass."""
 
     position = Output("m", "position", nominal=0.1)
-    pipe_a, pipe_b = connector(), connector()
+    pipe_a, pipe_b = fitting(), fitting()
     cylinder = Cylinder(friction=Viscous(viscous=4000.0), cap_dead_volume=5e-4, rod_dead_volume=5e-4)
     load = LinearLoad()
 
@@ -121,13 +122,13 @@ class _TestCylinder(_Bench):
         yield self.position == self.load.position
 
 
-def winch(pieces: int) -> Model:
+def winch(pieces: int, conductance: float = FITTING) -> Model:
     """The winch with hoses of so many pieces."""
-    hoses = {"hose_a": hose(pieces), "hose_b": hose(pieces)}
+    hoses = {"hose_a": hose(pieces, conductance), "hose_b": hose(pieces, conductance)}
     return Model(type("Winch", (_Winch,), hoses)(), "winch", step=5e-4)
 
 
-def cylinder_bench(pieces: int) -> Model:
+def cylinder_bench(pieces: int, conductance: float = FITTING) -> Model:
     """The test cylinder with hoses of so many pieces."""
-    hoses = {"hose_a": hose(pieces), "hose_b": hose(pieces)}
+    hoses = {"hose_a": hose(pieces, conductance), "hose_b": hose(pieces, conductance)}
     return Model(type("TestCylinder", (_TestCylinder,), hoses)(), "test_cylinder", step=5e-4)

@@ -18,9 +18,7 @@ from tests.face.command_line import hydrotwin
 
 MACHINES = {"cehA": cehA.model(), "spool_valve": spool_valve.model()}
 FITS = [
-    (name, effect)
-    for name, machine in MACHINES.items()
-    for effect in dict.fromkeys(c.id for c in candidates(machine))
+    (name, effect) for name, machine in MACHINES.items() for effect in dict.fromkeys(c.id for c in candidates(machine))
 ]
 CODE = """
 from hydrotwin.models import cehA

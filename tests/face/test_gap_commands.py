@@ -60,7 +60,10 @@ def test_the_catalogue_lists_every_effect_with_equation_parameters_and_place():
         assert row["equation"] and row["fits"] and row["title"] and row["source"], row["id"]
         assert row["parameters"] and all(p["typical"] for p in row["parameters"]), row["id"]
     friction = rows["coulomb_friction"]
-    assert (friction["equation"], friction["fits"]) == ("F = F_c sign(v)", "a flange")
+    assert (friction["equation"], friction["fits"]) == (
+        "F = F_c sign(v)",
+        "a flange or a link on a joint of its own",
+    )
     assert friction["parameters"][0]["unit"] == "N"
     assert rows["motor_droop"]["fits"] == "behind a port (a shaft)", "a sensor of the drive is taken over besides"
     printed = hydrotwin("effects")
@@ -73,12 +76,20 @@ def test_effects_of_a_machine_name_site_part_and_range_in_its_units():
     assert answer.code == 0, answer.err
     rows = json.loads(answer.out)
     assert [(r["effect"], r["site"]) for r in rows] == [(c.id, c.site.name) for c in candidates(cehA.model())]
+    assert [r["twins"] for r in rows] == [[t.partition(" at ")[2] for t in c.twins] for c in candidates(cehA.model())]
     deadband = next(r for r in rows if r["effect"] == "command_deadband")
     (width,) = deadband["parameters"]
     assert (width["unit"], width["name"]) == ("V", "command_deadband.width")
     assert width["typical"] == pytest.approx([0.025, 1.0])  # 0.5 to 20 % of 5 V
     printed = hydrotwin("effects", "cehA")
     assert "cylinder.annulus-" in printed.said and "0.025 ... 1 V" in printed.said  # a narrow column breaks the name
+
+
+def test_effects_of_a_machine_tell_the_places_that_are_one():
+    answer = hydrotwin("effects", "spool_valve", "--json")
+    one = next(r for r in json.loads(answer.out) if r["effect"] == "command_deadband")
+    assert (one["site"], one["twins"]) == ("current", ["slide.target"])
+    assert "= slide.target" in hydrotwin("effects", "spool_valve").said
 
 
 def test_effects_of_something_without_equations_are_refused():

@@ -1,6 +1,6 @@
 """A small linear machine for the tests: a motor with lag drives a pump that moves a piston.
 
-    tau w' = k u(t - T_d) - w,   x' = c w
+tau w' = k u(t - T_d) - w,   x' = c w
 """
 
 from __future__ import annotations

@@ -62,9 +62,7 @@ def test_quoted_groups_without_another_number_are_doubtful_too(tmp_path):
 
 @pytest.mark.parametrize("cell", ["35.49", "0.491", "12.34,5", "1,234.567", "1234.567", "1.2345", "1 23,5", ".123"])
 def test_a_sign_that_groups_no_three_digits_is_refused_in_its_cell(cell, tmp_path):
-    with pytest.raises(
-        DataError, match=r"row 3, column 'x': not a number .* decimal comma; '\.' may only part groups"
-    ):
+    with pytest.raises(DataError, match=r"row 3, column 'x': not a number .* decimal comma; '\.' may only part groups"):
         read(tmp_path, COMMA + f"0,5;1,5\n1;{cell}\n")
 
 

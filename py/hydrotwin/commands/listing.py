@@ -137,7 +137,10 @@ def _declared_place(effect) -> str:
 
 
 def fitting_rows(model: Model) -> list[dict]:
-    """What fits where in a model: name of the part, its equation, its free parameters with unit and typical range."""
+    """What fits where in a model: name of the part, its equation, its free parameters with unit and typical range.
+
+    ``twins`` are other places where the equations cannot tell the same effect from this one.
+    """
     from hydrotwin.models.effects import candidates
 
     known = {p.name: p for p in (*model.flat.parameters, *(p for p, _ in model.followers))}
@@ -146,6 +149,7 @@ def fitting_rows(model: Model) -> list[dict]:
             "effect": c.id,
             "title": c.effect.title,
             "site": c.site.name,
+            "twins": [label.partition(" at ")[2] for label in c.twins],
             "name": c.name or c.site.frees,
             "equation": c.effect.equation,
             "parameters": [
@@ -197,14 +201,17 @@ def print_catalogue(rows: list[dict]) -> None:
 
 
 def print_fitting(name: str, rows: list[dict]) -> None:
-    """What fits where, one row for each free parameter."""
+    """What fits where, one row for each free parameter or further place, whichever are more."""
     lines = []
     for row in rows:
-        lead = [row["effect"], row["site"], row["equation"], row["name"]]
-        for p in row["parameters"]:
-            own = p["name"].removeprefix(f"{row['name']}.")
-            lines.append([*lead, "" if own == row["name"] else own, range_words(p["typical"], p["unit"])])
-            lead = [""] * 4
+        places = [row["site"], *(f"= {twin}" for twin in row["twins"])]
+        parameters = [(p["name"].removeprefix(f"{row['name']}."), p) for p in row["parameters"]]
+        shown = [["" if own == row["name"] else own, range_words(p["typical"], p["unit"])] for own, p in parameters]
+        for k in range(max(len(places), len(shown))):
+            lead = [row["effect"], places[0], row["equation"], row["name"]] if k == 0 else ["", *places[k : k + 1]]
+            lines.append([*lead, *[""] * (4 - len(lead)), *(shown[k] if k < len(shown) else ["", ""])])
     columns = ["effect", "where", "equation", "added as, or freed", "parameter", "typical"]
     table(f"what may be missing in {name}", columns, lines)
     out.print(f"{len(rows)} candidates of {len({r['effect'] for r in rows})} effects.")
+    if any(row["twins"] for row in rows):
+        out.print("'=' marks places where the equations cannot tell the effect from that one: one candidate.")

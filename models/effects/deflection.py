@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from hydrotwin.models.language import Flange, Input, Output, Parameter, RotationalFlange
+from hydrotwin.models.language import Flange, HydraulicPort, Input, Output, Parameter, RotationalFlange
 from hydrotwin.models.language.places import Node, Places
 from hydrotwin.models.language.units import compatible
 
@@ -40,13 +40,13 @@ class LoadDeflection(Effect):
 
     u = Input("signal", "what moves")
     y = Output("signal", "what reaches the sensor")
-    load = Input("N", "force on what drives", nominal=1e3)
+    load = Input("N", "force on what drives: minus the force that it gives", nominal=1e3)
     compliance = Parameter(0.0, "signal/N", "c", bounds=(-1e-2, 1e-2), nominal=1e-6, source=STIFFNESS, free=True)
 
     @classmethod
     def sites(cls, places: Places) -> Iterator[Site]:
         moving = [node for kind in (Flange, RotationalFlange) for node in places.nodes_of(kind)]
-        driven = [(node, port) for node in moving if (port := driving_port(places, node))]
+        driven = [(node, _driver(places, node)) for node in moving if driving_port(places, node)]
         for site in model_outputs(places):
             if any(compatible(site.unit, unit) for unit in ("m", "rad")):
                 found = [(n, port) for n, port in driven if _moves_with(places, site.through, n)]
@@ -68,8 +68,14 @@ class TorqueDeflection(LoadDeflection):
     """The same under a torque."""
 
     id = ""
-    load = Input("N.m", "torque on what drives", nominal=1.0)
+    load = Input("N.m", "torque on what drives: minus the torque that it gives", nominal=1.0)
     compliance = replace(LoadDeflection.compliance, unit="signal/(N.m)")
+
+
+def _driver(places: Places, node: Node) -> str:
+    """The port of what drives a node: that of a part with oil, else the last, of a part without states if any."""
+    parts = {port: places.part(port.rpartition(".")[0]) for port in node.ports}
+    return next((p for p, part in parts.items() if part and part.ports_of(HydraulicPort)), node.ports[-1])
 
 
 def _moves_with(places: Places, output: str, node: Node) -> bool:

@@ -111,8 +111,7 @@ def _by_pressure(places: Places, drive: Site) -> Iterator[Site]:
         if shaft in ports:
             pressures = {"p_a": f"{site.ties['a']}.p", "p_b": f"{site.ties['b']}.p"}
             torque, p_a, p_b = scattered(places, [f"{shaft}.tau", *pressures.values()])
-            whole = p_a - p_b
-            capacity = float(torque @ whole / max(whole @ whole, 1e-300))
-            if capacity > 0 and np.linalg.norm(torque - capacity * whole) > SAME * np.linalg.norm(torque):
+            (capacity, other), *_ = np.linalg.lstsq(np.stack([p_a, p_b], axis=1), torque, rcond=None)
+            if capacity > 0 and abs(capacity + other) > SAME * capacity:
                 name = f"{drive.name}-{site.name}"
-                yield replace(drive, name=name, reads=pressures, nominal=capacity, further=True)
+                yield replace(drive, name=name, reads=pressures, nominal=float(capacity), further=True)

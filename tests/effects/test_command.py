@@ -244,3 +244,18 @@ def test_what_a_sensor_reports_is_no_command_that_saturates_or_lags():
     ids = {c.id for c in candidates(Model(Measured(), "measured"))}
     assert not ids & {"command_saturation", "command_deadband", "rate_limit", "actuator_lag"}
     assert {"direction_asymmetry", "null_bias", "dead_time"} <= ids
+
+
+def test_a_drive_may_feel_the_whole_difference_of_pressures_where_its_pump_takes_a_part_of_it():
+    """w = w_0 - R M, T M' = c_p (p_a - p_b) - M: the return ratio of 0.8 is then one of flows alone."""
+    usual, whole = candidates(pump_bench(), ["motor_droop"])
+    assert (usual.label, whole.label) == ("motor_droop at motor.shaft", "motor_droop at motor.shaft-pump")
+    model = pump_bench().plus([whole.addition]).with_parameters({f"{whole.name}.slope": 20.0})
+    states = {"cylinder__cap_pressure": 5e6, "cylinder__rod_pressure": 1e6, "motor__speed": 200.0}
+    torque = 2e-7 * (5e6 - 1e6)
+    names = ["pump.shaft.w", f"der({whole.name}.torque)"]
+    speed, rate = seen(model, names, [2.0], **states, **{f"{whole.name}__torque": 0.5 * torque})
+    assert speed == pytest.approx(200.0 - 20.0 * 0.5 * torque)
+    assert rate == pytest.approx(0.5 * torque / 0.03, rel=1e-9)  # c_p is found from the model's equations
+    closed = pump_bench().but(pump=Pump(displacement=2e-7, return_ratio=1.0))
+    assert [c.site.name for c in candidates(closed, ["motor_droop"])] == ["motor.shaft"]

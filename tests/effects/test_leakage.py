@@ -10,6 +10,7 @@ import pytest
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.components import PressureSource
 from hydrotwin.models.effects import add_effect, candidates
+from hydrotwin.models.effects.leakage import FillingLoss
 from hydrotwin.models.effects.sites import low_pressure_node, open_tank_node
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.places import Places
@@ -102,6 +103,27 @@ def test_a_pump_may_deliver_more_in_one_direction(speed, sign):
     flows = change(pump_bench(), "displacement_asymmetry", CHAMBERS, speed, asymmetry=0.1)
     assert flows[0] == pytest.approx(sign * 0.1 * 2e-7 * speed, rel=1e-6)
     assert flows[1] == pytest.approx(-sign * 0.1 * 0.8 * 2e-7 * speed, rel=1e-6)
+
+
+@pytest.mark.parametrize(("speed", "n", "kept"), [(50, 1.0, 1 / 1.2), (200, 1.0, 1 / 1.8), (-200, 1.0, 1 / 1.8)])
+def test_a_pump_that_fills_badly_delivers_the_less_of_its_flow_the_faster_it_turns(speed, n, kept):
+    lost = change(pump_bench(), "filling_loss", CHAMBERS, speed, ratio=0.4, sharpness=n)
+    assert lost == pytest.approx(np.array([-2e-7, 0.8 * 2e-7]) * speed * (1 - kept), rel=1e-9)
+
+
+def test_chambers_that_fill_up_to_a_speed_deliver_no_more_beyond_it():
+    def delivered(speed):
+        return 2e-7 * speed + change(pump_bench(), "filling_loss", CHAMBERS, speed, ratio=0.5, sharpness=20.0)[0]
+
+    assert delivered(100.0) == pytest.approx(2e-7 * 100.0, rel=1e-3)  # 200 rad/s is where it ends
+    assert delivered(400.0) == pytest.approx(2e-7 * 200.0, rel=1e-3)
+    assert delivered(800.0) == pytest.approx(2e-7 * 200.0, rel=1e-3)
+
+
+def test_speeds_at_which_filling_may_end_are_among_the_highest_seen():
+    probes = FillingLoss.probes_for({"w": np.linspace(-300.0, 300.0, 601)})
+    assert all(200.0 < 100.0 / probe["ratio"] < 300.0 for probe in probes if probe["sharpness"] > 1)
+    assert not FillingLoss.probes_for({"w": np.zeros(9)})
 
 
 def test_a_displacement_is_freed_where_it_is_fixed_and_volumes_are_none():

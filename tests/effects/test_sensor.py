@@ -6,10 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.models.effects import add_effect
+from hydrotwin.models import cehA
+from hydrotwin.models.effects import add_effect, candidates
 from hydrotwin.models.effects.sensor import SensorSaturation
 from hydrotwin.models.language import Model
-from tests.effects.benches import axis, pass_on, passed, play
+from tests.effects.benches import axis, pass_on, passed, play, seen, turning_table
 
 TIME = np.arange(0.0, 2.0, 1e-3)
 STEP = np.where(TIME < 0.1, 0.0, 3.0)
@@ -158,3 +159,39 @@ def test_a_state_that_a_doubtful_sensor_measures_starts_from_its_first_sample_no
 def test_a_reading_that_arrives_late_starts_where_the_machine_stands():
     reading = passed("sensor_delay", "reading", TIME, np.full(len(TIME), 2.0), time=0.1)
     np.testing.assert_allclose(reading, 2.0, atol=1e-9)
+
+
+def test_a_sensor_may_read_more_in_one_direction_and_nothing_of_little():
+    uneven = passed("sensor_asymmetry", "reading", TIME, sine(2), asymmetry=0.1)
+    np.testing.assert_allclose(uneven, np.where(sine(2) > 0, 1.1, 0.9) * sine(2), atol=1e-12)
+    short = passed("sensor_deadband", "reading", TIME, sine(2), width=0.5)
+    np.testing.assert_allclose(short, np.sign(sine(2)) * np.maximum(np.abs(sine(2)) - 0.5, 0), atol=1e-6)
+
+
+def test_positions_and_pressures_have_no_zero_that_a_sensor_could_miss():
+    for effect in ("sensor_asymmetry", "sensor_deadband"):
+        assert [c.site.name for c in candidates(cehA.model(), [effect])] == ["motor_speed", "piston_force"]
+        assert [c.site.name for c in candidates(axis(), [effect])] == ["velocity"]
+
+
+def test_a_sensor_whose_frame_bends_reads_more_by_the_compliance_times_the_force():
+    """The force is that of the piston less its friction: A_cap p_cap - A_rod p_rod - b v."""
+    model = cehA.model()
+    places = {c.site.name: c for c in candidates(model, ["load_deflection"])}
+    assert list(places) == ["arm_angle", "rod_position"]
+    states = {"arm__angle": 0.3, "cylinder__cap_pressure": 5e6, "cylinder__rod_pressure": 1e6}
+    (force,) = seen(model, ["piston_force"], [0.0], **states)
+    for output, compliance in (("arm_angle", 2e-6), ("rod_position", 1e-7)):
+        bent = add_effect(model, "load_deflection", output, {"compliance": compliance})
+        straight, read = (seen(m, [output], [0.0], **states)[0] for m in (model, bent))
+        assert read - straight == pytest.approx(compliance * force, rel=1e-9)
+        others = [o.name for o in model.flat.outputs if o.name != output]
+        np.testing.assert_array_equal(*(seen(m, others, [0.0], **states) for m in (model, bent)))
+
+
+def test_an_angle_sensor_bends_under_the_torque():
+    bent = add_effect(turning_table(), "load_deflection", values={"compliance": 1e-3})
+    (reading,) = seen(bent, ["angle"], [12.0], table__angle=0.4)
+    assert reading == pytest.approx(0.4 + 1e-3 * 12.0)
+    (found,) = candidates(turning_table(), ["load_deflection"])
+    assert found.addition.part.declared("compliance").unit == "rad/(N.m)"

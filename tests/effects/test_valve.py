@@ -87,6 +87,26 @@ def test_a_spool_with_hysteresis_follows_like_a_play():
     np.testing.assert_allclose(followed, play(TRIANGLE, h), atol=3e-3)  # 1/s of slope times lag and sample of 1 ms
 
 
+def test_behind_the_sensor_of_a_spool_what_opens_the_valve_may_differ_by_direction_and_the_reading_stays():
+    """The flow opening of the valve, 1 + e on one side and 1 - e on the other; the spool is where it was."""
+    model = spool_valve.model()
+    labels = [c.label for c in candidates(model, ["direction_asymmetry"])]
+    assert labels == ["direction_asymmetry at current", "direction_asymmetry at valve.spool"]
+    uneven = add_effect(model, "direction_asymmetry", "valve.spool", {"asymmetry": 0.2})
+    for x in (0.4, -0.4):
+        states = {"slide__position": x, CAP: 6e6, ROD: 6e6}
+        base, more = (seen(m, ["valve.a.q", "spool"], [0.0], **states) for m in (model, uneven))
+        assert more[0] == pytest.approx((1.2 if x > 0 else 0.8) * base[0]) and more[1] == base[1] == x
+
+
+def test_a_signal_inside_arrives_late_by_the_delay():
+    time = np.arange(0.0, 2.0, 1e-3)
+    model = add_effect(amplified(), "dead_time", "valve.spool", {"time": 0.05})
+    late = run(model, time, 0.3 * np.sin(2 * np.pi * time))[:, 1]
+    expected = 0.3 * np.sin(2 * np.pi * (time - 0.05 - 5e-4))  # held samples are half a millisecond late themselves
+    np.testing.assert_allclose(late[500:], expected[500:], atol=2e-3)
+
+
 def test_a_spool_with_hysteresis_may_start_anywhere_in_its_play():
     time, still = np.arange(0, 0.1, 1e-3), np.zeros(100)
     np.testing.assert_allclose(opening("spool_hysteresis", time, still, half_width=0.05, offset=-1.0), -0.05, atol=1e-9)
@@ -143,6 +163,24 @@ def test_a_supply_settles_where_flow_and_pressure_agree():
     ).ravel()
     assert drawn == pytest.approx(-q, rel=0.02) and drawn > 1e-6
     assert behind == pytest.approx(1e7 - 5e9 * -q, rel=0.01)
+
+
+@pytest.mark.parametrize("spool", (0.25, -0.5))
+def test_a_supply_gives_way_with_the_opening_whatever_flows(spool):
+    """T o' = |u| - o: after a step the pressure falls as an exponential, at any pressures of the chambers."""
+    model = add_effect(valve_bench(), "opening_droop", "supply.port", {"loss": 3e6})
+    behind = ["valve.supply.p", "der(opening_droop_supply_port.asked)"]
+    for p_a in (2e6, 9e6):
+        p, rate = seen(model, behind, [spool], opening_droop_supply_port__asked=0.2, **{CAP: p_a})
+        assert p == pytest.approx(1e7 - 3e6 * 0.2)
+        assert rate == pytest.approx((abs(spool) - 0.2) / 0.01)
+
+
+def test_a_return_line_may_back_up_with_the_opening():
+    assert {c.site.name for c in candidates(valve_bench(), ["opening_droop"])} == {"supply.port", "tank.port"}
+    model = add_effect(valve_bench(), "opening_droop", "tank.port", {"loss": -1e6})
+    (p,) = seen(model, ["valve.tank.p"], [0.5], opening_droop_tank_port__asked=0.5)
+    assert p == pytest.approx(2e5 + 1e6 * 0.5)
 
 
 def test_a_return_line_backs_up_when_oil_flows_to_the_tank():

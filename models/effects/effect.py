@@ -168,7 +168,12 @@ class Candidate:
 
     def refines(self, other: Candidate) -> bool:
         """Whether this is the other, at the same place, and more."""
-        return other.id in self.effect.refines and other.site.place == self.site.place
+        return other.id in self.effect.refines and bool(self._places & other._places)
+
+    @property
+    def _places(self) -> set[frozenset[str]]:
+        """Its place and those of its twins, which are called after their ports."""
+        return {self.site.place, *(frozenset((twin.partition(" at ")[2],)) for twin in self.twins)}
 
     def containing(self, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
         """The parameters, by path, at which this is the effect that it refines, at ``values`` (by path)."""

@@ -121,6 +121,25 @@ def test_both_sides_of_a_sensor_that_gives_nothing_are_one():
     assert [len(twins) for twins in places.values()] == [1]
 
 
+class Weighed(ValveBench):
+    """The valve bench with a force sensor on the rod."""
+
+    sensor = ForceSensor()
+
+    def equations(self):
+        *others, _, position = super().equations()
+        yield from others
+        yield connect(self.cylinder.rod, self.sensor.a)
+        yield connect(self.sensor.b, self.load.flange)
+        yield position
+
+
+def test_seals_refine_the_friction_that_is_called_after_the_other_side_of_a_sensor():
+    model = Model(Weighed(), "weighed", step=5e-4)
+    (seals,), (dry,) = (candidates(model, [f"{name}_friction"]) for name in ("pressure_dependent", "coulomb"))
+    assert len(dry.twins) == 1 and seals.refines(dry) and not dry.refines(seals)
+
+
 class Metered(ValveBench):
     """The valve bench with a flow sensor in a line."""
 

@@ -30,7 +30,7 @@ def tank():
 def test_the_catalogue_and_the_gap_workflow_are_found_at_the_face():
     assert set(ht.effects) >= {"coulomb_friction", "dead_time", "internal_leakage"}
     friction = ht.add_effect(load("cehA"), "coulomb_friction")
-    assert "coulomb_friction" not in {c.id for c in ht.candidates(friction)}
+    assert "coulomb_friction at arm.pin" not in {c.label for c in ht.candidates(friction)}
     assert {"discover", "Discovery", "write_gap_report", "effects"} <= set(dir(ht))
 
 

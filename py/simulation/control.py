@@ -34,6 +34,25 @@ class Control(NamedTuple):
         return Control(self.step / 2, self.tolerance / 8, 4 * self.trials)
 
 
+class Choice(NamedTuple):
+    """How the next run goes: read once by each, so that threads may share a propagator.
+
+    at : the parameters at which it was decided.
+    """
+
+    method: str
+    control: Control
+    at: np.ndarray | None = None
+
+    @property
+    def implicit(self) -> bool:
+        return self.method == "rosenbrock"
+
+    def finer(self) -> Choice:
+        """What this is held against."""
+        return self._replace(control=self.control.finer())
+
+
 @dataclass(frozen=True, eq=False)
 class Accuracy:
     """How far a run is from the one with half the step, infinite where that one diverged.

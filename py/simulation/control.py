@@ -95,7 +95,7 @@ def compared(flat, time, y, finer, method: str, step: float) -> Accuracy:
     nominal = np.array([s.nominal for s in flat.outputs])
     least = np.maximum(STILL[0] * nominal, STILL[1] * np.abs(finer).max(axis=0))
     with np.errstate(invalid="ignore"):
-        apart = np.nan_to_num(np.abs(y - finer), nan=np.inf)
+        apart = np.nan_to_num(np.abs(y - finer), nan=np.inf, posinf=np.inf)
         ratio = np.where(np.isfinite(apart), apart / np.maximum(np.ptp(finer, axis=0), least), np.inf)
     k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
     by_output = dict(zip([s.name for s in flat.outputs], map(float, apart.max(axis=0)), strict=True))

@@ -76,13 +76,13 @@ class LanesLibrary:
         self._propagate = ctypes.CDLL(str(path)).propagate_lanes
         self._propagate.argtypes = [_COUNT, _COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
 
-    def propagate(self, time, u, p, control, x0):
-        """``(status (sets,), where (sets, nx + 1), y (sets, n, ny), x (sets, n, nx))``; p (sets, np), x0 (sets, nx).
+    def propagate(self, time, u, p, control, x0, with_states=True):
+        """``(status (sets,), where (sets, nx + 1), y (sets, n, ny), x (sets, n, nx) or None)``; p (sets, np).
 
         Outputs of a run that stopped are nan, its states from there on.
         """
         (sets, nx), n = x0.shape, len(time)
-        y, x = np.empty((sets, n, self._outputs)), np.full((sets, n, nx), np.nan)
+        y, x = np.empty((sets, n, self._outputs)), np.full((sets, n, nx), np.nan) if with_states else None
         status, where = self._walk(time, u, p, control, (x0, None, y, x, None))
         y[status != 0] = np.nan
         return status, where, y, x

@@ -125,7 +125,7 @@ class Propagator:
 
         Raises Diverged with the time and the state that left the finite numbers; SolveError for unusable arrays.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         restart = None if restart is None else _shaped("restart", restart, (len(time), len(x0)), self.flat.name)
         answer = self._decide(time, u, p, x0)
         if answer is None or restart is not None:
@@ -141,7 +141,7 @@ class Propagator:
             by the caller (unit columns for free states).
         with_states : False leaves dx out (None), which saves memory.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (len(x0), self._to.count), self.flat.name)
         self._at_zero(p, with_states)
         self._decide(time, u, p, x0)
@@ -211,7 +211,7 @@ class Propagator:
 
     def accuracy(self, time, u, p, x0) -> Accuracy:
         """How far the outputs of `run` are from those with half the step and an eighth of the error in each."""
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         y, _ = self.run(time, u, p, x0)
         return self._accuracy(self._choice, time, u, p, x0, y)
 
@@ -220,7 +220,7 @@ class Propagator:
 
         Where "auto" misses it, finer steps are tried and then the implicit method; the best stays.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         y, x = self.run(time, u, p, x0)
         choice = self._choice
         best = y, x, self._accuracy(choice, time, u, p, x0, y)
@@ -237,6 +237,15 @@ class Propagator:
         status, _, other, _ = self._stepped("propagate", time, u, p, x0, None, choice=choice.finer())
         other = other if status == DONE else np.full_like(y, np.inf)
         return compared(self.flat, time, y, other, choice.method, choice.control.step)
+
+    def decided(self, time, u, p, x0) -> Choice:
+        """How it runs at these parameters: settles "auto"."""
+        self._decide(*self.checked(time, u, p, x0))
+        return self._choice
+
+    def chosen_run(self, choice: Choice, time, u, p, x0):
+        """``(status, where, y, x)`` of a run as ``choice`` says, status and where as in ``driver.c``."""
+        return self._stepped("propagate", time, u, p, x0, None, choice=choice)
 
     def _finer(self, choice: Choice) -> list[Choice]:
         """What "auto" tries when a choice misses the accuracy."""
@@ -265,12 +274,13 @@ class Propagator:
             raise SolveError(f"{self.flat.name}: cuts must be rows 0 <= begin <= first < last <= {len(time)}.")
         x0 = _shaped("x0", x0, (len(cuts), len(self.flat.states)), self.flat.name)
         measured = _shaped("measured", measured, (len(time), len(self.flat.outputs)), self.flat.name)
-        time, u, p, _ = self._arrays(time, u, p, x0[0])
+        time, u, p, _ = self.checked(time, u, p, x0[0])
         here = slice(begin[0], last[0])
         self._decide(time[here], u[here], p, x0[0])
         return cuts, time, u, p, x0, measured
 
-    def _arrays(self, time, u, p, x0):
+    def checked(self, time, u, p, x0):
+        """The arrays of a run as an engine takes them. Raises SolveError for those that it cannot."""
         flat, time = self.flat, np.ascontiguousarray(time, dtype=float)
         name = flat.name
         if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time[[0, -1]]).all() and (time[1:] > time[:-1]).all()):

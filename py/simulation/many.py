@@ -1,7 +1,7 @@
 """Many parameter sets of one model over one recording: side by side in vector lanes, else one after the other.
 
-Lanes take explicit steps, compiled. Sets that have to be integrated implicitly, FMUs, equations without a vector form and
-machines without a compiler are run one by one, to the same results.
+Lanes take explicit steps. Sets that have to be integrated implicitly, FMUs and equations without a vector form are run
+one by one, to the same results, and so is everything where there is no compiler.
 """
 
 from __future__ import annotations

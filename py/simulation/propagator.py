@@ -319,7 +319,7 @@ class Propagator:
             return None
 
     def explicit_choices(self) -> list[Choice]:
-        """Explicit ways to run in the order in which they are tried; several for "auto" alone, none for "rosenbrock"."""
+        """Explicit ways to run, in the order in which "auto" tries them; none for "rosenbrock"."""
         step, method = self._asked
         if method != "auto":
             return [] if method == "rosenbrock" else [self._choice]

@@ -25,7 +25,7 @@ from .stops import Diverged
 class Ensemble:
     """What many parameter sets give on one recording.
 
-    values : (sets, n, ny), SI, nan for a set that diverged. outputs : names of the ny columns. time : (n,), as recorded.
+    values : (sets, n, ny), SI, nan for a set that diverged. outputs : names of the ny columns. time : (n,), recorded.
     reasons : why sets diverged, by their position. accuracies : of each set, None where none is known.
     """
 

@@ -52,10 +52,9 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
 def lanes_source(flat: FlatModel) -> str | None:
     """The explicit runs of many parameter sets side by side; None where the equations have no vector form."""
     to = equations.directions(flat, (), ())
-    step, seen = vector_text(equations.rk4_substep(flat), "rk4_lanes"), vector_text(equations.output(flat), "output_lanes")
-    if step is None or seen is None:
-        return None
-    return "\n".join((c_source(flat, to, False), VECTORS, step, seen, WALK_OF_LANES))
+    functions = {"rk4_lanes": equations.rk4_substep(flat), "output_lanes": equations.output(flat)}
+    texts = [vector_text(function, name) for name, function in functions.items()]
+    return None if None in texts else "\n".join((c_source(flat, to, False), VECTORS, *texts, WALK_OF_LANES))
 
 
 def _functions(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, ca.Function]:

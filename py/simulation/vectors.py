@@ -7,9 +7,10 @@ import math
 import casadi as ca
 
 _ONE = (
-    "SQRT FLOOR CEIL EXP LOG SIN COS TAN ASIN ACOS ATAN SINH COSH TANH ASINH ACOSH ATANH ERF LOG1P EXPM1 FABS SIGN"
-).split()
-_TWO = "POW ATAN2 HYPOT FMOD REMAINDER COPYSIGN FMIN FMAX".split()
+    *("SQRT", "FLOOR", "CEIL", "FABS", "SIGN", "EXP", "LOG", "LOG1P", "EXPM1", "ERF"),
+    *("SIN", "COS", "TAN", "ASIN", "ACOS", "ATAN", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH"),
+)
+_TWO = ("POW", "ATAN2", "HYPOT", "FMOD", "REMAINDER", "COPYSIGN", "FMIN", "FMAX")
 _AS_C = {
     ca.OP_ASSIGN: "{0}",
     ca.OP_ADD: "{0} + {1}",

@@ -3,13 +3,16 @@
 from .block import Block, TrainingDomain
 from .closed_loop import close_loop
 from .lowering import lower
+from .many import run_many, squares_of_many
 from .propagator import Propagator, prepare
 from .simulate import InaccurateWarning, predict_one_step, simulate
+from .simulate_many import Ensemble, simulate_many
 from .stops import Diverged
 
 __all__ = [
     "Block",
     "Diverged",
+    "Ensemble",
     "InaccurateWarning",
     "Propagator",
     "TrainingDomain",
@@ -17,5 +20,8 @@ __all__ = [
     "lower",
     "predict_one_step",
     "prepare",
+    "run_many",
     "simulate",
+    "simulate_many",
+    "squares_of_many",
 ]

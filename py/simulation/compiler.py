@@ -22,8 +22,9 @@ import platformdirs
 from hydrotwin.models.language.errors import SolveError
 
 # Contraction off: one rounding per operation, as in the CasADi virtual machine.
-# No -march=native: measured equal without, and a cache folder may be shared by different machines.
+# No -march=native for single runs: measured equal without, and a cache folder may be shared by different machines.
 FLAGS = ("-fvisibility=hidden", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
+NATIVE = "-march=native"
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")
 
 
@@ -44,15 +45,21 @@ def compilers() -> list[tuple[str, ...]]:
     return found
 
 
-def compile_library(source: str, name: str, optimise: Sequence[str] = ("-O3",)) -> Path | None:
+def compile_library(
+    source: str, name: str, optimise: Sequence[str] = ("-O3",), for_this_processor: bool = False
+) -> Path | None:
     """Path of the shared library made from ``source``; None when this machine has no compiler.
+
+    for_this_processor : it may use whatever instructions this one has; others that share the cache make their own.
 
     Raises SolveError with the compiler's own words when every compiler here refuses the source.
     """
     words = ""
     for command in compilers():
         try:
-            return _compiled(source, name, (*command, *optimise, *FLAGS))
+            processor = _processor(command) if for_this_processor else ""
+            native = (NATIVE,) if processor else ()
+            return _compiled(source, name, (*command, *optimise, *native, *FLAGS), processor)
         except _Refused as refused:
             words = f"'{' '.join(command)}' said: {str(refused).strip()[-800:] or 'nothing'}"
             if command != compilers()[-1]:
@@ -86,9 +93,9 @@ class _Refused(Exception):
     """A compiler that is missing or returned an error; the text is what it wrote."""
 
 
-def _compiled(source: str, name: str, command: tuple[str, ...]) -> Path:
+def _compiled(source: str, name: str, command: tuple[str, ...], processor: str) -> Path:
     """The library in the cache, compiled when it is not there; beside it first, then renamed."""
-    key = "\0".join((source, *command, _version_of(command), platform.machine()))
+    key = "\0".join((source, *command, _version_of(command), platform.machine(), processor))
     folder = _writable_folder()
     library = folder / f"{name}-{hashlib.sha256(key.encode()).hexdigest()[:24]}{SUFFIX}"
     if library.exists():
@@ -114,6 +121,13 @@ def _call(command: tuple[str, ...]) -> subprocess.CompletedProcess:
 def _version_of(command: tuple[str, ...]) -> str:
     done = _call((*(word for word in command if word not in FLAGS), "--version"))
     return done.stdout.partition("\n")[0]
+
+
+@functools.cache
+def _processor(command: tuple[str, ...]) -> str:
+    """What the compiler makes of `NATIVE` here: its macros, one for each set of instructions; "" when it refuses."""
+    done = _call((*command, NATIVE, "-dM", "-E", "-x", "c", os.devnull))
+    return "" if done.returncode else done.stdout
 
 
 @functools.cache

@@ -34,6 +34,25 @@ class Control(NamedTuple):
         return Control(self.step / 2, self.tolerance / 8, 4 * self.trials)
 
 
+class Choice(NamedTuple):
+    """How the next run goes: read once by each, so that threads may share a propagator.
+
+    at : the parameters at which it was decided.
+    """
+
+    method: str
+    control: Control
+    at: np.ndarray | None = None
+
+    @property
+    def implicit(self) -> bool:
+        return self.method == "rosenbrock"
+
+    def finer(self) -> Choice:
+        """What this is held against."""
+        return self._replace(control=self.control.finer())
+
+
 @dataclass(frozen=True, eq=False)
 class Accuracy:
     """How far a run is from the one with half the step, infinite where that one diverged.
@@ -76,7 +95,7 @@ def compared(flat, time, y, finer, method: str, step: float) -> Accuracy:
     nominal = np.array([s.nominal for s in flat.outputs])
     least = np.maximum(STILL[0] * nominal, STILL[1] * np.abs(finer).max(axis=0))
     with np.errstate(invalid="ignore"):
-        apart = np.nan_to_num(np.abs(y - finer), nan=np.inf)
+        apart = np.nan_to_num(np.abs(y - finer), nan=np.inf, posinf=np.inf)
         ratio = np.where(np.isfinite(apart), apart / np.maximum(np.ptp(finer, axis=0), least), np.inf)
     k, j = np.unravel_index(np.argmax(ratio), ratio.shape)
     by_output = dict(zip([s.name for s in flat.outputs], map(float, apart.max(axis=0)), strict=True))

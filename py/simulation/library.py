@@ -68,5 +68,39 @@ class Library:
         return squares, gradient, hessian
 
 
+class LanesLibrary:
+    """Explicit runs of many parameter sets side by side, by one shared library; safe to call from several threads."""
+
+    def __init__(self, path: Path, outputs: int):
+        self._outputs = outputs
+        self._propagate = ctypes.CDLL(str(path)).propagate_lanes
+        self._propagate.argtypes = [_COUNT, _COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
+
+    def propagate(self, time, u, p, control, x0, with_states=True):
+        """``(status (sets,), where (sets, nx + 1), y (sets, n, ny), x (sets, n, nx) or None)``; p (sets, np).
+
+        Outputs of a run that stopped are nan, its states from there on.
+        """
+        (sets, nx), n = x0.shape, len(time)
+        y, x = np.empty((sets, n, self._outputs)), np.full((sets, n, nx), np.nan) if with_states else None
+        status, where = self._walk(time, u, p, control, (x0, None, y, x, None))
+        y[status != 0] = np.nan
+        return status, where, y, x
+
+    def squares(self, time, u, p, control, x0, measured):
+        """``(status (sets,), squares (sets, ny))`` of what is left of ``measured`` (n, ny); nan where a run stopped."""
+        squares = np.empty((len(x0), self._outputs))
+        status, _ = self._walk(time, u, p, control, (x0, measured, None, None, squares))
+        squares[status != 0] = np.nan
+        return status, squares
+
+    def _walk(self, time, u, p, control, arrays):
+        sets, nx = arrays[0].shape
+        status, where = np.empty(sets, dtype=np.int32), np.empty((sets, nx + 1))
+        given = map(_address, (time, u, p))
+        self._propagate(sets, len(time), *given, _Control(*control), *map(_address, (*arrays, where, status)))
+        return status, where
+
+
 def _address(array):
     return None if array is None else array.__array_interface__["data"][0]  # `ctypes.data` takes ten times as long

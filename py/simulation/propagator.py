@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import threading
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import steps_over
 
 from . import equations, stiffness
-from .control import TOLERANCE, Accuracy, Control, compared, moved_far
+from .control import TOLERANCE, Accuracy, Choice, Control, compared, moved_far
 from .engines import engine_of
 from .library import Library
 from .machine import DEAR, DONE
@@ -63,21 +62,6 @@ def prepare(
     return Propagator(flat, to, longest, method, few_runs, tolerance)
 
 
-class _Choice(NamedTuple):
-    """How the next run goes: read once by each, so that threads may share a propagator.
-
-    at : the parameters at which it was decided.
-    """
-
-    method: str
-    control: Control
-    at: np.ndarray | None = None
-
-    @property
-    def implicit(self) -> bool:
-        return self.method == "rosenbrock"
-
-
 class Propagator:
     """Runs one model over recordings. Arrays are SI; safe to call from several threads.
 
@@ -100,7 +84,7 @@ class Propagator:
             self._engine(implicit=False)
 
     def _begin(self, method: str) -> None:
-        self._choice = _Choice(method, Control(self._asked[0]))
+        self._choice = Choice(method, Control(self._asked[0]))
         self._deciding, self._building = threading.Lock(), threading.Lock()
 
     @property
@@ -141,7 +125,7 @@ class Propagator:
 
         Raises Diverged with the time and the state that left the finite numbers; SolveError for unusable arrays.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         restart = None if restart is None else _shaped("restart", restart, (len(time), len(x0)), self.flat.name)
         answer = self._decide(time, u, p, x0)
         if answer is None or restart is not None:
@@ -157,7 +141,7 @@ class Propagator:
             by the caller (unit columns for free states).
         with_states : False leaves dx out (None), which saves memory.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         dx0 = _shaped("x0_jacobian", x0_jacobian, (len(x0), self._to.count), self.flat.name)
         self._at_zero(p, with_states)
         self._decide(time, u, p, x0)
@@ -227,7 +211,7 @@ class Propagator:
 
     def accuracy(self, time, u, p, x0) -> Accuracy:
         """How far the outputs of `run` are from those with half the step and an eighth of the error in each."""
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         y, _ = self.run(time, u, p, x0)
         return self._accuracy(self._choice, time, u, p, x0, y)
 
@@ -236,7 +220,7 @@ class Propagator:
 
         Where "auto" misses it, finer steps are tried and then the implicit method; the best stays.
         """
-        time, u, p, x0 = self._arrays(time, u, p, x0)
+        time, u, p, x0 = self.checked(time, u, p, x0)
         y, x = self.run(time, u, p, x0)
         choice = self._choice
         best = y, x, self._accuracy(choice, time, u, p, x0, y)
@@ -249,13 +233,21 @@ class Propagator:
                 best, self._choice = (y, x, reached), finer
         return best
 
-    def _accuracy(self, choice: _Choice, time, u, p, x0, y) -> Accuracy:
-        finer = choice._replace(control=choice.control.finer())
-        status, _, other, _ = self._stepped("propagate", time, u, p, x0, None, choice=finer)
+    def _accuracy(self, choice: Choice, time, u, p, x0, y) -> Accuracy:
+        status, _, other, _ = self._stepped("propagate", time, u, p, x0, None, choice=choice.finer())
         other = other if status == DONE else np.full_like(y, np.inf)
         return compared(self.flat, time, y, other, choice.method, choice.control.step)
 
-    def _finer(self, choice: _Choice) -> list[_Choice]:
+    def decided(self, time, u, p, x0) -> Choice:
+        """How it runs at these parameters: settles "auto"."""
+        self._decide(*self.checked(time, u, p, x0))
+        return self._choice
+
+    def chosen_run(self, choice: Choice, time, u, p, x0):
+        """``(status, where, y, x)`` of a run as ``choice`` says, status and where as in ``driver.c``."""
+        return self._stepped("propagate", time, u, p, x0, None, choice=choice)
+
+    def _finer(self, choice: Choice) -> list[Choice]:
         """What "auto" tries when a choice misses the accuracy."""
         if self._asked[1] != "auto":
             return []
@@ -282,12 +274,13 @@ class Propagator:
             raise SolveError(f"{self.flat.name}: cuts must be rows 0 <= begin <= first < last <= {len(time)}.")
         x0 = _shaped("x0", x0, (len(cuts), len(self.flat.states)), self.flat.name)
         measured = _shaped("measured", measured, (len(time), len(self.flat.outputs)), self.flat.name)
-        time, u, p, _ = self._arrays(time, u, p, x0[0])
+        time, u, p, _ = self.checked(time, u, p, x0[0])
         here = slice(begin[0], last[0])
         self._decide(time[here], u[here], p, x0[0])
         return cuts, time, u, p, x0, measured
 
-    def _arrays(self, time, u, p, x0):
+    def checked(self, time, u, p, x0):
+        """The arrays of a run as an engine takes them. Raises SolveError for those that it cannot."""
         flat, time = self.flat, np.ascontiguousarray(time, dtype=float)
         name = flat.name
         if time.ndim != 1 or len(time) == 0 or not (np.isfinite(time[[0, -1]]).all() and (time[1:] > time[:-1]).all()):
@@ -314,18 +307,25 @@ class Propagator:
         with self._deciding:
             if not self._open(p):
                 return None
-            most = max(FINEST, len(self.flat.states))
-            for step in self._asked[0] / 2.0 ** np.arange(int(np.log2(most)) + 1):
-                control = Control(float(step), self._tolerance, TRIALS * most)
-                answer = self._engine(implicit=False).propagate(time, u, p, control, x0)
+            for choice in self.explicit_choices():
+                answer = self._engine(implicit=False).propagate(time, u, p, choice.control, x0)
                 if answer[0] == DEAR:
                     break
-                if stiffness.explicit_will_do(self.flat, step, time, u, p, x0, answer[-1]):
-                    self._choice = _Choice("explicit", control, p)
+                if stiffness.explicit_will_do(self.flat, choice.control.step, time, u, p, x0, answer[-1]):
+                    self._choice = choice._replace(at=p)
                     return answer
             self._engine(implicit=True)
-            self._choice = _Choice("rosenbrock", Control(self._asked[0]), p)
+            self._choice = Choice("rosenbrock", Control(self._asked[0]), p)
             return None
+
+    def explicit_choices(self) -> list[Choice]:
+        """Explicit ways to run, in the order in which "auto" tries them; none for "rosenbrock"."""
+        step, method = self._asked
+        if method != "auto":
+            return [] if method == "rosenbrock" else [self._choice]
+        most = max(FINEST, len(self.flat.states))
+        steps = step / 2.0 ** np.arange(int(np.log2(most)) + 1)
+        return [Choice("explicit", Control(float(h), self._tolerance, TRIALS * most)) for h in steps]
 
     def _open(self, p) -> bool:
         """Whether "auto" is to be decided: for the first time, or because parameters have moved far."""
@@ -334,7 +334,7 @@ class Propagator:
         at = self._choice.at
         return at is None or moved_far(p, at, self._nominal)
 
-    def _stepped(self, what: str, time, u, p, *rest, choice: _Choice | None = None):
+    def _stepped(self, what: str, time, u, p, *rest, choice: Choice | None = None):
         """What the chosen engine answers, or the implicit one where explicit steps become dearer."""
         choice = choice or self._choice
         control = choice.control

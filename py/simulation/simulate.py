@@ -56,21 +56,21 @@ def simulate(
 
     Raises DataError for a missing input, Diverged with time and state for a run that leaves the finite numbers.
     """
-    record = _filled(record, model)
+    record = filled(record, model)
     model = settled(model, [record], interpolation)
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
-        return _with_domain(_answer(record, model, y, run.grid), model, run, y)
+        return _with_domain(answer_of(record, model, y, run.grid), model, run, y)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     propagator = prepare(flat, step=step, method=method)
     if flat.black_box:
-        return _answer(record, flat, propagator.run(_since_start(record), u, p, x0)[0])
-    y, _, reached = propagator.controlled_run(_since_start(record), u, p, x0)
+        return answer_of(record, flat, propagator.run(since_start(record), u, p, x0)[0])
+    y, _, reached = propagator.controlled_run(since_start(record), u, p, x0)
     if not reached.reached:
         warnings.warn(f"{flat.name} on {record.name}: {reached}.", InaccurateWarning, stacklevel=2)
-    return Simulated(**vars(_answer(record, flat, y)), accuracy=reached)
+    return Simulated(**vars(answer_of(record, flat, y)), accuracy=reached)
 
 
 def predict_one_step(
@@ -87,20 +87,20 @@ def predict_one_step(
     At every sample the measured outputs replace the states they determine (``StateVariable.measured_by``); all other
     states are those of the free run. The first sample is that of the free run.
     """
-    record = _filled(record, model)
+    record = filled(record, model)
     model = settled(model, [record])
     if isinstance(model, Block):
         run = _block_run(model, record, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
         measured = _corrected(model, record, x, run.grid)
         predicted = sampled.predict_block(model, run.grid, record.time, run.u, run.p, measured)
-        return _answer(record, model, predicted, run.grid)
+        return answer_of(record, model, predicted, run.grid)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     propagator = prepare(flat, step=step, method=method)
-    _, x = propagator.run(_since_start(record), u, p, x0)
+    _, x = propagator.run(since_start(record), u, p, x0)
     restart = _corrected(flat, record, x, record.time)
-    return _answer(record, flat, propagator.run(_since_start(record), u, p, x0, restart)[0])
+    return answer_of(record, flat, propagator.run(since_start(record), u, p, x0, restart)[0])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -111,12 +111,12 @@ class _BlockRun:
     x0: np.ndarray
 
 
-def _since_start(record: Record) -> np.ndarray:
+def since_start(record: Record) -> np.ndarray:
     """A model's time is 0 at the first sample, whatever the clock of the logger says."""
     return record.time - record.time[0]
 
 
-def _filled(record: Record, model) -> Record:
+def filled(record: Record, model) -> Record:
     system = getattr(model, "flat", model)
     if len(record.time) == 0:
         raise DataError(f"{record.source or record.name}: no samples to run {model.name} on. Give one with data.")
@@ -125,16 +125,20 @@ def _filled(record: Record, model) -> Record:
 
 def _driven(flat: FlatModel, record: Record, parameters, start) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Inputs, parameters and start state of a model on a record."""
-    u = _inputs(flat, record)
+    u = inputs_of(flat, record)
     p = flat.parameter_vector(parameters)
+    return u, p, started(flat, record, u, p, start)
+
+
+def started(flat: FlatModel, record: Record, u, p, start: Mapping[str, float] | None) -> np.ndarray:
+    """The start states (nx,) of a model on a record: given, measured, or by its own initialisation."""
     given = {s.name: record[s.measured_by][0] for s in flat.states if _measures(record, s.measured_by)}
     given = {name: float(value) for name, value in given.items() if np.isfinite(value)} | dict(start or {})
-    x0 = flat.start_given(tuple(given))(u[0], p, list(given.values())).full().ravel()
-    return u, p, x0
+    return flat.start_given(tuple(given))(u[0], p, list(given.values())).full().ravel()
 
 
 def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
-    u = _inputs(block, record)
+    u = inputs_of(block, record)
     grid = sampled.sample_grid(block, record.time)
     u = u if grid is record.time else sampled.sampled_inputs(block, record.time, u, grid)
     p, start = block.parameter_vector(), dict(start or {})
@@ -144,7 +148,7 @@ def _block_run(block: Block, record: Record, parameters, start) -> _BlockRun:
     return _BlockRun(grid, u, p, sampled.start_state(block, u[0], y, p, start))
 
 
-def _inputs(system: FlatModel | Block, record: Record) -> np.ndarray:
+def inputs_of(system: FlatModel | Block, record: Record) -> np.ndarray:
     """The input columns (n, nu), present, of the right dimension and without gaps."""
     record = known_inputs(require(record, system.inputs, system.name), system.inputs, system.name)
     u = record.array([s.name for s in system.inputs])
@@ -187,7 +191,7 @@ def _with_domain(answer: Record, block: Block, run: _BlockRun, y: np.ndarray) ->
     return answer.with_signals(told, dict.fromkeys(told, "1"))
 
 
-def _answer(record: Record, system: FlatModel | Block, y: np.ndarray, grid: np.ndarray | None = None) -> Record:
+def answer_of(record: Record, system: FlatModel | Block, y: np.ndarray, grid: np.ndarray | None = None) -> Record:
     """Outputs as a record on the time axis of the input record."""
     columns = [y[:, j] if grid is None or grid is record.time else np.interp(record.time, grid, y[:, j])
                for j in range(len(system.outputs))]  # fmt: skip

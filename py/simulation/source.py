@@ -12,9 +12,11 @@ from hydrotwin.models.language.flat import FlatModel
 from . import equations
 from .control import BURST, DEEPEST, SMOOTH
 from .equations import Directions
+from .vectors import vector_text
 
-DRIVER, SENSITIVITIES = (
-    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("driver.c", "sensitivities.c")
+DRIVER, SENSITIVITIES, VECTORS, WALK_OF_LANES = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for name in ("driver.c", "sensitivities.c", "vectors.c", "lanes.c")
 )
 
 # Friction and every smoothed corner call it: half the time of the library's, within 2 units in the last place of it.
@@ -45,6 +47,14 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
         lines += _products("F", functions["RATE"], row, row)
         lines += _products("H", functions["SEEN"], {i: i for i in range(len(flat.outputs))}, row)
     return "\n".join((TANH, _generated(functions), *lines, DRIVER, SENSITIVITIES if to.count else ""))
+
+
+def lanes_source(flat: FlatModel) -> str | None:
+    """The explicit runs of many parameter sets side by side; None where the equations have no vector form."""
+    to = equations.directions(flat, (), ())
+    functions = {"rk4_lanes": equations.rk4_substep(flat), "output_lanes": equations.output(flat)}
+    texts = [vector_text(function, name) for name, function in functions.items()]
+    return None if None in texts else "\n".join((c_source(flat, to, False), VECTORS, *texts, WALK_OF_LANES))
 
 
 def _functions(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, ca.Function]:

@@ -80,3 +80,19 @@ def explosion():
         return ca.vertcat(-x[0], p[0] * x[1] ** 2, -x[2] + 1e-3 * x[1]), x
 
     return small_model("explosion", ["calm", "bang", "dragged"], {"rate": 2.0}, equations, start=[1.0, 1.0, 1.0])
+
+
+def pressed_slide(interpolation="hold"):
+    """A mass on dry friction, pressed by oil that a late flow brings and a relief valve lets go."""
+
+    def equations(t, x, u, p):
+        C, opening, steepness, friction, _ = ca.vertsplit(p)
+        speed, pressure, place = ca.vertsplit(x)
+        relief = steepness * ca.fmax(pressure - opening, 0)
+        force = pressure - friction * ca.tanh(speed / 0.02) - 0.5 * speed
+        return ca.vertcat(force, (u[0] - speed - relief) / C, speed), ca.vertcat(pressure, place, u[0])
+
+    parameters = {"C": 0.02, "opening": 1.5, "steepness": 4.0, "friction": 0.6, "Td": 0.013}
+    flow = Signal("flow", "1", interpolation=interpolation, dead_time="Td")
+    outputs, states = ("pressure_seen", "place_seen", "flow_seen"), ["speed", "pressure", "place"]
+    return small_model("pressed slide", states, parameters, equations, inputs=(flow,), outputs=outputs)

@@ -163,7 +163,12 @@ class FlatModel:
         """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""
         values = np.array([p.value for p in self.parameters], dtype=float)
         for name, value in (changes or {}).items():
-            values[self.index_of(name)] = value
+            try:
+                values[self.index_of(name)] = value
+            except (TypeError, ValueError):
+                raise DeclarationError(
+                    f"{self.name}.{name}: {value!r} is no number. Give its value in SI, without a unit."
+                ) from None
         return values
 
     def index_of(self, parameter: str) -> int:

@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import Signal
 
 from .descent import Task, whole_runs
-from .directions import loads_of, period_of, seen_from, with_inputs
+from .directions import Seen, loads_of, period_of, seen_from, with_inputs
 from .least_squares import Minimum
 from .outliers import spikes
 from .problem import Recording
@@ -30,27 +30,34 @@ def hint(task: Task, found: Minimum) -> str:
         seen = seen_from(task, found, inputs=True)
     except SolveError:
         return ""
-    other = _turned(task, found) or _spiked(task, found)
-    if other:
-        return other
+    return _turned(task, found) or _spiked(task, found) or _offset(task, found, seen) or _late(task, found, seen)
+
+
+def _offset(task: Task, found: Minimum, seen: Seen) -> str:
+    """A constant offset of a sensor."""
     first = len(task.flat.inputs) + len(loads_of(task))
     for j, signal in enumerate(task.flat.outputs):
         step = seen.step((first + j,)) if task.weights[j] > 0 else None
-        if step and step.gain > FAR_MORE * seen.excess:
-            offset = float(step.others[0]) * abs(signal.nominal)
-            if _explained_by(task, found, tuple(_without_offset(r, j, offset) for r in task.recordings)):
-                of = f"{offset:.3g} {signal.unit} of {signal.name}"
-                return f"a constant offset of {of} would explain most of what is left. Look at its zero."
+        if step is None or step.gain <= FAR_MORE * seen.excess:
+            continue
+        offset = -float(step.others[0]) * abs(signal.nominal)
+        if _explained_by(task, found, tuple(_without_offset(r, j, offset) for r in task.recordings)):
+            of = f"{offset:.3g} {signal.unit} of {signal.name}"
+            return f"a constant offset of {of} would explain most of what is left. Look at its zero."
+    return ""
+
+
+def _late(task: Task, found: Minimum, seen: Seen) -> str:
+    """An input that comes later or earlier than it was taken for."""
     for j, signal in enumerate(task.flat.inputs):
         step = seen.step((j,))
         samples, share = float(step.others[0]) / 2, min(step.gain / seen.excess, 1.0)
         if share > FAR_MORE and abs(samples) > NEAR and _explains_late(task, found, signal, samples):
             by = f"{abs(samples) * period_of(task):.2g} s {'later' if samples > 0 else 'earlier'}"
-            words = (
+            return (
                 f"input {signal.name} coming about {by} than it was taken for would explain {100 * share:.0f} % of "
                 "what is left. Look at its clock, its interpolation, or for a dead time (dead_time in hydrotwin gap)."
             )
-            return words
     return ""
 
 
@@ -69,9 +76,9 @@ def _explains_late(task: Task, found: Minimum, signal: Signal, samples: float) -
 
 def _turned(task: Task, found: Minimum) -> str:
     """A sensor or an input with its sign turned, where a fit with the sign as it should be explains most."""
-    if not any(_against(task, j) for j in np.flatnonzero(task.weights > 0)):
-        return ""
     columns = [("y", j, s.name) for j, s in enumerate(task.flat.outputs) if task.weights[j] > 0 and _against(task, j)]
+    if not columns:
+        return ""
     columns += [("u", j, s.name) for j, s in enumerate(task.flat.inputs)]
     for kind, j, name in columns:
         turned = tuple(_with_sign_turned(r, kind, j) for r in task.recordings)

@@ -71,8 +71,8 @@ def squares_of_many(propagator, time, u, p, x0, measured) -> np.ndarray:
         left = np.flatnonzero(status == DEAR)
     known = np.isfinite(measured)
     for s in left:
-        y = _alone(propagator, choice, time, u, p[s], x0[s]).y
-        squares[s] = (np.where(known, y - measured, 0.0) ** 2).sum(axis=0)
+        y, stop, _ = _alone(propagator, choice, time, u, p[s], x0[s])
+        squares[s] = np.nan if stop else (np.where(known, y - measured, 0.0) ** 2).sum(axis=0)
     return squares
 
 

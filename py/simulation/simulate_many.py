@@ -102,18 +102,33 @@ def _mappings(model, sets, names) -> list[Mapping[str, float]]:
     if isinstance(sets, Mapping):
         raise DeclarationError(f"{name}: one parameter set is no list of sets. Write [{{'path': value}}].")
     if names is not None:
-        values = np.asarray(sets, dtype=float)
-        if values.ndim != 2 or values.shape[1] != len(names):
-            raise DeclarationError(
-                f"{name}: with {len(names)} names the parameter sets are an array (sets, {len(names)}) (got "
-                f"{values.shape}). Give a row for each set."
-            )
-        sets = [dict(zip(names, row, strict=True)) for row in values.tolist()]
-    elif not all(isinstance(one, Mapping) for one in sets):
+        sets = _named(name, sets, list(names))
+    sets = list(sets)
+    if not all(isinstance(one, Mapping) for one in sets):
         raise DeclarationError(f"{name}: parameter sets without names. Give mappings, or the array's columns as names.")
-    if not len(sets):
+    if not sets:
         raise DeclarationError(f"{name}: no parameter sets. Give at least one, {{}} for the model as it is.")
-    return list(sets)
+    return sets
+
+
+def _named(name: str, sets, names: list[str]) -> list[dict[str, float]]:
+    """The mappings of an array (sets, k) of values, k of them named."""
+    twice = next((n for n in names if names.count(n) > 1), None)
+    if twice is not None:
+        raise DeclarationError(f"{name}: '{twice}' is named for two columns. Name each parameter once.")
+    try:
+        values = np.asarray(sets, dtype=float)
+    except (TypeError, ValueError):
+        raise DeclarationError(
+            f"{name}: with names the parameter sets are an array of numbers (sets, {len(names)}). Leave names out for "
+            "mappings."
+        ) from None
+    if values.ndim != 2 or values.shape[1] != len(names):
+        raise DeclarationError(
+            f"{name}: with {len(names)} names the parameter sets are an array (sets, {len(names)}) (got "
+            f"{values.shape}). Give a row for each set."
+        )
+    return [dict(zip(names, row, strict=True)) for row in values.tolist()]
 
 
 def _model_runs(flat: FlatModel, record: Record, sets, start, how: tuple[float | None, str]) -> list[Ran]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -130,3 +131,21 @@ def test_a_sign_that_is_turned_is_told_and_no_delay_beyond_the_recording(turned)
 
 def test_a_sign_that_is_right_is_not():
     assert "against" not in " ".join(str(f) for f in fitted([moved(1, strong(1))]).findings)
+
+
+@pytest.mark.parametrize("offset", (0.02, -0.1))
+def test_a_constant_offset_of_a_sensor_is_told_with_its_size(offset):
+    run = moved(1, strong(1))
+    other = run.with_signals({"velocity": run["velocity"] + offset}, units={"velocity": "m/s"})
+    said = " ".join(map(str, fitted([other]).findings))
+    told = re.search(r"a constant offset of (\S+) m/s of velocity would explain most", said)
+    assert float(told[1]) == pytest.approx(offset, rel=0.05)
+
+
+def test_samples_of_a_measured_force_that_stand_alone_are_told_with_the_first():
+    run = moved(1, strong(1))
+    force = run["force"].copy()
+    force[[100, 250, 333]] += (400.0, -300.0, 500.0)
+    said = " ".join(map(str, fitted([run.with_signals({"force": force}, units={"force": "N"})]).findings))
+    assert "3 samples of input force stand alone" in said
+    assert f"{run.time[100] - run.time[0]:.6g} s from its start" in said

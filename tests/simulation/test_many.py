@@ -152,6 +152,22 @@ def test_without_lanes_the_sets_run_one_by_one(why, monkeypatch, tmp_path):
     assert lanes_of(flat) is None
 
 
+def test_squares_of_a_stopped_set_are_nan_in_lanes_and_one_by_one():
+    """Where nothing was measured they would be zero, and the set the best of all."""
+    flat, time = explosion(), np.linspace(0, 0.8, 81)
+    measured = np.full((81, len(flat.outputs)), np.nan)
+    measured[:, 0] = 1.0
+    for sets, method in ((9, "explicit"), (1, "explicit"), (9, "rosenbrock")):
+        p, propagator = np.full((sets, 1), 4.0), prepare(flat, method=method)
+        squares = squares_of_many(propagator, time, np.empty((81, 0)), p, started(flat, p), measured)
+        assert np.isnan(squares).all(), (sets, method)
+
+
+def test_sets_may_come_one_after_the_other():
+    many = ht.simulate_many(pressed_slide(), ({"friction": value} for value in (0.3, 0.6)), flow_record())
+    assert len(many) == 2
+
+
 def test_blocks_run_one_by_one():
     block = lower(lag(), 0.01)
     record = ht.Record(TIME, {"u": FLOW}, {"u": "1"}, "u")
@@ -177,7 +193,10 @@ def test_sets_that_miss_the_accuracy_are_told_once():
         (np.ones((2, 1)), None, "without names"),
         (np.ones((2, 3)), ["friction"], r"\(sets, 1\) \(got \(2, 3\)\)"),
         (np.ones((0, 1)), ["friction"], "no parameter sets"),
+        (np.ones((2, 2)), ["friction", "friction"], "'friction' is named for two columns"),
+        ([{"friction": 1.0}], ["friction"], "Leave names out for mappings"),
         ([{"frction": 1.0}], None, "Did you mean 'friction'"),
+        ([{"friction": "1 N"}], None, "'1 N' is no number"),
     ],
 )
 def test_unusable_sets_are_refused(sets, names, said):

@@ -47,6 +47,12 @@ def channels_of(places: Places, site: Site) -> tuple[Channel, ...]:
     return (*found, *(Channel("read", path) for path in (site.reads or {}).values()))
 
 
+def _free(places: Places) -> list[str]:
+    """The free parameters of a model, without those of what was added to it."""
+    added = tuple(f"{a.name}." for a in places.model.additions if a.part is not None)
+    return [p.name for p in places.model.flat.parameters if p.free and not (added and p.name.startswith(added))]
+
+
 def _unit(places: Places, path: str) -> str:
     """The unit of a signal or of the rate of a state."""
     known = {w.path: w.unit for w in places.wires} | {path: v.unit for path, v in places.variables.items()}
@@ -62,7 +68,10 @@ class Alike:
         self._channels = {id(site): channels_of(places, site) for site in sites}
         self._sites = sites  # whose identities are the keys
         acting = [c for found in self._channels.values() for c in found]
-        self._survey = self._surveyed([*acting, *(end for c in dict.fromkeys(acting) for end in self._ends(c))])
+        ends = [end for c in dict.fromkeys(acting) for end in self._ends(c)]
+        freeing = any(c.kind == "parameter" for c in acting)
+        self._free = [Channel("parameter", path) for path in _free(places)] if freeing else []
+        self._survey = self._surveyed([*acting, *ends, *self._free])
         self._same: dict[Channel, Channel] = {}
 
     def _surveyed(self, channels: Sequence[Channel]) -> Survey | None:
@@ -92,14 +101,26 @@ class Alike:
         return [tuple(group) for group in sorted(groups, key=lambda group: sites.index(group[0]))]
 
     def _idle(self, site: Site) -> bool:
-        """Whether nothing that acts here moves an output, or it lies between two ports that are one place."""
+        """Whether nothing that acts here moves an output, or it lies between two ports that are one place.
+
+        A parameter says nothing by being freed where those that are free already do the same.
+        """
         acting = [c for c in self._channels[id(site)] if c.kind != "read"]
-        if self._survey is None or any(c.kind == "parameter" for c in acting):
+        if self._survey is None or not all(c in self._survey.channels for c in acting):
             return False
+        if site.frees and acting[0].kind == "parameter":
+            return self._done_already(acting[0])
         across = len(acting) > 1 and all(c.kind == "node" for c in acting) and not site.reads
         if across and len({self._class(c) for c in acting}) == 1:
             return True
         return not any(self._moves(c) for c in acting)
+
+    def _done_already(self, channel: Channel) -> bool:
+        """Whether free parameters together change rates, outputs and start as this one does, everywhere."""
+        rows = self._survey.slopes.T
+        given, wanted = rows[:, [self._survey.index(c) for c in self._free]], rows[:, self._survey.index(channel)]
+        step, *_ = np.linalg.lstsq(given, wanted, rcond=None)
+        return bool(np.linalg.norm(given @ step - wanted) < SAME * np.linalg.norm(wanted))
 
     def _moves(self, channel: Channel) -> bool:
         survey = self._survey

@@ -204,8 +204,8 @@ def candidates(
     """Every effect of the catalogue at every site of a model that it fits, in the order they act.
 
     Args: effects, exclude: globs over ids or ``id at site``; unknown ones raise DeclarationError with the nearest.
-    merged: sites that the equations cannot tell apart are one candidate, which tells its ``twins``, and sites at which
-    nothing would move are none; otherwise all that fits, each by itself.
+    merged: sites that the equations cannot tell apart are one candidate, which tells its ``twins``; sites at which
+    nothing would move are none, nor is a parameter beside free ones that do the same; otherwise all that fits.
     """
     from .alike import gathered
     from .catalogue import CATALOGUE

@@ -18,16 +18,17 @@ from hydrotwin.models.components import (
     Gain,
     LinearLoad,
     Mass,
+    Pump,
     Saturation,
     SpringDamper,
 )
 from hydrotwin.models.effects import CATALOGUE, add_effect, candidates
 from hydrotwin.models.effects.law import law_of
 from hydrotwin.models.language import Component, Input, Model, Output, connect
-from hydrotwin.models.laws import Viscous
+from hydrotwin.models.laws import ConstantVolumetricEfficiency, Viscous
 from hydrotwin.simulation import prepare
 from tests.effects import hoses
-from tests.effects.benches import Axis, ValveBench
+from tests.effects.benches import Axis, PumpBench, ValveBench
 
 MACHINES = {"winch": hoses.winch, "cylinder": hoses.cylinder_bench}
 
@@ -232,6 +233,24 @@ class Loaded(Axis):
 def test_two_masses_on_one_flange_are_one_payload_and_those_of_an_arm_are_two():
     assert sites(Model(Loaded(), "loaded"), "payload_error") == {"carriage.mass": ("payload.mass",)}
     assert set(sites(cehA.model(), "payload_error")) == {"arm.extra_mass", "arm.arm_mass"}
+
+
+def test_a_mass_is_no_payload_to_look_for_beside_one_that_is_free_already():
+    fixed = Model(Loaded(), "loaded")
+    for mass in ("carriage.mass", "payload.mass"):
+        assert sites(fixed.with_settings({mass: {"free": True}}), "payload_error") == {}
+        assert sites(add_effect(fixed, "payload_error", mass), "payload_error") == {}
+    assert set(sites(cehA.model().with_settings({"arm.arm_mass": {"free": True}}), "payload_error")) == {
+        "arm.extra_mass"
+    }
+
+
+def test_a_displacement_is_none_beside_a_free_efficiency_that_scales_the_same_flow():
+    pump = Pump(displacement=2e-7, return_ratio=0.8, loss=ConstantVolumetricEfficiency(efficiency=0.9))
+    known = Model(PumpBench(pump=pump), "pump_bench")
+    free = known.with_settings({"pump.loss.efficiency": {"free": True}})
+    assert set(sites(known, "displacement_error")) == {"pump.displacement"} and not sites(free, "displacement_error")
+    assert sites(free, "area_error") == sites(known, "area_error") != {}
 
 
 def test_the_own_machines_keep_lists_that_can_be_searched():

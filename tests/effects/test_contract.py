@@ -1,4 +1,4 @@
-"""What every effect of the catalogue promises, at every site of several machines."""
+"""What every effect of the catalogue promises at each kind of site that several machines have."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.effects import CATALOGUE, candidates
 from hydrotwin.models.effects.effect import neutral_difference
 from hydrotwin.models.language import Parameter
+from hydrotwin.models.language.additions import by_end
 from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.places import Places
 from tests.effects import benches, hoses
 
 MACHINES = {
@@ -62,9 +64,33 @@ def inputs(model):
     return UNIFORM[:, : len(model.flat.inputs)] * [i.nominal for i in model.flat.inputs]
 
 
-CASES = [(name, c.label) for name in MACHINES for c in found(name)]
+@cache
+def places_of(name):
+    return Places(machine(name))
+
+
+def tied(name, chosen):
+    """The kind of a site: the kinds of ports, the roles and the unit of signals that a part there is tied to."""
+    site, places = chosen.site, places_of(name)
+    roles = {wire.path: wire.role for wire in places.wires}
+    ports = (*(site.ties or {}).items(), *by_end(site.between).items())
+    ends = [(end, places.node_at(port).kind.__name__) for end, port in ports]
+    ends += [(end, roles.get(path)) for end, path in by_end(site.through).items()]
+    return (*ends, tuple(site.reads or ()), bool(site.frees), len(site.holds), site.unit, site.also_free, site.further)
+
+
+def first_of_each(kind, names=tuple(MACHINES)):
+    """The candidates (machine, label) of these machines that are the first of their ``kind(name, candidate)``."""
+    firsts = {}
+    for name in names:
+        for c in found(name):
+            firsts.setdefault(kind(name, c), (name, c.label))
+    return list(firsts.values())
+
+
+CASES = first_of_each(lambda name, c: (c.id, type(c.addition.part).__name__, tied(name, c)))
 every_effect = pytest.mark.parametrize("effect", CATALOGUE.values(), ids=list(CATALOGUE))
-every_site = pytest.mark.parametrize(("name", "label"), CASES, ids=[f"{n}: {label}" for n, label in CASES])
+every_kind = pytest.mark.parametrize(("name", "label"), CASES, ids=[f"{n}: {label}" for n, label in CASES])
 
 
 def candidate(name, label):
@@ -124,7 +150,7 @@ def test_no_two_candidates_share_a_name(name):
     assert len(labels) == len(set(labels)) and len(parts) == len(set(parts))
 
 
-@every_site
+@every_kind
 def test_an_effect_at_neutral_changes_nothing(name, label):
     base, more = bare(name), prepared(name, label)
     order = [s.name for s in more.flat.states]
@@ -147,7 +173,7 @@ def test_the_official_measure_of_neutrality_agrees_and_sees_an_effect_that_is_th
     assert neutral_difference(model, there, inputs(model)[:1], np.zeros(1)) == pytest.approx(0.01, rel=0.05)
 
 
-@every_site
+@every_kind
 def test_the_model_itself_is_left_as_it_was(name, label):
     model, more = machine(name), added(name, label)
     assert not model.additions and len(more.additions) == 1
@@ -161,15 +187,14 @@ def _own(chosen, model):
     return own | set(chosen.site.holds)
 
 
-@pytest.mark.parametrize("name", ["pump_bench", "valve_bench", "tanks"])
-def test_what_else_fits_keeps_its_name_once_an_effect_was_added(name):
-    labels = [c.label for c in found(name)]
-    for chosen in {c.id: c for c in found(name)}.values():
-        again = [c.label for c in candidates(added(name, chosen.label))]
-        assert again == [label for label in labels if label != chosen.label], chosen.label
+@pytest.mark.parametrize(("name", "label"), first_of_each(tied, ("pump_bench", "valve_bench", "tanks")))
+def test_what_else_fits_keeps_its_name_once_an_effect_was_added(name, label):
+    """One effect at each kind of site: how it is tied in decides what else finds its place."""
+    again = [c.label for c in candidates(added(name, label))]
+    assert again == [c.label for c in found(name) if c.label != label]
 
 
-@every_site
+@every_kind
 def test_what_is_looked_for_is_free_at_neutral_and_within_bounds_that_contain_every_start(name, label):
     chosen, flat = candidate(name, label), added(name, label).flat
     parameters = {p.name: p for p in flat.parameters}
@@ -185,7 +210,7 @@ def test_what_is_looked_for_is_free_at_neutral_and_within_bounds_that_contain_ev
     assert any(probe[path] != chosen.neutral[path] for probe in chosen.probes for path in probe)
 
 
-@every_site
+@every_kind
 def test_rates_outputs_and_their_derivatives_are_finite_at_neutral_and_at_every_start(name, label):
     model = prepared(name, label)
     for values, u in product(({}, *candidate(name, label).probes), inputs(machine(name))):
@@ -193,7 +218,7 @@ def test_rates_outputs_and_their_derivatives_are_finite_at_neutral_and_at_every_
         assert all(np.isfinite(part).all() for part in (*model.at(0.5, x, u, values), model.slopes(u, values)))
 
 
-@every_site
+@every_kind
 def test_the_models_own_step_or_an_eighth_of_it_is_short_enough_wherever_it_is_without_the_effect(name, label):
     base, more, step = bare(name), prepared(name, label), machine(name).step
     for u in inputs(machine(name)):

@@ -9,7 +9,8 @@ import numpy as np
 from . import native, sensors
 from .command_path import Signal
 from .effects import changed_command, named_effects, true_values
-from .machines import NEUTRAL, machine_of
+from .machine import NEUTRAL
+from .machines import machine_of
 
 STEP = 5e-5
 
@@ -41,7 +42,7 @@ def record(
         raise ValueError("rig: command and time must be of one length, and time must rise.")
     effects = named_effects(machine, effects)
     values, fields = _fields(m, parameters or {}, effects)
-    signal = changed_command(Signal.held(time, command), effects)
+    signal = changed_command(machine, Signal.held(time, command), effects)
     corners = [time, signal.times, *sensors.extra_times(effects, time), *_instants(fields)]
     times = _breakpoints(np.concatenate(corners), time[0], time[-1])
     u, slopes = signal.on(times)

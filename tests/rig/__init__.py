@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from . import commands
-from .closed_loop import record_closed_loop
+from .closed_loop import record_closed_loop, tracking
 from .effects import EFFECTS, effect_of
 from .excitation import clean_recordings, drive
 from .files import file_units, read_csv, write_csv
@@ -27,5 +27,6 @@ __all__ = [
     "record",
     "record_closed_loop",
     "sensor_noise",
+    "tracking",
     "write_csv",
 ]

@@ -1,6 +1,7 @@
-"""Test cylinder under a position controller, fed through hoses that give and resist. The shelf lacks the controller
-in
-metres, and its solenoid delays an input of the model only: here the controller moves the spool."""
+"""Test cylinder under a position controller, fed through hoses that give and resist.
+
+The shelf lacks a controller in metres; its solenoid delays an input of the model, so the controller moves the spool.
+"""
 
 from __future__ import annotations
 

@@ -100,10 +100,13 @@ def chosen_cases(options) -> list:
     from benchmarks.gap.cases import cases, grid
 
     severities = options.severities or (QUICK["severities"] if options.quick else None)
-    found = cases(options.seeds, machines=options.machine, kinds=options.kinds, severities=severities)
+    asked = dict(which_grid=options.grid, machines=options.machine, kinds=options.kinds, severities=severities)
+    found = cases(options.seeds, **asked)
     found = [c for c in found if (not options.effects or set(c.effects) & set(options.effects))]
     found = [c for c in found if (not options.sensors or c.sensors in options.sensors)]
-    seed = options.seed or (grid()["seeds"][options.seeds]["single"][0] if options.quick else None)
+    seeds = (grid() if options.grid == "narrow" else grid()[options.grid])["seeds"][options.seeds]
+    seed = options.seed or (seeds["single"][0] if options.quick else None)
+    found = [c for c in found if (not options.excitation or c.excitation in options.excitation)]
     found = [c for c in found if seed in (None, c.seed)]
     if options.quick:
         found = [dataclasses.replace(c, seconds=QUICK["seconds"]) for c in found]
@@ -168,16 +171,17 @@ def _tell(row, number, count, elapsed):
 
 
 def _options(arguments):
-    from benchmarks.gap.cases import GRIDS, KINDS, grid
+    from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, machines_of
 
-    machines = list(grid()["machines"])
     p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
-    p.add_argument("--machine", nargs="+", choices=machines, default=machines)
+    p.add_argument("--grid", choices=GRIDS, default="narrow", help="wide: every style, five machines; further: 3 more")
+    p.add_argument("--machine", nargs="+", choices=machines_of("wide"), help="all of the grid, if not given")
     p.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     p.add_argument("--severities", nargs="+", type=float)
-    p.add_argument("--sensors", nargs="+", choices=grid()["sensors"])
+    p.add_argument("--sensors", nargs="+", help="only cases with one of these sets")
+    p.add_argument("--excitation", nargs="+", help="only cases with one of these styles of command")
     p.add_argument("--effects", nargs="+", help="only cases that hide one of these")
-    p.add_argument("--seeds", choices=GRIDS, default="tuning")
+    p.add_argument("--seeds", choices=SEEDS, default="tuning")
     p.add_argument("--seed", type=int, help="only this one of them; with --quick the first, if not given")
     p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
     p.add_argument("--processes", type=int, default=2)

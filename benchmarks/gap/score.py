@@ -45,7 +45,7 @@ def _times_usual(made: Made, options) -> float:
     """The base parameter that the rig multiplies."""
     effect = next(name for name, own in made.hidden if own is options)
     path = rig.EFFECTS[effect].fields[made.case.machine]
-    return rig.MACHINES[made.case.machine].parameters[path] * options["factor"]
+    return rig.machine_of(made.case.machine).parameters[path] * options["factor"]
 
 
 # rig effect -> parameters of the catalogue's effect (last word of the path, a pattern) that mean the same, and what

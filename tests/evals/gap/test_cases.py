@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.amplitudes import AMPLITUDES
-from benchmarks.gap.cases import GRIDS, KINDS, Case, cases, grid, left_out, make, single_effects
+from benchmarks.gap.cases import KINDS, SEEDS, Case, cases, grid, left_out, make, single_effects
 from benchmarks.gap.severity import Unreachable
 from tests import rig
 
@@ -19,7 +19,7 @@ def short(machine, effects, severity=5.0, sensors="all", excitation="drive", see
     return Case(machine, kind, tuple(effects), severity, sensors, excitation, seed, SHORT)
 
 
-@pytest.mark.parametrize("which", GRIDS)
+@pytest.mark.parametrize("which", SEEDS)
 def test_every_case_has_one_name_and_a_name_gives_the_case_back(which):
     found = cases(which)
     names = [case.name for case in found]
@@ -30,7 +30,7 @@ def test_every_case_has_one_name_and_a_name_gives_the_case_back(which):
 
 
 def test_seeds_that_are_reported_were_never_tuned_on():
-    tuned, fresh = ({case.seed for case in cases(which)} for which in GRIDS)
+    tuned, fresh = ({case.seed for case in cases(which)} for which in SEEDS)
     assert not tuned & fresh
     assert all(100 <= s < 200 for s in tuned) and all(200 <= s < 300 for s in fresh)
 

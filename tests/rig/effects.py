@@ -153,7 +153,12 @@ DEFAULTS = {
         "motor_droop": {"resistance": 0.1},
     },
     "lift_boom": {**_SPOOL, "line_compliance": {"cap": 1e-13}, "end_stop": {"low": 0.2, "high": 0.24}},
-    "test_cylinder": _SPOOL,
+    "test_cylinder": {
+        **_SPOOL,
+        "relief_saturation": {"pressure": 5.5e6},
+        "end_stop": {"low": 0.44, "high": 0.455},
+        "viscosity_warming": {"share": 0.8, "time_constant": 30.0},
+    },
 }
 EFFECTS: dict[str, RigEffect] = {
     **FIELDS,

@@ -134,12 +134,17 @@ class Made:
     noise: Mapping[str, float]
 
     @property
+    def spec(self) -> str:
+        """The base model as `hydrotwin.load` takes it."""
+        file = facts_of(self.case.machine).get("model")
+        return str(MACHINES / file) if file else self.case.machine
+
+    @property
     def model(self):
         """The base model as the workflow gets it: nominal values, but the settings that everybody knows."""
         import hydrotwin
 
-        file = facts_of(self.case.machine).get("model")
-        model = hydrotwin.load(str(MACHINES / file) if file else self.case.machine)
+        model = hydrotwin.load(self.spec)
         return model.with_parameters(self.case.settings) if self.case.settings else model
 
 

@@ -18,7 +18,7 @@ class Facts:
     command, slew: largest magnitude and rate of change between samples; pressure: (least, median, largest);
     travel: (least, largest) of the rod [m]; rest: the same of where recordings begin; spread: largest less least of the
     output that a sensor effect sits on. sign: of effects that may go either way. seconds: length of a recording.
-    second: index into pairs of limits.
+    second: index into pairs of limits, those of the actuator and those of the larger machines.
     """
 
     machine: str
@@ -35,7 +35,7 @@ class Facts:
 
     @property
     def second(self) -> int:
-        return int(self.machine == "spool_valve")
+        return int(self.machine != "cehA")
 
 
 Options = Callable[[float, Facts], dict]

@@ -7,6 +7,7 @@ for case in cases("tuning", machines=("cehA",)):
 
 from __future__ import annotations
 
+import fnmatch
 import tomllib
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,11 +21,13 @@ from hydrotwin.records import Record
 from tests import rig
 
 from .amplitudes import AMPLITUDES, STIFF
-from .severity import COARSE, FINE, FIT, HELD_OUT, Meter, Unreachable, bed, scaled
+from .severity import CLOSED_LOOP, COARSE, FINE, FIT, HELD_OUT, Meter, Unreachable, bed, scaled, steps_of
 
-GRIDS = ("tuning", "fresh")
+SEEDS = ("tuning", "fresh")
+GRIDS = ("narrow", "wide", "further")
 KINDS = ("single", "none", "out_of_library", "pairs")
 SECONDS = 40.0
+MACHINES = Path(__file__).with_name("machines")  # models of the further machines
 
 
 @cache
@@ -33,9 +36,24 @@ def grid() -> Mapping:
     return tomllib.loads(Path(__file__).with_name("grid.toml").read_text(encoding="utf-8"))
 
 
+def facts_of(machine: str) -> Mapping:
+    """What the data file says of a machine, shipped or further."""
+    return {**grid()["machines"], **grid()["further"]["machines"]}[machine]
+
+
+def machines_of(which_grid: str) -> tuple[str, ...]:
+    """The machines of a grid."""
+    shipped, further = tuple(grid()["machines"]), tuple(grid()["further"]["machines"])
+    return {"narrow": shipped, "wide": shipped + further, "further": further}[which_grid]
+
+
 @dataclass(frozen=True)
 class Case:
-    """What is hidden, how large, and what is recorded. ``effects``: rig ids, in the order of a name."""
+    """What is hidden, how large, and what is recorded. ``effects``: rig ids, in the order of a name.
+
+    sensors : a set's name, or outputs joined by "+". bits : of the converters, 0 for no steps. wide : base parameters
+    are as far off as in the wide grid.
+    """
 
     machine: str
     kind: str
@@ -45,28 +63,34 @@ class Case:
     excitation: str
     seed: int
     seconds: float = SECONDS
+    bits: int = 0
+    wide: bool = False
 
     @property
     def name(self) -> str:
-        """``machine/kind/effects/severity/sensors/excitation/seed``; shorter recordings say so."""
+        """``machine/kind/effects/severity/sensors/excitation/seed``; then ``20s``, ``12bit``, ``wide`` where it is."""
         hidden = "+".join(self.effects) or "nothing"
         words = [self.machine, self.kind, hidden, f"{self.severity:g}", self.sensors, self.excitation, str(self.seed)]
-        return "/".join(words + ([] if self.seconds == SECONDS else [f"{self.seconds:g}s"]))
+        unusual = {f"{self.seconds:g}s": self.seconds != SECONDS, f"{self.bits}bit": self.bits, "wide": self.wide}
+        return "/".join(words + [word for word, said in unusual.items() if said])
 
     @classmethod
     def from_name(cls, name: str) -> Case:
         """The case of that name."""
         machine, kind, hidden, severity, sensors, excitation, seed, *rest = name.split("/")
         effects = () if hidden == "nothing" else tuple(hidden.split("+"))
-        seconds = float(rest[0].rstrip("s")) if rest else SECONDS
-        return cls(machine, kind, effects, float(severity), sensors, excitation, int(seed), seconds)
+        bits = next((int(w.removesuffix("bit")) for w in rest if w.endswith("bit")), 0)
+        seconds = next((float(w.removesuffix("s")) for w in rest if w.endswith("s")), SECONDS)
+        return cls(
+            machine, kind, effects, float(severity), sensors, excitation, int(seed), seconds, bits, "wide" in rest
+        )
 
     @property
     def outputs(self) -> tuple[str, ...]:
         """Recorded outputs."""
-        own = grid()["machines"][self.machine]
-        kept = {"position": own["position"], "position+pressures": own["position"] + own["pressures"]}
-        return tuple(kept.get(self.sensors, rig.MACHINES[self.machine].outputs))
+        own, every = facts_of(self.machine), rig.machine_of(self.machine).outputs
+        kept = {"all": every, "position": own["position"], "position+pressures": own["position"] + own["pressures"]}
+        return tuple(kept.get(self.sensors) or self.sensors.split("+"))
 
     @property
     def settings(self) -> dict[str, float]:
@@ -76,6 +100,19 @@ class Case:
             found |= grid()["settings"].get(self.machine, {}).get(effect, {})
         return found
 
+    @property
+    def bed_key(self) -> tuple:
+        """What `benchmarks.gap.severity.bed` makes truth and commands of."""
+        free = tuple((name, _off(name, self.wide)) for name in facts_of(self.machine)["free"])
+        return (self.machine, self.seed, self.excitation, free, tuple(sorted(self.settings.items())), self.seconds)
+
+
+def _off(parameter: str, wide: bool) -> float:
+    """How far off a base parameter lies at most."""
+    if not wide:
+        return grid()["off"]
+    return next(off for pattern, off in grid()["wide"]["off"] if fnmatch.fnmatch(parameter, pattern))
+
 
 @dataclass(frozen=True, eq=False)
 class Made:
@@ -83,7 +120,7 @@ class Made:
 
     truth : true base parameters that differ from the model's. hidden : (effect, options) as the rig got them.
     gap, visible : over the noise, see `benchmarks.gap.severity`; ``shares``: the gap of each effect alone.
-    noise : true standard deviation by recorded output.
+    noise : true standard deviation by recorded output, that of converters included.
     """
 
     case: Case
@@ -97,20 +134,23 @@ class Made:
     noise: Mapping[str, float]
 
     @property
+    def spec(self) -> str:
+        """The base model as `hydrotwin.load` takes it."""
+        file = facts_of(self.case.machine).get("model")
+        return str(MACHINES / file) if file else self.case.machine
+
+    @property
     def model(self):
         """The base model as the workflow gets it: nominal values, but the settings that everybody knows."""
         import hydrotwin
 
-        model = hydrotwin.load(self.case.machine)
+        model = hydrotwin.load(self.spec)
         return model.with_parameters(self.case.settings) if self.case.settings else model
 
 
 def make(case: Case) -> Made:
     """Record a case. Raises Unreachable when the effect cannot be of that severity inside its plausible limits."""
-    own = grid()["machines"][case.machine]
-    settings = tuple(sorted(case.settings.items()))
-    key = (case.machine, case.seed, case.excitation, grid()["off"], tuple(own["free"]), settings, case.seconds)
-    meter, random = Meter(key, case.outputs), np.random.default_rng(_number(case.name))
+    meter, random = Meter(case.bed_key, case.outputs, case.bits), np.random.default_rng(_number(case.name))
     hidden, shares = [], []
     for effect in case.effects:
         facts = meter.facts(random.choice([-1.0, 1.0]), str(random.choice(case.outputs)))
@@ -119,7 +159,7 @@ def make(case: Case) -> Made:
         shares.append(gap)
     step = FINE if STIFF & set(case.effects) else COARSE
     gap, visible = (meter.gap(hidden, step=step), meter.visible(hidden, step=step)) if hidden else (0.0, 0.0)
-    records = [_recorded(case, key, i, hidden) for i in range(FIT + HELD_OUT)]
+    records = [_recorded(case, i, hidden) for i in range(FIT + HELD_OUT)]
     return Made(
         case=case,
         fit=tuple(records[:FIT]),
@@ -133,16 +173,12 @@ def make(case: Case) -> Made:
     )
 
 
-def _recorded(case, key, index, hidden) -> Record:
-    here, m = bed(*key), rig.MACHINES[case.machine]
-    time, command = here.commands[index]
+def _recorded(case, index, hidden) -> Record:
+    m = rig.machine_of(case.machine)
     sigmas = {n: s for n, s in rig.sensor_noise(case.machine).items() if n in case.outputs}
-    parameters = {**here.settings, **here.truth}
-    seed = _number(f"{case.name}/{index}")
+    seed, steps = _number(f"{case.name}/{index}"), steps_of(case.machine, case.bits)
     try:
-        columns = rig.record(
-            case.machine, command, time, parameters=parameters, effects=hidden, noise=sigmas, seed=seed
-        )
+        columns = bed(*case.bed_key).recorded(hidden, index, noise=sigmas, quantisation=steps, seed=seed)
     except RuntimeError as lost:
         raise Unreachable(f"{'+'.join(case.effects)} drives the machine out of its span ({lost})") from None
     units = {**dict(zip(m.outputs, m.units, strict=True)), m.input: m.input_unit}
@@ -157,14 +193,14 @@ def _number(text: str) -> int:
 
 
 def single_effects(machine: str) -> tuple[str, ...]:
-    """Every rig effect of the catalogue that this machine can have."""
-    return tuple(
-        name for name in AMPLITUDES if _fits(machine, name) and name not in grid()["out_of_library"]["effects"]
-    )
+    """Every rig effect of the catalogue that is hidden in this machine."""
+    own = facts_of(machine).get("effects")
+    outside = grid()["out_of_library"]["effects"]
+    return tuple(own or (name for name in AMPLITUDES if _fits(machine, name) and name not in outside))
 
 
 def _fits(machine, name):
-    return machine in rig.EFFECTS[name].machines and name not in left_out(machine)
+    return rig.effect_of(machine, name) is not None and name not in left_out(machine)
 
 
 def left_out(machine: str) -> dict[str, str]:
@@ -176,40 +212,69 @@ def left_out(machine: str) -> dict[str, str]:
 def cases(
     which: str,
     *,
-    machines: Sequence[str] = tuple(rig.MACHINES),
+    which_grid: str = "narrow",
+    machines: Sequence[str] | None = None,
     kinds: Sequence[str] = KINDS,
     severities: Sequence[float] | None = None,
 ) -> list[Case]:
-    """The cases of a grid ("tuning" or "fresh") in an order whose every beginning is a fair sample.
+    """The cases of a grid, for the seeds "tuning" or "fresh", in an order whose every beginning is a fair sample.
 
-    For each effect and severity the seeds go through the sensor sets; the excitation is drawn.
+    "narrow" : for each effect and severity the seeds go through the sensor sets; the excitation is drawn.
+    "wide" : sensors down to one, styles of command, lengths, bits of converters are drawn, on all five machines.
+    "further" : the machines that hydrotwin does not ship, as in the narrow grid.
     """
-    chosen = tuple(severities or grid()["severities"])
-    found = [c for m in machines for kind in kinds for c in _of_kind(which, m, kind, chosen)]
+    own = grid() if which_grid == "narrow" else grid()[which_grid]
+    chosen = tuple(severities or own["severities"])
+    found = [
+        case
+        for machine in machines or machines_of(which_grid)
+        for kind in kinds
+        for cell in _cells(machine, kind, chosen)
+        for case in _of_cell(cell, own["seeds"][which].get(kind, ()), which_grid)
+    ]
     return sorted(found, key=lambda case: _number(case.name))
 
 
-def _of_kind(which, machine, kind, severities) -> Iterator[Case]:
-    seeds = grid()["seeds"][which][kind]
+def _cells(machine, kind, severities) -> Iterator[tuple]:
+    """(machine, kind, effects, severity) of everything that may be hidden."""
     for effects in _hidden_sets(machine, kind):
         for severity in severities if kind != "none" else (0.0,):
-            yield from _of_cell(machine, kind, effects, severity, seeds)
+            yield machine, kind, effects, severity
 
 
 def _hidden_sets(machine, kind):
     if kind == "none":
         return [()]
     if kind == "pairs":
-        return [tuple(pair) for pair in grid()["machines"][machine]["pairs"]]
+        return [tuple(pair) for pair in facts_of(machine).get("pairs", ())]
     if kind == "single":
         return [(name,) for name in single_effects(machine)]
+    if machine not in grid()["machines"]:
+        return []
     return [(name,) for name in grid()["out_of_library"]["effects"] if _fits(machine, name)]
 
 
-def _of_cell(machine, kind, effects, severity, seeds):
-    sensors, excitations = grid()["sensors"], grid()["excitations"]
+def _of_cell(cell, seeds, which_grid) -> Iterator[Case]:
+    machine, kind, effects, severity = cell
     first = _number(f"{machine}/{kind}/{effects}/{severity}")
+    if which_grid == "wide":
+        yield from (_drawn(cell, seed, np.random.default_rng([first, seed])) for seed in seeds)
+        return
+    sensors = grid()["sensors"]
+    excitations = grid()["excitations"] if which_grid == "narrow" else grid()["further"]["excitations"]
     for k, seed in enumerate(seeds):
         for sensor_set in sensors if kind == "none" else [sensors[(first + k) % len(sensors)]]:
             random = np.random.default_rng([first, seed, _number(sensor_set)])
             yield Case(machine, kind, effects, severity, sensor_set, str(random.choice(excitations)), seed)
+
+
+def _drawn(cell, seed, random) -> Case:
+    """A case of the wide grid."""
+    machine, _, effects, _ = cell
+    wide = grid()["wide"]
+    open_loop = rig.machine_of(machine).positioned or "packet_loss" in effects  # no loop around these
+    styles = [style for style in wide["excitations"] if not (open_loop and style == CLOSED_LOOP)]
+    sensors, style = (str(random.choice(choices)) for choices in (wide["sensors"][machine], styles))
+    lengths = [s for s in wide["seconds"] if s <= wide["longest"].get(style, s)]
+    seconds, bits = (random.choice(choices) for choices in (lengths, wide["bits"]))
+    return Case(*cell, sensors, style, seed, float(seconds), int(bits), wide=True)

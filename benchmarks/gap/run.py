@@ -17,7 +17,7 @@ from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
-METHODS = ("discover", "bic", "sindy", "gp")
+METHODS = ("discover", "plain", "bic", "sindy", "gp")
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
 
@@ -33,8 +33,8 @@ class Here(Executor):
         return future
 
 
-def rows_of(name: str, methods: Sequence[str], with_oracle: bool) -> list[dict]:
-    """Every row of one case; its own process, so that nothing it does is left behind."""
+def rows_of(name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None) -> list[dict]:
+    """Every row of one case; its own process, so that nothing it does is left behind. memory: a folder for fits."""
     from benchmarks.gap.cases import Case, Unreachable, make
 
     try:
@@ -43,10 +43,10 @@ def rows_of(name: str, methods: Sequence[str], with_oracle: bool) -> list[dict]:
         return [{"case": name, "method": method, "unreachable": str(reason)} for method in methods]
     except Exception as error:
         return [{"case": name, "method": m, "failed": f"{type(error).__name__}: {error}"} for m in methods]
-    return _judged(made, methods, with_oracle)
+    return _judged(made, methods, with_oracle, memory)
 
 
-def _judged(made, methods, with_oracle) -> list[dict]:
+def _judged(made, methods, with_oracle, memory) -> list[dict]:
     from benchmarks.gap.refits import Bench, oracle
     from benchmarks.gap.score import row_of
 
@@ -60,19 +60,23 @@ def _judged(made, methods, with_oracle) -> list[dict]:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
         try:
-            rows.append(row_of(made, _answer(method, made, bench), method=method, oracle=best, lacking=lacking))
+            rows.append(row_of(made, _answer(method, made, bench, memory), method=method, oracle=best, lacking=lacking))
         except Exception as error:
             rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
     return rows
 
 
-def _answer(method, made, bench):
+def _answer(method, made, bench, memory):
     from benchmarks.gap.score import answer_of
 
     if method == "discover":
         from hydrotwin.discovery.discover import discover
 
         return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
+    if method == "plain":
+        from benchmarks.gap.plain import plain
+
+        return plain(made, memory)
     if method == "sindy":
         from benchmarks.gap.sindy import sparse_regression
 
@@ -100,10 +104,13 @@ def chosen_cases(options) -> list:
     from benchmarks.gap.cases import cases, grid
 
     severities = options.severities or (QUICK["severities"] if options.quick else None)
-    found = cases(options.seeds, machines=options.machine, kinds=options.kinds, severities=severities)
+    asked = dict(which_grid=options.grid, machines=options.machine, kinds=options.kinds, severities=severities)
+    found = cases(options.seeds, **asked)
     found = [c for c in found if (not options.effects or set(c.effects) & set(options.effects))]
     found = [c for c in found if (not options.sensors or c.sensors in options.sensors)]
-    seed = options.seed or (grid()["seeds"][options.seeds]["single"][0] if options.quick else None)
+    seeds = (grid() if options.grid == "narrow" else grid()[options.grid])["seeds"][options.seeds]
+    seed = options.seed or (seeds["single"][0] if options.quick else None)
+    found = [c for c in found if (not options.excitation or c.excitation in options.excitation)]
     found = [c for c in found if seed in (None, c.seed)]
     if options.quick:
         found = [dataclasses.replace(c, seconds=QUICK["seconds"]) for c in found]
@@ -151,7 +158,7 @@ def _finished(jobs, options):
     context = multiprocessing.get_context("spawn")
     for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            futures = [pool.submit(rows_of, name, left, not options.no_oracle) for name, left in batch]
+            futures = [pool.submit(rows_of, name, left, not options.no_oracle, options.out / "fits") for name, left in batch]
             for future in as_completed(futures):
                 yield future.result()
 
@@ -168,16 +175,17 @@ def _tell(row, number, count, elapsed):
 
 
 def _options(arguments):
-    from benchmarks.gap.cases import GRIDS, KINDS, grid
+    from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, machines_of
 
-    machines = list(grid()["machines"])
     p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
-    p.add_argument("--machine", nargs="+", choices=machines, default=machines)
+    p.add_argument("--grid", choices=GRIDS, default="narrow", help="wide: every style, five machines; further: 3 more")
+    p.add_argument("--machine", nargs="+", choices=machines_of("wide"), help="all of the grid, if not given")
     p.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     p.add_argument("--severities", nargs="+", type=float)
-    p.add_argument("--sensors", nargs="+", choices=grid()["sensors"])
+    p.add_argument("--sensors", nargs="+", help="only cases with one of these sets")
+    p.add_argument("--excitation", nargs="+", help="only cases with one of these styles of command")
     p.add_argument("--effects", nargs="+", help="only cases that hide one of these")
-    p.add_argument("--seeds", choices=GRIDS, default="tuning")
+    p.add_argument("--seeds", choices=SEEDS, default="tuning")
     p.add_argument("--seed", type=int, help="only this one of them; with --quick the first, if not given")
     p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
     p.add_argument("--processes", type=int, default=2)

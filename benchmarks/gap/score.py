@@ -23,7 +23,7 @@ SAME = {
     ("spool_valve", "asymmetric_friction"): {"coulomb_friction"},  # the rest of it is the load force, which is free
 }
 # Where the rig puts an effect, as words that must all stand in the name of the catalogue's site. Sensor effects: the
-# output. Effects not listed may be named anywhere.
+# output. Effects not listed may be named anywhere. Of one machine: (machine, effect).
 SITES = {
     "internal_leakage": ("cap", "annulus"),
     "turbulent_leakage": ("cap", "annulus"),
@@ -33,6 +33,9 @@ SITES = {
     "area_error": ("cap_area",),
     "linkage_error": ("pin_length",),
     "supply_droop": ("supply",),
+    ("winch", "external_leakage"): ("hose_a",),
+    ("winch", "payload_error"): ("load.mass",),
+    ("lift_boom", "payload_error"): ("extra_mass",),
 }
 
 
@@ -44,8 +47,8 @@ def _option(name: str, factor: float = 1.0):
 def _times_usual(made: Made, options) -> float:
     """The base parameter that the rig multiplies."""
     effect = next(name for name, own in made.hidden if own is options)
-    path = rig.EFFECTS[effect].fields[made.case.machine]
-    return rig.MACHINES[made.case.machine].parameters[path] * options["factor"]
+    path = rig.effect_of(made.case.machine, effect).fields[made.case.machine]
+    return rig.machine_of(made.case.machine).parameters[path] * options["factor"]
 
 
 # rig effect -> parameters of the catalogue's effect (last word of the path, a pattern) that mean the same, and what
@@ -145,7 +148,8 @@ def is_it(made: Made, hidden: int, effect: str, site: str) -> bool:
     name, options = made.hidden[hidden]
     if effect != name and effect not in SAME.get((made.case.machine, name), ()):
         return False
-    words = (options["output"],) if "output" in options else SITES.get(name, ())
+    words = SITES.get((made.case.machine, name), SITES.get(name, ()))
+    words = (options["output"],) if "output" in options else words
     return all(word in site for word in words) or effect != name
 
 
@@ -178,6 +182,8 @@ def row_of(
             "sensors": case.sensors,
             "excitation": case.excitation,
             "seed": case.seed,
+            "length": case.seconds,
+            "bits": case.bits,
             "hidden": [[name, dict(options)] for name, options in made.hidden],
             "gap": made.gap,
             "visible": made.visible,

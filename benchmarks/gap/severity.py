@@ -4,7 +4,8 @@
     visible = the same after the part that wrong free parameters and start states can absorb, to first order, is taken
               off: a lower bound of what a refitted base model leaves, which cannot follow so far where it is nonlinear
 
-Both with the true base parameters, the same command, and no noise.
+Both with the true base parameters, the same command, and no noise. In a closed loop the command is what the controller
+made of the machine with the effect; what can be absorbed is then taken along its commands without the effect.
 """
 
 from __future__ import annotations
@@ -22,6 +23,9 @@ from .amplitudes import AMPLITUDES, STIFF, Facts
 
 COARSE, FINE = 2e-4, 5e-5  # integration steps [s]: for the search, and where the effect is stiff
 FIT, HELD_OUT = 3, 2
+RATE = 100.0  # samples per second
+DRAWS = 500  # of a command that keeps the machine in its span; held-out recordings begin so many seeds later
+CLOSED_LOOP = "closed_loop"  # the excitation whose command a controller puts out
 NEAR = 0.02  # relative error of the severity that is near enough
 LEAST = 1e-6  # the smallest level looked at
 
@@ -34,7 +38,8 @@ class Unreachable(Exception):
 class Bed:
     """A machine, its true base parameters and its commands: what cases of one seed share.
 
-    commands: (time, command) of the fit recordings, then of those held out.
+    commands: (time, command) of the fit recordings, then of those held out. loops: of a closed loop the seeds of its
+    controllers; commands are then what these put out where nothing is hidden.
     """
 
     machine: str
@@ -43,37 +48,58 @@ class Bed:
     truth: Mapping[str, float]
     settings: Mapping[str, float]
     commands: tuple[tuple[np.ndarray, np.ndarray], ...]
+    loops: tuple[int, ...] = ()
 
-    def run(self, effects, index: int, *, step: float, changes=None, start=None) -> dict[str, np.ndarray]:
-        """The truth without noise under one command, with the pairs of ``effects``."""
-        time, command = self.commands[index]
+    def run(self, effects, index: int, *, step: float, changes=None, start=None, command=None) -> dict[str, np.ndarray]:
+        """The truth without noise under one command, its own if none is given, with the pairs of ``effects``."""
+        time, own = self.commands[index]
         parameters = {**self.settings, **self.truth, **(changes or {})}
         return rig.record(
-            self.machine, command, time, parameters=parameters, effects=list(effects), step=step, start=start,
-            hold_after_loss=True,
+            self.machine, own if command is None else command, time, parameters=parameters, effects=list(effects),
+            step=step, start=start, hold_after_loss=True,
         )  # fmt: skip
+
+    def recorded(self, effects, index: int, **options) -> dict[str, np.ndarray]:
+        """The truth as it is recorded, under its controller if it has one. options: of `rig.record`."""
+        time, command = self.commands[index]
+        options |= {"parameters": {**self.settings, **self.truth}, "effects": list(effects)}
+        if not self.loops:
+            return rig.record(self.machine, command, time, **options)
+        controller = rig.tracking(self.machine, time, self.loops[index])
+        return rig.record_closed_loop(self.machine, controller, time, **options)
 
 
 @functools.lru_cache(maxsize=8)
-def bed(machine: str, seed: int, excitation: str, off: float, free: tuple, settings: tuple, seconds: float) -> Bed:
-    """Draw the truth and commands that keep it inside its span."""
+def bed(machine: str, seed: int, excitation: str, free: tuple, settings: tuple, seconds: float) -> Bed:
+    """Draw the truth and commands that keep it inside its span. free: (parameter, the largest share it is off)."""
     random = np.random.default_rng([seed, len(machine)])
-    usual = rig.MACHINES[machine].parameters
-    truth = {name: usual[name] * (1 + off * random.uniform(-1, 1)) for name in free}
-    parameters = {**dict(settings), **truth}
-    commands = []
-    for count, own in ((FIT, 1000 * seed), (HELD_OUT, 1000 * seed + 500)):
-        commands += _commands(machine, excitation, own, count, parameters, seconds)
-    return Bed(machine, seed, excitation, truth, dict(settings), tuple(commands))
+    usual = rig.machine_of(machine).parameters
+    truth = {name: usual[name] * (1 + off * random.uniform(-1, 1)) for name, off in free}
+    parameters, found = {**dict(settings), **truth}, []
+    for count, own in ((FIT, 1000 * seed), (HELD_OUT, 1000 * seed + DRAWS)):
+        found += _commands(machine, excitation, own, count, parameters, seconds)
+    loops = tuple(own for own, _ in found) if excitation == CLOSED_LOOP else ()
+    return Bed(machine, seed, excitation, truth, dict(settings), tuple(drawn for _, drawn in found), loops)
 
 
 def _commands(machine, excitation, own, count, parameters, seconds):
-    found = []
-    while len(found) < count:
+    """So many (seed, (time, command)), from a seed on."""
+    found, draws = [], range(own, own + DRAWS)
+    for own in draws:
         with contextlib.suppress(RuntimeError):  # a draw that leaves the span of the machine
-            found.append(rig.drive(machine, seconds, 100.0, kind=excitation, seed=own, parameters=parameters))
-        own += 1
-    return found
+            found.append((own, _command(machine, excitation, own, parameters, seconds)))
+        if len(found) == count:
+            return found
+    raise Unreachable(f"{len(draws)} draws of {excitation} give no {count} commands that keep {machine} in its span.")
+
+
+def _command(machine, excitation, own, parameters, seconds):
+    if excitation != CLOSED_LOOP:
+        return rig.drive(machine, seconds, RATE, kind=excitation, seed=own, parameters=parameters)
+    time = np.arange(round(seconds * RATE) + 1) / RATE
+    controller = rig.tracking(machine, time, own)
+    columns = rig.record_closed_loop(machine, controller, time, parameters=parameters, step=COARSE)
+    return time, columns[rig.machine_of(machine).input]
 
 
 @functools.lru_cache(maxsize=64)
@@ -84,29 +110,37 @@ def _plain_run(bed_key: tuple, index: int, step: float):
 class Meter:
     """Measures gaps of one bed at its recorded outputs."""
 
-    def __init__(self, key: tuple, outputs: tuple[str, ...]):
+    def __init__(self, key: tuple, outputs: tuple[str, ...], bits: int = 0):
         self.key, self.bed, self.outputs = key, bed(*key), outputs
-        noise = rig.sensor_noise(self.bed.machine)
-        self.noise = {name: noise[name] for name in outputs}
+        noise, step = rig.sensor_noise(self.bed.machine), steps_of(self.bed.machine, bits)
+        self.noise = {name: float(np.hypot(noise[name], step.get(name, 0.0) / np.sqrt(12))) for name in outputs}
 
     def differences(self, effects, *, step: float) -> np.ndarray:
         """(with - without)/noise of every fit recording, sample and output, flat."""
         parts = []
         for i in range(FIT):
-            plain, run = _plain_run(self.key, i, step), self.bed.run(effects, i, step=step)
+            plain, run = self._pair(effects, i, step)
             parts += [(run[n] - plain[n]) / s for n, s in self.noise.items()]
         return np.concatenate(parts)
+
+    def _pair(self, effects, index, step):
+        """The machine without effects and with them, under the same command."""
+        if not self.bed.loops:
+            return _plain_run(self.key, index, step), self.bed.run(effects, index, step=step)
+        run = self.bed.recorded(effects, index, step=step, hold_after_loss=True)
+        command = run[rig.machine_of(self.bed.machine).input]
+        return self.bed.run((), index, step=step, command=command), run
 
     def gap(self, effects, *, step: float = COARSE) -> float:
         return float(np.sqrt(np.mean(self.differences(effects, step=step) ** 2)))
 
     def visible(self, effects, *, step: float = COARSE) -> float:
-        d, Q = self.differences(effects, step=step), _absorbed(self.key, self.outputs)
+        d, Q = self.differences(effects, step=step), _absorbed(self.key, tuple(self.noise.items()))
         return float(np.sqrt(np.mean((d - Q @ (Q.T @ d)) ** 2)))
 
     def facts(self, sign: float, output: str) -> Facts:
         """What the machine does without any effect."""
-        m = rig.MACHINES[self.bed.machine]
+        m = rig.machine_of(self.bed.machine)
         runs = [_plain_run(self.key, i, COARSE) for i in range(FIT)]
         pressures = np.concatenate([run[n] for run in runs for n in m.outputs if n.startswith("pressure")])
         commands = [run[m.input] for run in runs]
@@ -129,26 +163,33 @@ class Meter:
 
 
 @functools.lru_cache(maxsize=8)
-def _absorbed(key: tuple, outputs: tuple[str, ...]) -> np.ndarray:
-    """Orthonormal basis of what free parameters and start states of the base model can do, (samples, directions)."""
-    here, noise = bed(*key), rig.sensor_noise(key[0])
-    m = rig.MACHINES[here.machine]
-    start_pressure = "precharge" if here.machine == "cehA" else "start_pressure_b"
+def _absorbed(key: tuple, noise: tuple[tuple[str, float], ...]) -> np.ndarray:
+    """Orthonormal basis of what free parameters and start states of the base model can do, (samples, directions).
+
+    noise: (output, sigma) of what is recorded.
+    """
+    here, m = bed(*key), rig.machine_of(key[0])
     usual = {**m.parameters, **here.settings, **here.truth}
 
     def column(index, changes, start=None):
         plain, run = _plain_run(key, index, COARSE), here.run((), index, step=COARSE, changes=changes, start=start)
-        return np.concatenate([(run[n] - plain[n]) / noise[n] for n in outputs])
+        return np.concatenate([(run[n] - plain[n]) / sigma for n, sigma in noise])
 
     columns = [[column(i, {name: value * 1.001}) for i in range(FIT)] for name, value in here.truth.items()]
-    moved = m.start_value + noise[m.start_output]
+    moved = m.start_value + rig.sensor_noise(m.name)[m.start_output]
     for i in range(FIT):
-        for own in (column(i, {}, moved), column(i, {start_pressure: usual[start_pressure] * 1.01})):
+        for own in (column(i, {}, moved), column(i, {m.start_pressure: usual[m.start_pressure] * 1.01})):
             columns.append([own if k == i else np.zeros_like(own) for k in range(FIT)])
     S = np.array([np.concatenate(parts) for parts in columns]).T
     lengths = np.linalg.norm(S, axis=0)
     U, s, _ = np.linalg.svd(S[:, lengths > 0] / lengths[lengths > 0], full_matrices=False)
     return U[:, s > 1e-6 * s[0]]
+
+
+def steps_of(machine: str, bits: int) -> dict[str, float]:
+    """Steps of converters of so many bits, by output, SI; none for 0."""
+    m = rig.machine_of(machine)
+    return {name: scale / 2**bits for name, scale in zip(m.outputs, m.full_scale, strict=True)} if bits else {}
 
 
 def options_at(name: str, level: float, facts: Facts) -> dict:

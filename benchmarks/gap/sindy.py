@@ -82,7 +82,7 @@ def _site(bench, term) -> str:
 
 
 def _terms(bench: Bench, record, run) -> dict[str, np.ndarray]:
-    m = rig.MACHINES[bench.made.case.machine]
+    m = rig.machine_of(bench.made.case.machine)
     t, u = record.time, record[m.input]
     x = run[bench.made.case.outputs[0]]
     v, rate = np.gradient(x, t), savgol_filter(u, WINDOW, 3, deriv=1, delta=record.period)

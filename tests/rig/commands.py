@@ -77,7 +77,8 @@ def ramps(time, amplitude: float, seed: int = 0, *, hold=(0.4, 2.0), speed=(0.0,
     return before + share * (reached[index] - before)
 
 
-def _levels(time, amplitude, seed, hold, speed, room):
+def _levels(time, amplitude, seed, hold, speed, room, dwell=None):
+    """Levels, and where each begins; ``dwell``: least and most seconds at zero after each."""
     random, time = np.random.default_rng(seed), np.asarray(time, dtype=float)
     levels, x, t, corners = np.zeros_like(time), 0.0, time[0] + 0.5, [time[0]]
     while t < time[-1]:
@@ -92,7 +93,56 @@ def _levels(time, amplitude, seed, hold, speed, room):
         levels[time >= t] = level
         corners.append(t)
         t += length
+        if dwell:
+            levels[time >= t] = 0.0
+            t += random.uniform(*dwell)
     return levels, np.array(corners)
+
+
+def strokes(time, amplitude: float, seed: int = 0, *, speed, room, ramp: float = 0.15) -> np.ndarray:
+    """Strokes at constant speeds out and in, each with a dwell after it; the corners are ramps of ``ramp`` seconds.
+
+    ``speed`` and ``room`` as for `steps`.
+    """
+    levels = _levels(time, amplitude, seed, (0.8, 4.0), speed, room, dwell=(0.4, 2.5))[0]
+    width = max(round(ramp / np.median(np.diff(time))), 1)
+    return np.convolve(np.concatenate([np.zeros(width - 1), levels]), np.full(width, 1 / width), "valid")
+
+
+def sines(time, amplitude: float, seed: int = 0, *, speed, room, band=(0.1, 6.0), length=(3.0, 8.0)) -> np.ndarray:
+    """Sines of several sizes and frequencies one after the other, whole periods each, a pause between them.
+
+    ``band`` [Hz]; ``length``: about so many seconds each. The path of each takes at most half of the ``room``.
+    """
+    random, time = np.random.default_rng(seed), np.asarray(time, dtype=float)
+    wave, t = np.zeros_like(time), time[0] + 0.5
+    while t < time[-1]:
+        frequency = np.exp(random.uniform(*np.log(band)))
+        span = max(round(random.uniform(*length) * frequency), 1) / frequency
+        side = room[1] if random.random() < 0.5 else room[0]
+        most = 0.5 * abs(side) * np.pi * frequency / max(speed)
+        here = (time >= t) & (time < t + span)
+        size = np.sign(side) * min(amplitude * random.uniform(0.2, 1.0), most)
+        wave[here] = size * np.sin(2 * np.pi * frequency * (time[here] - t))
+        t += span + random.uniform(0.3, 1.0)
+    return wave
+
+
+def chirp(time, amplitude: float, seed: int = 0, *, speed, room, band=(0.1, 8.0)) -> np.ndarray:
+    """A sine whose frequency rises linearly through the ``band`` [Hz] and falls again, a tenth of the time at rest.
+
+    Where it is slow it is made smaller, so that its path takes at most half of the ``room``. Seeds differ in where
+    the band ends and in sign.
+    """
+    random, t = np.random.default_rng(seed), np.asarray(time, dtype=float) - time[0]
+    low, high = band[0] * random.uniform(0.8, 1.5), band[1] * random.uniform(0.4, 1.0)
+    begin, end = 0.05 * t[-1], 0.95 * t[-1]
+    along = np.clip((t - begin) / (end - begin), 0, 1)
+    frequency = low + (high - low) * (1 - np.abs(2 * along - 1))
+    phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(np.diff(t) * 0.5 * (frequency[1:] + frequency[:-1]))])
+    most = 0.5 * min(abs(room[0]), abs(room[1])) * np.pi * frequency / max(speed)
+    fade = np.clip(np.minimum(t - begin, end - t) / (0.05 * t[-1]), 0, 1)
+    return random.choice([-1.0, 1.0]) * np.minimum(amplitude, most) * fade * np.sin(phase)
 
 
 def sweep(time, amplitude: float, low: float = 0.2, high: float = 15.0) -> np.ndarray:

@@ -12,7 +12,7 @@ from .machines import machine_of, sensor_noise
 from .recording import record
 
 COARSE = 2e-4  # step while searching a command [s]
-KINDS = ("drive", "steps", "ramps", "sweep")
+KINDS = ("drive", "steps", "ramps", "sweep", "strokes", "sines", "chirp")
 
 
 def drive(
@@ -30,7 +30,9 @@ def drive(
     """Time and a command that keeps this very machine within its span when replayed open loop.
 
     ``kind`` "drive" is the smooth command of a real drive, with pauses; "steps" and "ramps" have hard corners; "sweep"
-    is a sine sweep. ``jitter`` spreads the sample times by that share of a period.
+    is a sine sweep, "chirp" one with a linear frequency; "strokes" have dwells between them; "sines" are several, one
+    after the other. ``jitter`` spreads the sample times by that share of a period. A machine whose input is a wanted
+    position gets the path that the same command would move it along.
     """
     if kind not in KINDS:
         raise ValueError(f"rig: no command kind {kind!r} (there are {', '.join(KINDS)}).")
@@ -41,6 +43,15 @@ def drive(
     if kind == "drive":
         return time, _smooth(m, time, rate, seed, truth)
     return time, _hard(m, time, kind, seed, truth)
+
+
+def _given(m, command, time, truth):
+    """What the machine gets for a command that makes a speed: itself, or the path that it moves along."""
+    if not m.positioned:
+        return command
+    speed = command * np.where(command > 0, *m.speed_per_command)
+    path = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time))])
+    return np.round(_first_position(m, truth) + path, 6)
 
 
 def _ticks(duration, rate):
@@ -55,16 +66,17 @@ def _smooth(m, time, rate, seed, truth):
     allowed = 0.1 * (m.span[1] - m.span[0])
     for _ in range(12):
         command = np.round(np.clip(command, -m.command_limit, m.command_limit), 4)
-        error = path - record(m.name, command, time, **truth)[m.position]
+        given = _given(m, command, time, truth)
+        error = path - record(m.name, given, time, **truth)[m.position]
         if np.max(np.abs(error)) < allowed:
-            return command
+            return given
         slow = commands.smoothed(error, rate * 0.5)
         command = command + gate * _for_speed(m, 0.8 * np.gradient(slow, time) + 0.2 * slow)
     raise RuntimeError(f"rig: no drive command keeps {m.name} inside {m.span} with these effects.")
 
 
 def _hard(m, time, kind, seed, truth):
-    """Steps, ramps or a sweep, made smaller until the machine stays inside its span."""
+    """Any other kind, made smaller until the machine stays inside its span."""
     first, amplitude = _first_position(m, truth), 0.8 * m.command_limit
     margin = 0.15 * (m.span[1] - m.span[0])
     for _ in range(12):
@@ -72,12 +84,11 @@ def _hard(m, time, kind, seed, truth):
             command = commands.sweep(time, 0.5 * amplitude)
         else:
             room = (m.span[0] - first, m.span[1] - first)
-            make = commands.steps if kind == "steps" else commands.ramps
-            command = make(time, amplitude, seed, speed=m.speed_per_command, room=room)
-        command = np.round(command, 4)
-        position = record(m.name, command, time, **truth)[m.position]
+            command = getattr(commands, kind)(time, amplitude, seed, speed=m.speed_per_command, room=room)
+        given = _given(m, np.round(command, 4), time, truth)
+        position = record(m.name, given, time, **truth)[m.position]
         if m.span[0] - margin < position.min() and position.max() < m.span[1] + margin:
-            return command
+            return given
         amplitude *= 0.8
     raise RuntimeError(f"rig: no {kind} command keeps {m.name} inside {m.span} with these effects.")
 
@@ -89,7 +100,9 @@ def _for_speed(m, speed):
 
 def _first_position(m, truth):
     still = {**truth, "effects": None}
-    return record(m.name, np.zeros(2), np.array([0.0, 1e-3]), **still)[m.position][0]
+    start = m.start_value if truth["start"] is None else truth["start"]
+    held = np.full(2, start if m.positioned else 0.0)
+    return record(m.name, held, np.array([0.0, 1e-3]), **still)[m.position][0]
 
 
 def clean_recordings(

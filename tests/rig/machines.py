@@ -1,48 +1,13 @@
-"""The two machines: parameter names and values, outputs, starts. Values: Table 1 of the C-EHA paper, else ours."""
+"""The shipped machines and those beside them, by name. Values: Table 1 of the C-EHA paper, else ours."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 
-GRAVITY = 9.80665
-NEUTRAL = {  # C fields whose absence is not zero
-    "stribeck_velocity": 0.0,
-    "ripple_length": 0.05,
-    "bristle_velocity": 1e-3,
-    "air_exponent": 1.3,
-    "rod_mass": 2.0,
-    "warming_time": 60.0,
-    "slip_speed": 100.0,
-    "lost_speed": 50.0,
-    "supply_volume": 1e-3,
-}
-
-
-@dataclass(frozen=True)
-class RigMachine:
-    """One machine as the rig sees it: names, defaults, and how it stands still."""
-
-    name: str
-    input: str
-    input_unit: str
-    outputs: tuple[str, ...]
-    units: tuple[str, ...]  # SI
-    file_units: tuple[str, ...]
-    noise: tuple[float, ...]  # realistic sensor noise, SI
-    parameters: Mapping[str, float]
-    fields: Mapping[str, str]  # parameter path -> C field
-    start_output: str
-    start_value: float
-    command_limit: float
-    position: str  # the output a drive command is shaped with
-    span: tuple[float, float]  # where `drive` keeps it
-    path_band: tuple[float, float]  # its frequencies [Hz]
-    fastest: float  # speed at the command limit [m/s]
-    speed_per_command: tuple[float, float]  # out and in, default values
-    start_state: Callable
+from .further import FURTHER
+from .machine import GRAVITY, RigMachine, table
 
 
 def _cehA_start(p, fields, theta, command):
@@ -89,12 +54,7 @@ def _preload(fields, force):
     return force / fields["coupling_stiffness"] + np.sign(force) * fields["coupling_gap"] / 2
 
 
-def _table(rows: str) -> tuple[dict[str, float], dict[str, str]]:
-    entries = [line.split() for line in rows.strip().splitlines()]
-    return {path: float(value) for path, value, _ in entries}, {path: field for path, _, field in entries}
-
-
-_CEHA, _CEHA_FIELDS = _table("""
+_CEHA, _CEHA_FIELDS = table("""
     motor.gain                            120        gain
     motor.time_constant                   0.03       time_constant
     pump.displacement                     1.05e-7    displacement
@@ -118,7 +78,7 @@ _CEHA, _CEHA_FIELDS = _table("""
 """)
 _CEHA["arm.base_length"] = float(np.sqrt(_CEHA["arm.retracted_length"] ** 2 - _CEHA["arm.pin_length"] ** 2))
 
-_SPOOL, _SPOOL_FIELDS = _table("""
+_SPOOL, _SPOOL_FIELDS = table("""
     slide.natural_frequency         120      frequency
     slide.damping                   0.8      damping
     solenoid.gain                   1        command_gain
@@ -158,6 +118,8 @@ MACHINES = {
         fastest=0.078,
         speed_per_command=(120 * 1.05e-7 / 8.042e-4,) * 2,
         start_state=_cehA_start,
+        start_pressure="precharge",
+        full_scale=(3.0, 1200.0, 0.15, 1e7, 1e7, 2e4),
     ),
     "spool_valve": RigMachine(
         name="spool_valve",
@@ -178,14 +140,18 @@ MACHINES = {
         fastest=0.1,
         speed_per_command=(0.104, 0.099),
         start_state=_spool_start,
+        start_pressure="start_pressure_b",
+        full_scale=(0.8, 2.5, 2.5e7, 2.5e7, 0.5),
     ),
 }
 
 
 def machine_of(name: str) -> RigMachine:
-    if name not in MACHINES:
-        raise KeyError(f"rig: no machine {name!r} (there are {', '.join(MACHINES)}).")
-    return MACHINES[name]
+    """A machine, shipped or further, by name."""
+    every = {**MACHINES, **FURTHER}
+    if name not in every:
+        raise KeyError(f"rig: no machine {name!r} (there are {', '.join(every)}).")
+    return every[name]
 
 
 def sensor_noise(machine: str, scale: float = 1.0) -> dict[str, float]:

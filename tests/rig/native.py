@@ -16,7 +16,7 @@ import numpy as np
 
 SOURCE = Path(__file__).with_name("source")
 FLAGS = ("-O2", "-ffp-contract=off", "-std=gnu11", "-shared")
-STATES, NAMES = 16, ("cehA", "spool_valve")
+STATES, NAMES = 16, ("cehA", "spool_valve", "winch", "lift_boom", "test_cylinder")  # in the order of rig.c
 
 
 def _cache_folder() -> Path:

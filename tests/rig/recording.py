@@ -9,7 +9,8 @@ import numpy as np
 from . import native, sensors
 from .command_path import Signal
 from .effects import changed_command, named_effects, true_values
-from .machines import NEUTRAL, machine_of
+from .machine import NEUTRAL
+from .machines import machine_of
 
 STEP = 5e-5
 
@@ -40,8 +41,8 @@ def record(
     if command.shape != time.shape or time.ndim != 1 or np.any(np.diff(time) <= 0):
         raise ValueError("rig: command and time must be of one length, and time must rise.")
     effects = named_effects(machine, effects)
-    values, fields = _fields(m, parameters or {}, effects)
-    signal = changed_command(Signal.held(time, command), effects)
+    values, fields = truth_of(m, parameters or {}, effects)
+    signal = changed_command(machine, Signal.held(time, command), effects)
     corners = [time, signal.times, *sensors.extra_times(effects, time), *_instants(fields)]
     times = _breakpoints(np.concatenate(corners), time[0], time[-1])
     u, slopes = signal.on(times)
@@ -53,7 +54,8 @@ def record(
     return _with_noise(columns, m, noise or {}, {**_steps(effects), **(quantisation or {})}, seed)
 
 
-def _fields(m, parameters, effects):
+def truth_of(m, parameters, effects):
+    """Base parameters by path and fields of the C core, after every effect."""
     values, changed = true_values(m.name, parameters, effects)
     base = {field: values[path] for path, field in m.fields.items() if field != "-"}
     zeros = dict.fromkeys(native.field_names(m.name), 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.gap.amplitudes import AMPLITUDES
-from benchmarks.gap.cases import GRIDS, KINDS, Case, cases, grid, left_out, make, single_effects
+from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, Case, cases, grid, left_out, machines_of, make, single_effects
 from benchmarks.gap.severity import Unreachable
 from tests import rig
 
@@ -19,7 +19,7 @@ def short(machine, effects, severity=5.0, sensors="all", excitation="drive", see
     return Case(machine, kind, tuple(effects), severity, sensors, excitation, seed, SHORT)
 
 
-@pytest.mark.parametrize("which", GRIDS)
+@pytest.mark.parametrize("which", SEEDS)
 def test_every_case_has_one_name_and_a_name_gives_the_case_back(which):
     found = cases(which)
     names = [case.name for case in found]
@@ -30,7 +30,7 @@ def test_every_case_has_one_name_and_a_name_gives_the_case_back(which):
 
 
 def test_seeds_that_are_reported_were_never_tuned_on():
-    tuned, fresh = ({case.seed for case in cases(which)} for which in GRIDS)
+    tuned, fresh = ({case.seed for case in cases(which)} for which in SEEDS)
     assert not tuned & fresh
     assert all(100 <= s < 200 for s in tuned) and all(200 <= s < 300 for s in fresh)
 
@@ -130,3 +130,54 @@ def test_torn_oil_needs_a_low_precharge_which_the_model_knows():
     assert case.settings["precharge"] < 5e5
     values = {p.name: p.value for p in make(case).model.flat.parameters}
     assert values["precharge"] == case.settings["precharge"]
+
+
+@pytest.mark.parametrize("which_grid", ["wide", "further"])
+@pytest.mark.parametrize("which", SEEDS)
+def test_every_case_of_the_other_grids_has_one_name_that_gives_it_back(which_grid, which):
+    found = cases(which, which_grid=which_grid)
+    names = [case.name for case in found]
+    assert len(set(names)) == len(names) > 90
+    assert [Case.from_name(name) for name in names] == found == cases(which, which_grid=which_grid)
+    assert {c.machine for c in found[: len(found) // 4]} == set(machines_of(which_grid))
+
+
+def test_no_two_grids_and_no_tuning_and_fresh_seeds_meet():
+    seeds = [{c.seed for c in cases(which, which_grid=g)} for g in GRIDS for which in SEEDS]
+    assert all(not a & b for i, a in enumerate(seeds) for b in seeds[:i])
+
+
+def test_the_wide_grid_draws_from_every_style_length_converter_and_sensor_set():
+    found, wide = cases("tuning", which_grid="wide"), grid()["wide"]
+    assert {c.excitation for c in found} == set(wide["excitations"])
+    assert {c.seconds for c in found} == set(wide["seconds"]) and {c.bits for c in found} == set(wide["bits"])
+    for machine in machines_of("wide"):
+        own = [c for c in found if c.machine == machine]
+        assert {c.sensors for c in own} == set(wide["sensors"][machine])
+        assert {len(c.outputs) for c in own} >= {1, len(rig.machine_of(machine).outputs)}
+        assert all(set(c.outputs) <= set(rig.machine_of(machine).outputs) for c in own)
+    for style, longest in wide["longest"].items():
+        assert max(c.seconds for c in found if c.excitation == style) <= longest
+
+
+def test_stiffness_and_volumes_are_farther_off_in_the_wide_grid():
+    usual, off = rig.MACHINES["cehA"].parameters, {}
+    for seed in range(301, 341):
+        key = Case("cehA", "none", (), 0.0, "all", "sines", seed, 1.0, wide=True).bed_key
+        for name, largest in key[3]:
+            off[name] = largest
+    assert off["cylinder.oil.bulk_modulus"] == 0.45 and off["cylinder.cap_dead_volume"] == 0.35
+    assert off["motor.gain"] == 0.3 and set(off) <= set(usual)
+
+
+def test_a_coarse_converter_rounds_what_is_recorded_and_counts_as_noise():
+    case = Case("spool_valve", "none", (), 0.0, "position", "strokes", 301, 8.0, bits=12, wide=True)
+    made, fine = make(case), make(dataclasses.replace(case, bits=0))
+    step = 0.8 / 2**12
+    for record in made.fit:
+        assert record["position"] / step == pytest.approx(np.round(record["position"] / step), abs=1e-6)
+    sigma = fine.noise["position"]
+    assert made.noise["position"] == pytest.approx(np.hypot(sigma, step / np.sqrt(12)))
+    error = made.fit[0]["position"] - rig.record("spool_valve", made.fit[0]["current"], made.fit[0].time,
+                                                 parameters=made.truth)["position"]  # fmt: skip
+    assert np.std(error) == pytest.approx(made.noise["position"], rel=0.1)

@@ -138,7 +138,7 @@ static Contact cehA_contact(double t, const double *x, double u, const void *pv)
 
 static int cehA_sliding_state(const void *pv) {
     const CehA *p = pv;
-    if (!(p->coulomb > 0 || p->breakaway > 0 || p->per_pressure > 0 || p->exact > 0)) return -1;
+    if (!is_dry(pv) && !(p->exact > 0)) return -1;
     return cehA_loose(p) ? C_VR : C_OMEGA;
 }
 
@@ -160,4 +160,4 @@ static void cehA_output(const double *x, const void *pv, double *y) {
 }
 
 static const Machine cehA = {
-    C_STATES, 6, cehA_derivative, cehA_contact, cehA_sliding_state, cehA_inside, cehA_output};
+    C_STATES, 6, cehA_derivative, cehA_contact, cehA_sliding_state, cehA_inside, cehA_output, NULL};

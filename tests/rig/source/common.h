@@ -33,6 +33,7 @@ typedef struct {
     int (*sliding_state)(const void *p);   /* index of the velocity that sticks, or -1: no exact friction */
     int (*inside)(const double *x, const void *p);   /* volumes open, linkage short of its dead centre */
     void (*output)(const double *x, const void *p, double *y);
+    void (*settle)(double *x, double u, const void *p);   /* states that jump with their surroundings; or NULL */
 } Machine;
 
 static inline double sign_of(double v) { return (v > 0) - (v < 0); }
@@ -47,6 +48,9 @@ static inline double dry_friction(const Common *c, double speed, double x, doubl
         force *= 1 + c->ripple * sin(2 * M_PI * x / c->ripple_length);
     return force * (1 + direction * c->asymmetry);
 }
+
+/* Whether there is exact dry friction at all. */
+static inline int is_dry(const Common *c) { return c->coulomb > 0 || c->breakaway > 0 || c->per_pressure > 0; }
 
 /* LuGre bristles: z' = v - s0 |v| z / g(v), F = s0 z + s1 z'. */
 static inline double bristles(const Common *c, double v, double z, double *dz) {

@@ -3,6 +3,9 @@
 #include <string.h>
 #include "cehA.h"
 #include "spool_valve.h"
+#include "winch.h"
+#include "lift_boom.h"
+#include "test_cylinder.h"
 
 #ifdef _WIN32
 #define EXPORT __declspec(dllexport)
@@ -90,7 +93,15 @@ static void start_mode(Run *r, double t, double *x) {
     else choose_mode(r, t, x);
 }
 
-static int fields_of(const Machine *m) { return (m == &cehA ? sizeof(CehA) : sizeof(Spool)) / sizeof(double); }
+typedef struct { const Machine *machine; size_t size; const char *names; } Entry;
+
+static const Entry MACHINES[] = {
+    {&cehA, sizeof(CehA), CEHA(RIG_NAME) ""},
+    {&spool_valve, sizeof(Spool), SPOOL(RIG_NAME) ""},
+    {&winch, sizeof(Winch), WINCH(RIG_NAME) ""},
+    {&lift_boom, sizeof(LiftBoom), LIFT_BOOM(RIG_NAME) ""},
+    {&test_cylinder, sizeof(TestCylinder), TEST_CYLINDER(RIG_NAME) ""},
+};
 
 static int fine(const Machine *m, const double *x, const double *p, const double *y) {
     for (int k = 0; k < m->outputs; k++)
@@ -103,9 +114,9 @@ static int fine(const Machine *m, const double *x, const double *p, const double
  * Returns the first index at which an output is not finite or a volume is gone, or -1. */
 EXPORT long rig_run(int machine, long n, const double *t, const double *u, const double *slope, const double *fields,
                     double step, double *x, double *y) {
-    const Machine *m = machine ? &spool_valve : &cehA;
+    const Machine *m = MACHINES[machine].machine;
     double p[MOST_FIELDS];
-    memcpy(p, fields, sizeof(double) * fields_of(m));
+    memcpy(p, fields, MACHINES[machine].size);
     Run r = {m, p, u[0], slope[0], t[0], 0, -1};
     start_mode(&r, t[0], x);
     m->output(x, p, y);
@@ -115,11 +126,15 @@ EXPORT long rig_run(int machine, long n, const double *t, const double *u, const
         if (steps < 1) steps = 1;
         ((Common *)p)->now = t[i] + 0.5 * dt;
         r.u = u[i]; r.slope = slope[i]; r.t_u = t[i];
-        for (long j = 0; j < steps; j++) advance(&r, t[i] + dt * j / steps, x, dt / steps);
+        for (long j = 0; j < steps; j++) {
+            double now = t[i] + dt * j / steps;
+            if (m->settle) m->settle(x, input_at(&r, now), p);
+            advance(&r, now, x, dt / steps);
+        }
         m->output(x, p, y + (i + 1) * m->outputs);
         if (!fine(m, x, p, y + (i + 1) * m->outputs)) return i + 1;
     }
     return -1;
 }
 
-EXPORT const char *rig_names(int machine) { return machine ? SPOOL(RIG_NAME) "" : CEHA(RIG_NAME) ""; }
+EXPORT const char *rig_names(int machine) { return MACHINES[machine].names; }

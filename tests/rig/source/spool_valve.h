@@ -131,7 +131,7 @@ static Contact spool_contact(double t, const double *x, double u, const void *pv
 
 static int spool_sliding_state(const void *pv) {
     const Spool *p = pv;
-    if (!(p->coulomb > 0 || p->breakaway > 0 || p->per_pressure > 0)) return -1;
+    if (!is_dry(pv)) return -1;
     return spool_loose(p) ? S_VR : S_V;
 }
 
@@ -151,4 +151,4 @@ static void spool_output(const double *x, const void *pv, double *y) {
 }
 
 static const Machine spool_valve = {
-    S_STATES, 5, spool_derivative, spool_contact, spool_sliding_state, spool_inside, spool_output};
+    S_STATES, 5, spool_derivative, spool_contact, spool_sliding_state, spool_inside, spool_output, NULL};

@@ -1,9 +1,10 @@
-"""Are stated probabilities right, and how long do answers take: per style of command and per machine, from finished rows."""
+"""Are stated probabilities right, and how long do answers take: by style of command and machine, from finished rows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,7 +34,7 @@ def reliability(said: Sequence[tuple[float, bool]]) -> list[Bin]:
     probability, right = (np.array([pair[k] for pair in said], dtype=float) for k in (0, 1))
     where = np.clip(np.searchsorted(BINS, probability, side="right") - 1, 0, len(BINS) - 2)
     found = []
-    for k, (low, high) in enumerate(zip(BINS[:-1], BINS[1:], strict=True)):
+    for k, (low, high) in enumerate(pairwise(BINS)):
         here = where == k
         means = (float(v[here].mean()) if here.any() else np.nan for v in (probability, right))
         found.append(Bin(low, high, int(here.sum()), *means))
@@ -62,11 +63,12 @@ def markdown(rows: Sequence[Mapping], title: str) -> list[str]:
     groups = {"all": done}
     for key in GROUPS:
         groups |= {f"{value}": [r for r in done if r[key] == value] for value in sorted({r[key] for r in done})}
-    return [f"### {title}: probabilities", "", *_reliability(groups), "", f"### {title}: seconds", "", *_times(groups), ""]
+    told, took = f"### {title}: probabilities", f"### {title}: seconds"
+    return [told, "", *_reliability(groups), "", took, "", *_times(groups), ""]
 
 
 def _reliability(groups) -> list[str]:
-    heads = [f"{low:.1f}-{high:.1f}" for low, high in zip(BINS[:-1], BINS[1:], strict=True)]
+    heads = [f"{low:.1f}-{high:.1f}" for low, high in pairwise(BINS)]
     lines = [f"| stated: right (names) | {' | '.join(heads)} | Brier | names |", "|---" * (len(heads) + 3) + "|"]
     for name, rows in groups.items():
         said = statements(rows)

@@ -158,7 +158,8 @@ def _finished(jobs, options):
     context = multiprocessing.get_context("spawn")
     for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            futures = [pool.submit(rows_of, name, left, not options.no_oracle, options.out / "fits") for name, left in batch]
+            asked = not options.no_oracle, options.out / "fits"
+            futures = [pool.submit(rows_of, name, left, *asked) for name, left in batch]
             for future in as_completed(futures):
                 yield future.result()
 

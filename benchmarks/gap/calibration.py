@@ -8,6 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from .score import brier
+
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)  # of stated probability; a bin holds its lower edge, the last both
 LENGTHS = (30.0, 60.0, 120.0, 300.0)  # s, between the columns of the times
 GROUPS = ("excitation", "machine")
@@ -25,8 +27,8 @@ class Bin:
 
 
 def statements(rows: Sequence[Mapping]) -> list[tuple[float, bool]]:
-    """(stated probability, whether it was right) of every name in finished rows that states a finite one."""
-    return [(float(p), bool(hit)) for r in rows for p, hit in r.get("stated", ()) if p is not None]
+    """(stated probability, whether it was right) of every name in finished rows."""
+    return [(float(p), bool(hit)) for r in rows for p, hit in r["stated"]]
 
 
 def reliability(said: Sequence[tuple[float, bool]]) -> list[Bin]:
@@ -39,11 +41,6 @@ def reliability(said: Sequence[tuple[float, bool]]) -> list[Bin]:
         means = (float(v[here].mean()) if here.any() else np.nan for v in (probability, right))
         found.append(Bin(low, high, int(here.sum()), *means))
     return found
-
-
-def brier(said: Sequence[tuple[float, bool]]) -> float:
-    """Mean squared difference of stated probability and truth over all names; nan without any."""
-    return float(np.mean([(p - right) ** 2 for p, right in said])) if said else np.nan
 
 
 def times(rows: Sequence[Mapping]) -> dict[str, float]:

@@ -200,7 +200,8 @@ def row_of(
             **_predictions(made, answer, oracle),
             "lacking": [times_noise(rmse, made.noise) for rmse in lacking if rmse],
             "parameters": _parameters(made, named),
-            "brier": _brier(made, named),
+            "stated": _stated(made, named),
+            "brier": brier(_stated(made, named)),
             "seconds": answer.seconds,
             "notes": dict(answer.notes),
         }
@@ -256,13 +257,16 @@ def _compared(label: str, wanted: str, true: float, n: Named) -> dict | None:
     return None
 
 
-def _brier(made: Made, named: Sequence[Named]) -> float | None:
-    """Mean squared difference of stated probability and truth, over the named effects; None when nothing was named."""
+def _stated(made: Made, named: Sequence[Named]) -> list[tuple[float, bool]]:
+    """(stated probability, whether it is what is hidden) of every named effect that states one."""
     hits = [any(is_it(made, h, n.effect, n.site) for h in range(len(made.hidden))) for n in named]
-    if made.case.kind == "out_of_library":
-        hits = [False] * len(hits)
-    scores = [(n.probability - hit) ** 2 for n, hit in zip(named, hits, strict=True) if math.isfinite(n.probability)]
-    return float(np.mean(scores)) if scores else None
+    known = made.case.kind != "out_of_library"
+    return [(n.probability, hit and known) for n, hit in zip(named, hits, strict=True) if math.isfinite(n.probability)]
+
+
+def brier(said: Sequence[tuple[float, bool]]) -> float | None:
+    """Mean squared difference of stated probability and truth; None where nothing was stated."""
+    return float(np.mean([(p - hit) ** 2 for p, hit in said])) if said else None
 
 
 def _plain(value):

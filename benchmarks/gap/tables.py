@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrotwin.models.effects import CATALOGUE
 
+from . import calibration
 from .score import VISIBLE
 
 
@@ -189,6 +190,7 @@ def markdown(rows: Sequence[Mapping]) -> str:
         for machine in dict.fromkeys(r["machine"] for r in own if "verdict" in r):
             parts += [f"### {method}, {machine}", "", *_table([r for r in own if r.get("machine") == machine]), ""]
         parts += [*_by(own, "severity"), *_by(own, "sensors"), *_by(own, "excitation"), *_by_effect(own)]
+        parts += calibration.markdown(own, method)
         wrong = misses(own)
         parts += [f"### {method}: {len(wrong)} misses", "", *(f"- {line}" for line in wrong), ""]
     beyond = [r for r in rows if "unreachable" in r]

@@ -92,7 +92,7 @@ class Alike:
     def gathered(self, effect: type[Effect], sites: Sequence[Site]) -> list[tuple[Site, ...]]:
         """The sites that matter, each with those that are the same: in their order, the first stands for the rest."""
         groups: list[list[Site]] = []
-        for site in (s for s in sorted(sites, key=self._within) if not self._idle(s)):
+        for site in (s for s in sorted(sites, key=self._within) if not self._idle(effect, s)):
             group = next((g for g in groups if self._one(effect, g[0], site)), None)
             if group is None:
                 groups.append([site])
@@ -100,27 +100,36 @@ class Alike:
                 group.append(site)
         return [tuple(group) for group in sorted(groups, key=lambda group: sites.index(group[0]))]
 
-    def _idle(self, site: Site) -> bool:
+    def _idle(self, effect: type[Effect], site: Site) -> bool:
         """Whether nothing that acts here moves an output, or it lies between two ports that are one place.
 
-        A parameter says nothing by being freed where those that are free already do the same.
+        A parameter says nothing by being freed where those that are free already do the same and have room for it.
         """
         acting = [c for c in self._channels[id(site)] if c.kind != "read"]
         if self._survey is None or not all(c in self._survey.channels for c in acting):
             return False
         if site.frees and acting[0].kind == "parameter":
-            return self._done_already(acting[0])
+            return self._done_already(effect, acting[0])
         across = len(acting) > 1 and all(c.kind == "node" for c in acting) and not site.reads
         if across and len({self._class(c) for c in acting}) == 1:
             return True
         return not any(self._moves(c) for c in acting)
 
-    def _done_already(self, channel: Channel) -> bool:
-        """Whether free parameters together change rates, outputs and start as this one does, everywhere."""
+    def _done_already(self, effect: type[Effect], channel: Channel) -> bool:
+        """Whether free parameters do all that this one usually does, everywhere, without leaving their bounds."""
         rows = self._survey.slopes.T
         given, wanted = rows[:, [self._survey.index(c) for c in self._free]], rows[:, self._survey.index(channel)]
-        step, *_ = np.linalg.lstsq(given, wanted, rcond=None)
-        return bool(np.linalg.norm(given @ step - wanted) < SAME * np.linalg.norm(wanted))
+        size = np.maximum(np.linalg.norm(given, axis=0), np.finfo(float).tiny)  # units make columns of any size
+        step, *_ = np.linalg.lstsq(given / size, wanted, rcond=None)
+        if not np.linalg.norm(given / size @ step - wanted) < SAME * np.linalg.norm(wanted):
+            return False
+        known = {p.name: p for p in self._places.model.flat.parameters}
+        value, free = known[channel.path].value, [known[c.path] for c in self._free]
+        for end in effect.freed(value)[1]:
+            moved = np.array([p.value for p in free]) + step / size * (end - value)
+            if not all(p.bounds[0] <= v <= p.bounds[1] for p, v in zip(free, moved, strict=True)):
+                return False
+        return True
 
     def _moves(self, channel: Channel) -> bool:
         survey = self._survey

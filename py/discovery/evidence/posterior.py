@@ -1,0 +1,78 @@
+"""The posterior over nothing, every structure that was fitted, and something else.
+
+    p(structure) ~ exp(-S / T) N^-m n^(-k/2),    T = max(1, tempered S_base)
+
+m effects cost one name each out of N candidates, k parameters half the logarithm of n measured values each (BIC). No
+law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
+units of T. Something else would leave nothing, at the price of the cheapest effect, and has a small prior.
+Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from .deciding import DECIDING
+
+Key = tuple[str, ...]
+NOTHING: Key = ()
+
+
+@dataclass(frozen=True)
+class Prices:
+    """What names and parameters cost: N candidates, n measured values."""
+
+    candidates: int
+    values: int
+
+    def of(self, effects: int, parameters: int) -> float:
+        """Nats that a structure with so many effects and parameters of theirs costs."""
+        return effects * np.log(max(self.candidates, 2)) + 0.5 * parameters * np.log(max(self.values, 2))
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Probabilities of structures by key (labels of their effects), the empty one nothing; ``else_`` something else."""
+
+    structures: Mapping[Key, float]
+    else_: float
+
+    @property
+    def best(self) -> Key:
+        """The most probable structure, nothing included."""
+        return max(self.structures, key=self.structures.__getitem__)
+
+    def ranked(self) -> list[Key]:
+        """Structures, the most probable first."""
+        return sorted(self.structures, key=self.structures.__getitem__, reverse=True)
+
+    def class_(self) -> list[Key]:
+        """The smallest set that holds most of the probability of what is known, of structures worth telling."""
+        known, held, members = sum(self.structures.values()), 0.0, []
+        for key in self.ranked():
+            if held >= DECIDING.in_class * known or (members and self.structures[key] < DECIDING.told * known):
+                break
+            members.append(key)
+            held += self.structures[key]
+        return members
+
+
+def temperature(base: float) -> float:
+    """Nats of difference in score that count as one."""
+    return max(1.0, DECIDING.tempered * base)
+
+
+def posterior(scores: Mapping[Key, float], parameters: Mapping[Key, int], prices: Prices) -> Posterior:
+    """Of scores S by key; that of the base, the empty key, must be among them."""
+    T = temperature(scores[NOTHING])
+    keys = [k for k in scores if np.isfinite(scores[k])] or [NOTHING]
+    logs = [-min(scores[k], 1e300) / T - prices.of(len(k), parameters[k]) for k in keys]
+    cheapest = min((prices.of(len(k), parameters[k]) for k in keys if k), default=prices.of(1, 1))
+    known, else_ = np.log(1 - DECIDING.something_else), np.log(DECIDING.something_else) - cheapest
+    logs = np.array([*(known + np.array(logs)), else_])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    return Posterior(dict(zip(keys, weights[:-1].tolist(), strict=True)), float(weights[-1]))

@@ -1,0 +1,1 @@
+"""Fits: one structure led from the start that its user gave through growing windows to whole recordings."""

@@ -1,0 +1,216 @@
+"""Whole recordings: a structure fitted to free runs from where its windows ended.
+
+Every output is weighed by what the structure leaves of it, never by less than the sensor's noise, in turns:
+
+    min over p, x0, s   L = sum_j n_j (ln s_j + RMSE_j^2 / (2 s_j^2)),   s_j >= noise_j
+
+so that structures which reach the noise and structures which do not are compared on one scale.
+Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covariance).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.identification.answer import answer
+from hydrotwin.identification.descent import Task, held_out_run, undecided, whole_runs
+from hydrotwin.identification.least_squares import Minimum, minimise
+from hydrotwin.identification.noise import weights
+from hydrotwin.identification.shooting import Shooting
+from hydrotwin.models.language.errors import SolveError
+from hydrotwin.simulation import prepare
+
+from ..evidence.score import spectrum
+from .job import Fitted, Job, Look, broad, moving_starts, not_below, task_of
+
+ROUNDS = 5  # of weights and minimum
+LONGEST = 30  # iterations in all rounds together
+LAST_WORD = 40  # iterations of a fit that is reported
+STEADY = 0.02  # relative change of the sizes that ends the rounds
+TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
+FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
+
+
+def fit(job: Job) -> Fitted | str:
+    """Fit a structure to whole recordings; a sentence when it diverges. Pure and picklable."""
+    began = time.perf_counter()
+    try:
+        task, found, left = _fitted(job.beginning())
+    except SolveError as error:
+        return str(error)
+    return dataclasses.replace(_answer(task, found, left), seconds=time.perf_counter() - began)
+
+
+def glance(job: Job) -> Look | str:
+    """A few steps over whole recordings, of what cannot begin in their middle; a sentence when it diverges.
+
+    Pure and picklable.
+    """
+    began = time.perf_counter()
+    try:
+        task, found = _first(job.beginning())
+        left = spectrum(residuals_of(task, found))
+    except SolveError as error:
+        return str(error)
+    values = dict(zip(task.free.names, task.free.values(found.q).tolist(), strict=True))
+    squares, counts = left.squares.sum(axis=0)[None], left.counts.sum(axis=0)[None]
+    size = not_below(job.question.noise, left.rmse)
+    return Look(values, squares, counts, size, seconds=time.perf_counter() - began)
+
+
+def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
+    return settled(*_first(job), job.iterations, job.seconds)
+
+
+def _first(job: Job) -> tuple[Task, Minimum]:
+    """The task and its first minimum from the cheapest start."""
+    q = job.question
+    size = broad(q) if job.size is None else not_below(q.noise, job.size)
+    task = task_of(job, job.starts[0], size, moving_starts(job))
+    shooting, z = whole_runs(task)
+    z = given(shooting, z, job.states)
+    start = _cheapest(task, job, shooting, z)
+    return task, minimise(shooting, start, z, **FIRST, most=job.iterations, until=job.seconds)
+
+
+def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> np.ndarray:
+    """Scaled parameters of the cheapest start from which a derivative leads on; the task's own where there is but one.
+
+    Far from the machine a free run may be so sensitive that its derivatives explode, though it ends nearby.
+    """
+    free = task.free
+    if len(job.starts) == 1:
+        return free.scaled(free.start)
+    first = dict(zip(free.names, free.start.tolist(), strict=True))
+    values = [np.array([start.get(n, first[n]) for n in free.names]) for start in job.starts]
+    points = [free.scaled(np.clip(v, free.lower, free.upper)) for v in values]
+    points = sorted(points, key=lambda q: shooting.cost(q, z))
+    leading = (q for q in points if not shooting.linearise(q, z).diverged.any())
+    return next(leading, points[0])
+
+
+def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tuple[Task, Minimum, list[np.ndarray]]:
+    """Weights and minimum in turns until they agree: the task, its minimum, and the residuals there."""
+    left, further = residuals_of(undecided(task), found), LONGEST
+    size = _size(task, left)
+    for number in range(ROUNDS):
+        task = dataclasses.replace(undecided(task), weights=weights(size))
+        rules = TOLERANCE if number else FIRST
+        found = minimise(
+            whole_runs(task)[0], found.q, found.z, **rules, most=max(1, min(most, further)), until=until
+        )
+        further -= found.iterations
+        left = residuals_of(task, found)
+        before, size = size, _size(task, left)
+        agreed = number and np.nanmax(np.abs(np.log(size / before))) < STEADY
+        if agreed or further <= 0 or time.monotonic() > until:
+            break
+    return task, found, left
+
+
+def _size(task: Task, left: Sequence[np.ndarray]) -> np.ndarray:
+    """Size (ny,), SI, of the errors left, never below the noise. Raises SolveError where a run diverges."""
+    rmse = spectrum(left).rmse
+    if np.isinf(rmse[task.weights > 0]).any():
+        raise SolveError(f"{task.flat.name}: a run diverges where the fit ended. Start it elsewhere.")
+    return not_below(task.noise, rmse)
+
+
+def residuals_of(task: Task, found: Minimum, recordings=None) -> list[np.ndarray]:
+    """Residuals (n, ny), SI, of free runs, infinite where one diverges; of other recordings with starts estimated."""
+    if recordings is None:
+        return _runs(task, whole_runs(task)[0], found.q, found.z)
+    runs, task = [], undecided(task)
+    for recording in recordings:
+        shooting, z = held_out_run(task, found.q, recording)
+        runs += _runs(task, shooting, found.q, z)
+    return runs
+
+
+def _runs(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
+    unit = np.where(task.weights > 0, task.weights, np.nan)
+    runs = [shooting.residuals(i, q, z[i]) for i in range(len(shooting.recordings))]
+    seen = [np.isfinite(recording.y) for recording in shooting.recordings]
+    return [np.where(s, np.inf, np.nan) if r is None else r / unit for r, s in zip(runs, seen, strict=True)]
+
+
+def given(shooting: Shooting, z: np.ndarray, states: Sequence[Mapping[str, float]]) -> np.ndarray:
+    """Scaled start states z with those put in that are known by name, one mapping per recording."""
+    z = z.copy()
+    for i, known in enumerate(states):
+        for j, (name, nominal) in enumerate(zip(shooting.start.names, shooting.start.nominal, strict=True)):
+            if np.isfinite(known.get(name, np.nan)):
+                z[i, j] = known[name] / nominal
+    return shooting.clip(z)
+
+
+def _answer(task: Task, found: Minimum, left: Sequence[np.ndarray]) -> Fitted:
+    free, start = task.free, whole_runs(task)[0].start
+    values = free.values(found.q)
+    near = 1e-6 * np.minimum(np.abs(free.upper - free.lower), np.abs(free.unit))
+    bound = (values <= free.lower + near) | (values >= free.upper - near)
+    return Fitted(
+        values=dict(zip(free.names, values.tolist(), strict=True)),
+        states=tuple(dict(zip(start.names, (z * start.nominal).tolist(), strict=True)) for z in found.z),
+        left=spectrum(left),
+        at_bound=tuple(n for n, at in zip(free.names, bound, strict=True) if at),
+        converged=found.converged,
+        iterations=found.iterations,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """A structure fitted for good: the `Fit` with intervals, residuals (n, ny), SI, fitted to and of what judges."""
+
+    fit: object
+    fitted: Fitted
+    residuals_fit: tuple[np.ndarray, ...]
+    residuals_report: tuple[np.ndarray, ...]
+
+
+def conclude(job: Job) -> Concluded | str:
+    """Fit a structure for good from where it stands, and judge it on ``question.select``, which takes no part.
+
+    No bit of what is fitted depends on what judges: not even the compiled equations know of it. A sentence when it
+    diverges. Pure and picklable.
+    """
+    try:
+        return _conclude(job.beginning())
+    except SolveError as error:
+        return str(error)
+
+
+def _conclude(job: Job) -> Concluded:
+    began, q = time.perf_counter(), job.question
+    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()), iterations=LAST_WORD)
+    task, found, left = _fitted(alone)
+    settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
+    one = answer(task, [found], (), settings, began)
+    judged = tuple(residuals_of(_judging(task, job), found, q.select)) if q.select else ()
+    return Concluded(one, _answer(task, found, left), tuple(left), judged)
+
+
+def _judging(task: Task, job: Job) -> Task:
+    """The task of runs through the recordings that judge, whichever start states those measure."""
+    states = moving_starts(job)
+    if states == list(task.propagator.free_states):
+        return task
+    propagator = prepare(job.flat, free_parameters=task.free.names, free_states=states, step=job.question.step)
+    return dataclasses.replace(task, propagator=propagator)
+
+
+def trajectories(flat, question, fitted: Fitted) -> list[np.ndarray]:
+    """State trajectories (n, nx), SI, of every recording along a fit. Raises SolveError where a run diverges."""
+    propagator, p = prepare(flat, step=question.step, few_runs=True), flat.parameter_vector(dict(fitted.values))
+    found = []
+    for recording, states in zip(question.fit, fitted.states, strict=True):
+        names = tuple(s.name for s in flat.states if s.name in states)
+        x0 = flat.start_given(names)(recording.u[0], p, [states[n] for n in names]).full().ravel()
+        found.append(propagator.run(recording.time, recording.u, p, x0)[1])
+    return found

@@ -1,0 +1,306 @@
+"""The search: structures are looked at in windows, the most promising fitted first, until none can improve the answer.
+
+Nothing is forbidden: what promises little waits, and is tried when nothing better is left and there is time.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrotwin.identification.horizon import horizons
+from hydrotwin.identification.problem import free_parameters
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.errors import HydrotwinError, SolveError
+
+from ..evidence.deciding import DECIDING
+from ..evidence.posterior import NOTHING, temperature
+from ..fits.job import Fitted, Job, Look
+from ..fits.whole import fit, glance, trajectories
+from ..fits.windows import look
+from .starts import looks, seen_by, usual
+from .table import Entry, Table
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes.
+
+    fits : structures of a size that are fitted though they promise less than the best. pool : single effects, the most
+    promising, of which pairs and larger structures are made. seconds : the most that one fit takes [s].
+    iterations : the most of every stage of a fit. batch : looks between which the most promising are fitted.
+    together : structures that are led on at once.
+    """
+
+    fits: int = 6
+    pool: int = 10
+    seconds: float = 60.0
+    iterations: int = 15
+    batch: int = 16
+    together: int = 4
+
+
+EFFORTS = {
+    "quick": Effort(fits=4, pool=6, seconds=20.0, iterations=10),
+    "normal": Effort(),
+    "thorough": Effort(fits=20, pool=24, seconds=300.0, iterations=30),
+}
+SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
+EARLY = 0.1  # of it: what promises to leave less is fitted as soon as it is seen
+NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
+
+
+class OutOfTime(Exception):
+    """The time limit has come."""
+
+
+@dataclass(eq=False)
+class Search:
+    """A table, how jobs are run, and how far to go. until : the time of `time.monotonic` [s] at which it ends."""
+
+    table: Table
+    run: Callable[[Callable, Sequence, str], list]
+    effort: Effort = field(default_factory=Effort)
+    most: int = 3
+    until: float = np.inf
+    complete: bool = True
+    trajectories: tuple[np.ndarray, ...] = ()
+    first: int = 1
+
+    def go(self) -> None:
+        """Search until nothing promises to improve the answer, or the time is over."""
+        try:
+            self._go()
+        except OutOfTime:
+            self.complete = False
+
+    def _go(self) -> None:
+        table = self.table
+        self._identify()
+        if not self.explained():
+            self._looked([table.entry([c]) for c in table.candidates])
+        for size in range(2, self.most + 1):
+            if self.explained() or len(table.candidates) < size:
+                break
+            self._looked(self._larger(size))
+        self._dropped()
+
+    # -- the base ------------------------------------------------------------------------------------------------
+    def _identify(self) -> None:
+        """Identify the base; it decides how long the windows of a first look are."""
+        table, q, base = self.table, self.table.question, self.table.entry()
+        if base.fitted:
+            return
+        flat = table.base.flat
+        start = free_parameters(flat, table.free)
+        lengths = tuple(horizons(flat, q.fit, start.vector(start.scaled(start.start))))
+        table.question = dataclasses.replace(q, lengths=lengths)
+        self._advance([base], len(lengths))
+        self._advance([base])
+        if not base.fitted:
+            raise SolveError(f"gap: the base model cannot be identified ({base.failed}). Correct its start values first.")
+        self.first = telling(base, table)
+        if any(looks(c) for c in table.candidates):
+            with contextlib.suppress(SolveError):
+                self.trajectories = tuple(trajectories(flat, q, base.fitted))
+
+    def explained(self) -> bool:
+        """Whether a structure leaves no more than what names would cost."""
+        scores, table = self.table.scores(), self.table
+        T = temperature(scores.get(NOTHING, 0.0))
+        return any(s < T * table.prices.of(1, 1) / 2 for s in scores.values())
+
+    # -- steps ---------------------------------------------------------------------------------------------------
+    def _looked(self, entries: Sequence[Entry]) -> None:
+        """Look at structures and fit the most promising: those that promise everything as soon as they are seen."""
+        fresh = [e for e in entries if e.open and not e.look]
+        for batch in _batches(fresh, self.effort.batch):
+            self._advance(batch, self.first)
+            while early := [e for e in batch if e.open and self.table.promise(e) < EARLY]:
+                self._advance(early)
+        self._climb(entries)
+
+    def _climb(self, entries: Sequence[Entry]) -> None:
+        """Lead structures on through longer windows to whole recordings, always those that promise most.
+
+        Ends when what is left promises less than what was reached; where that explains too little, a few later.
+        """
+        table, beyond = self.table, 0
+        while waiting := sorted((e for e in entries if e.open), key=table.promise):
+            reached = min((table.share(e) for e in entries if e.fitted), default=-1.0)
+            near = [e for e in waiting if table.promise(e) < reached + SAME]
+            if not near and (self.explained() or beyond >= self.effort.fits):
+                return
+            chosen = (near or waiting)[: self.effort.together]
+            self._advance(chosen)
+            beyond += 0 if near else sum(not e.open for e in chosen)
+
+    def _larger(self, size: int) -> list[Entry]:
+        """Structures of a size out of the most promising effects, and the best ones known with one more effect."""
+        table = self.table
+        singles = [e for e in table.entries.values() if len(e.key) == 1 and not e.failed]
+        scores, base = table.scores(), max(table.scores()[NOTHING], 1e-9)
+
+        def worth(e: Entry) -> float:
+            return min(table.promise(e), scores[e.key] / base if e.key in scores else np.inf)
+
+        pool = [e.members[0] for e in sorted(singles, key=worth)[: self.effort.pool]]
+        if size == 2:
+            groups = itertools.combinations(pool, 2)
+        else:
+            smaller = sorted((e for e in table.fitted if len(e.key) == size - 1), key=lambda e: scores[e.key])
+            groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
+        return [table.entry(g) for g in groups if compatible(g)]
+
+    def _dropped(self) -> None:
+        """Fit what is left of the best structure without each of its effects."""
+        while True:
+            best = self.table.entries[self.table.posterior().best]
+            parts = [
+                self.table.entry(m for m in best.members if m is not gone)
+                for gone in best.members
+                if len(best.members) > 1
+            ]
+            fresh = [e for e in parts if not (e.fitted or e.failed)]
+            if not fresh:
+                return
+            self._fit(fresh)
+
+    # -- jobs ----------------------------------------------------------------------------------------------------
+    def _advance(self, entries: Sequence[Entry], to: int | None = None) -> None:
+        """Lead structures through the next longer windows, up to those before ``to``; after the last, fit them."""
+        lengths = len(self.table.question.lengths)
+        known = [e for e in entries if self._usable(e)]
+        at = {e.key: len(e.look.squares) if e.look else 0 for e in known}
+        look_at = [e for e in known if at[e.key] < lengths or not (lengths or e.look)]
+        jobs = []
+        for e in look_at:
+            starts = [e.look.values] if e.look else self._starts(e)
+            end = max(to or 0, at[e.key] + 1)
+            jobs.append(self._job(e, starts, size=e.look and e.look.size, stages=(at[e.key], end)))
+        for entry, found in zip(look_at, self._ran(look if lengths else glance, jobs, "look"), strict=True):
+            if isinstance(found, Look):
+                entry.look = found.after(entry.look)
+            else:
+                entry.failed = found
+        self._fit([e for e in known if e not in look_at])
+
+    def _fit(self, entries: Sequence[Entry]) -> None:
+        """Fit structures from where their windows ended; one that does worse than a part of it goes on from that."""
+        known = [e for e in entries if not e.fitted and self._usable(e)]
+        self._take(known, self._ran(fit, [self._climbing(e) for e in known], "fit"))
+        worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
+        jobs = [self._from_part(e, part) for e, part in worse]
+        for (entry, _), found in zip(worse, self._ran(fit, jobs, "fit"), strict=True):
+            if isinstance(found, Fitted):
+                before, entry.fitted = entry.fitted, found
+                after = self.table.score(entry)
+                entry.fitted = before
+                entry.fitted = found if after < self.table.score(entry) else before
+
+    def _take(self, entries: Sequence[Entry], answers: Sequence) -> None:
+        for entry, found in zip(entries, answers, strict=True):
+            if isinstance(found, Fitted):
+                entry.fitted = found
+            else:
+                entry.failed = found
+
+    def _better_part(self, entry: Entry) -> Entry | None:
+        """A structure that this one contains and that leaves less."""
+        parts = self.table.parts(entry)
+        best = min(parts, key=self.table.score, default=None)
+        return best if best and self.table.score(best) < self.table.score(entry) - 1.0 else None
+
+    def _ran(self, function: Callable, jobs: Sequence[Job], stage: str) -> list:
+        if not jobs:
+            return []
+        if time.monotonic() > self.until and len(self.table.entries) > 1:
+            raise OutOfTime
+        return self.run(function, jobs, stage)
+
+    def _usable(self, entry: Entry) -> bool:
+        try:
+            _ = self.table.model(entry).flat
+        except HydrotwinError as error:
+            entry.failed = str(error)
+        return not entry.failed
+
+    def _job(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
+        table, effort = self.table, self.effort
+        settings = {"iterations": effort.iterations, "seconds": effort.seconds, **settings}
+        label = " + ".join(entry.key) or table.base.name
+        return Job(
+            table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings
+        )
+
+    def _climbing(self, entry: Entry) -> Job:
+        """The fit to whole recordings from where the windows ended; from the user's start where there are none."""
+        if entry.look is None:
+            return self._job(entry, self._starts(entry))
+        seen = entry.look
+        starts = [seen.values, *seen.trail, *self._starts(entry)]
+        return self._job(entry, starts, size=seen.size, states=seen.states)
+
+    def _from_part(self, entry: Entry, part: Entry) -> Job:
+        """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
+        own = {}
+        for c in entry.members:
+            if c not in part.members:
+                start = usual(c)[0]
+                own |= {n: c.neutral[n] + NEARLY * (start[n] - c.neutral[n]) for n in c.free}
+        known = part.fitted
+        return self._job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
+
+    def _starts(self, entry: Entry) -> list[dict[str, float]]:
+        """Starts of a structure: each of its effects at usual values, the base where its user put it."""
+        each = [usual(c, self._seen(c)) for c in entry.members]
+        if len(each) < 2:
+            return each[0] if each else [{}]
+        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(_diagonal(each), 6)]
+
+    def _seen(self, candidate: Candidate):
+        base = self.table.entries[NOTHING]
+        if not looks(candidate) or not base.fitted or not self.trajectories:
+            return None
+        flat = self.table.base.flat
+        model = self.table.model(self.table.entry([candidate]))
+        states = [s.name for s in flat.states]
+        return seen_by(
+            candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values
+        )
+
+
+def telling(base: Entry, table: Table) -> int:
+    """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
+
+    Where it leaves little at every length, as many as leave the most.
+    """
+    if not (base.look and table.question.lengths):
+        return 0
+    scores = [table.in_windows(base.look, k) for k in range(len(base.look.squares))]
+    enough = (k + 1 for k, s in enumerate(scores) if s > DECIDING.visible)
+    return next(enough, int(np.argmax(scores)) + 1)
+
+
+def compatible(members: Sequence[Candidate]) -> bool:
+    """Whether effects may stand together: none is a finer form of another, or the same parameter."""
+    pairs = itertools.permutations(members, 2)
+    return not any(a.refines(b) or (a.site.frees and set(a.free) & set(b.free)) for a, b in pairs)
+
+
+def _diagonal(each: Sequence[Sequence[dict]]) -> Iterator[tuple[dict, ...]]:
+    """All combinations, those of first choices first."""
+    ranked = itertools.product(*(range(len(starts)) for starts in each))
+    for choice in sorted(ranked, key=sum):
+        yield tuple(starts[i] for starts, i in zip(each, choice, strict=True))
+
+
+def _batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:
+    for k in range(0, len(entries), size):
+        yield entries[k : k + size]

@@ -1,0 +1,78 @@
+"""Starts: the values at which an effect enters a fit, usual ones of the catalogue or of what its part would see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hydrotwin.identification.problem import Recording
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.component import declarations
+from hydrotwin.models.language.declarations import Input, Port
+from hydrotwin.models.language.model import Model
+
+APART = 1e6  # s between recordings that are seen as one
+MOST = 4  # starts of one effect: each costs a run
+
+
+def usual(candidate: Candidate, seen: Mapping[str, np.ndarray] | None = None) -> list[dict[str, float]]:
+    """Values by path: from what its part sees, else the middle of the usual ranges; then the effect's own probes."""
+    own = []
+    if seen is not None:
+        proposed = candidate.effect.probes_for(seen)
+        own = [{f"{candidate.name}.{k}": float(v) for k, v in probe.items()} for probe in proposed]
+        own = [{n: v for n, v in probe.items() if n in candidate.free} for probe in own]
+    else:
+        low = [candidate.typical.get(n, (0.0, 0.0))[0] for n in candidate.free]
+        if low and min(low) > 0 and not candidate.site.frees:
+            own = [{n: float(np.sqrt(np.prod(candidate.typical[n]))) for n in candidate.free}]
+    found = [{**candidate.neutral, **start} for start in (*own, *candidate.probes)]
+    return [start for i, start in enumerate(found) if start not in found[:i]][:MOST]
+
+
+def looks(candidate: Candidate) -> bool:
+    """Whether it proposes its values from what its part sees."""
+    return hasattr(candidate.effect, "probes_for")
+
+
+def seen_by(
+    candidate: Candidate,
+    model: Model,
+    recordings: Sequence[Recording],
+    states: Sequence[str],
+    runs: Sequence[np.ndarray],
+    values: Mapping[str, float],
+) -> dict[str, np.ndarray]:
+    """What the part of a candidate sees, (n,) by name of its inputs and ports: ``model`` holds it, at neutral values.
+
+    runs : trajectories (n, nx) of the ``states`` of the base, by recording; values : of the base's parameters, by path.
+    """
+    paths = _paths(candidate)
+    flat, p = model.flat, model.flat.parameter_vector({**values, **candidate.neutral})
+    observe = model.observe(list(paths.values()))
+    table, times, begin = [], [], 0.0
+    for recording, known in zip(recordings, runs, strict=True):
+        u, own = recording.u, [s.name for s in flat.states]
+        first = flat.start_given(())(u[0], p, []).full().ravel()
+        x = np.tile(first, (len(recording.time), 1))
+        for j, name in enumerate(own):
+            if name in states:
+                x[:, j] = known[:, states.index(name)]
+        table.append(observe(recording.time[None, :], x.T, u.T, p).full().T)
+        times.append(recording.time - recording.time[0] + begin)
+        begin = times[-1][-1] + APART
+    columns = np.concatenate(table).T
+    return {"time": np.concatenate(times), **dict(zip(paths, columns, strict=True))}
+
+
+def _paths(candidate: Candidate) -> dict[str, str]:
+    """Paths of the inputs and of what stands at the ports of a candidate's part, by their names in the part."""
+    found = {}
+    for name, declared in declarations(type(candidate.effect.at(candidate.site))).items():
+        if isinstance(declared, Input):
+            found[name] = f"{candidate.name}.{name}"
+        elif isinstance(declared, Port):
+            for letter, _ in (declared.potential, declared.flow):
+                found[f"{name}.{letter}"] = f"{candidate.name}.{name}.{letter}"
+    return found

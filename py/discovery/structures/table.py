@@ -1,0 +1,131 @@
+"""The table: every structure that was looked at or fitted, with what is known of it. The answer is read from it alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.model import Model
+
+from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior
+from ..evidence.score import Floor, Spectrum, score, sharper
+from ..fits.job import Fitted, Look, Question
+
+
+@dataclass(eq=False)
+class Entry:
+    """One structure. look, fitted : None until they are made; failed : why it cannot be fitted."""
+
+    members: tuple[Candidate, ...]
+    look: Look | None = None
+    fitted: Fitted | None = None
+    failed: str = ""
+
+    @property
+    def key(self) -> Key:
+        return tuple(c.label for c in self.members)
+
+    @property
+    def open(self) -> bool:
+        """Whether there is still something to try."""
+        return not (self.fitted or self.failed)
+
+
+@dataclass(eq=False)
+class Table:
+    """The base, its candidates, and entries by key (labels in the order of the catalogue).
+
+    coloured : (ny,), SI, what of the noise is not white; told : outputs (ny,) whose noise the user gave.
+    """
+
+    base: Model
+    free: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    question: Question
+    coloured: np.ndarray
+    told: np.ndarray
+    entries: dict[Key, Entry] = field(default_factory=dict)
+    _models: dict[Key, Model] = field(default_factory=dict)
+
+    def entry(self, members: Iterable[Candidate] = ()) -> Entry:
+        """The entry of a structure, new where there is none."""
+        order = {c.label: i for i, c in enumerate(self.candidates)}
+        chosen = tuple(sorted(members, key=lambda c: order[c.label]))
+        return self.entries.setdefault(tuple(c.label for c in chosen), Entry(chosen))
+
+    def model(self, entry: Entry) -> Model:
+        """The base with the effects of a structure."""
+        if entry.key not in self._models:
+            additions = [c.addition for c in entry.members]
+            self._models[entry.key] = self.base.plus(additions, sought=True) if additions else self.base
+        return self._models[entry.key]
+
+    def names(self, entry: Entry) -> tuple[str, ...]:
+        """Free parameters of a structure, by path."""
+        return tuple(dict.fromkeys([*self.free, *(n for c in entry.members for n in c.free)]))
+
+    def parameters(self, entry: Entry) -> int:
+        """Free parameters beside those of the base."""
+        return len(self.names(entry)) - len(self.free)
+
+    def parts(self, entry: Entry) -> list[Entry]:
+        """Known structures with some of its effects, nothing included, fitted."""
+        return [e for e in self.entries.values() if e.fitted and set(e.key) < set(entry.key)]
+
+    # -- what the fits say ---------------------------------------------------------------------------------------
+    @property
+    def fitted(self) -> list[Entry]:
+        return [e for e in self.entries.values() if e.fitted]
+
+    @property
+    def noise(self) -> np.ndarray:
+        """Of the sensors (ny,), SI, as all fits together show it."""
+        return sharper(self.question.noise, [e.fitted.left for e in self.fitted], self.told, self.coloured)
+
+    def floor(self) -> Floor:
+        """What a right structure may leave of whole recordings."""
+        base = self.entries.get(NOTHING)
+        known = base.fitted.left.variance if base and base.fitted else None
+        known = known if known is not None and np.isfinite(known).all() else None
+        return Floor(self.noise, self.coloured, known)
+
+    def score(self, entry: Entry) -> float:
+        """S of a fit, nats."""
+        return score(entry.fitted.left, Floor(self.noise, self.coloured) if entry.key == NOTHING else self.floor())
+
+    def scores(self) -> dict[Key, float]:
+        """S of every fit, nats."""
+        return {e.key: self.score(e) for e in self.fitted}
+
+    @property
+    def prices(self) -> Prices:
+        return Prices(len(self.candidates), int(self.question.counts.sum()))
+
+    def posterior(self) -> Posterior:
+        """What all fits together say."""
+        parameters = {e.key: self.parameters(e) for e in self.fitted}
+        return posterior(self.scores(), parameters, self.prices)
+
+    # -- what the windows promise ----------------------------------------------------------------------------------
+    def promise(self, entry: Entry) -> float:
+        """Share of what the base leaves that a structure leaves in windows as long; 1 where it was not looked at."""
+        base = self.entries[NOTHING].look
+        if entry.look is None or base is None:
+            return 1.0
+        stage = len(entry.look.squares) - 1
+        before = self.in_windows(base, stage)
+        return self.in_windows(entry.look, stage, base) / before if before > 0 else 1.0
+
+    def in_windows(self, look: Look, stage: int, base: Look | None = None) -> float:
+        """S of what windows of one length leave, nats."""
+        left = Spectrum(look.squares[stage : stage + 1], look.counts[stage : stage + 1])
+        known = None if base is None else Spectrum(base.squares[stage : stage + 1], base.counts[stage : stage + 1])
+        return score(left, Floor(self.question.noise, np.zeros_like(self.coloured), known and known.variance))
+
+    def share(self, entry: Entry) -> float:
+        """Share of what the base leaves of whole recordings that a fitted structure leaves."""
+        base = self.score(self.entries[NOTHING])
+        return self.score(entry) / base if base > 0 else 0.0

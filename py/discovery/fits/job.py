@@ -54,7 +54,7 @@ class Job:
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
     where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
-    which one to before which one a look goes. threads : over recordings and windows.
+    which one to before which one a look goes; None for a fit to whole recordings. threads : over recordings and windows.
     """
 
     flat: FlatModel
@@ -66,7 +66,7 @@ class Job:
     label: str = ""
     iterations: int = 15
     seconds: float = 60.0
-    stages: tuple[int, int] = (0, 0)
+    stages: tuple[int, int] | None = None
     threads: int = 1
 
     def beginning(self) -> Job:

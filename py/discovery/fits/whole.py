@@ -27,6 +27,7 @@ from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
 from .job import Fitted, Job, Look, broad, moving_starts, not_below, task_of
+from .windows import look
 
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
@@ -34,6 +35,13 @@ LAST_WORD = 40  # iterations of a fit that is reported
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
+
+
+def step(job: Job) -> Look | Fitted | str:
+    """The next step of a structure: longer windows, or whole recordings. Pure and picklable."""
+    if job.stages is None:
+        return fit(job)
+    return look(job) if job.question.lengths else glance(job)
 
 
 def fit(job: Job) -> Fitted | str:

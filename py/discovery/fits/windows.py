@@ -8,20 +8,22 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hydrotwin.identification import horizon
-from hydrotwin.identification.descent import Task, undecided, windows
+from hydrotwin.identification.descent import Task, undecided
 from hydrotwin.identification.least_squares import minimise
 from hydrotwin.identification.noise import weights
-from hydrotwin.identification.shooting import Shooting
+from hydrotwin.identification.shooting import Segment, Shooting
+from hydrotwin.identification.start_states import StartStates
 from hydrotwin.models.language.errors import SolveError
 
 from .job import Job, Look, broad, not_below, task_of
 
-STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 2.0, "most": 8}  # of a minimisation over windows
+STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 2.0, "most": 12}  # of a minimisation over windows
+MOST = 200  # windows of a length, evenly spread
 TURNS = 2  # of weights and minimum at every length
 CHANGED = np.log(1.5)  # of the sizes that are left, from which on another turn is worth it
 
@@ -37,37 +39,79 @@ def look(job: Job) -> Look | str:
 
 def _led(job: Job) -> Look:
     q, (begin, end) = job.question, job.stages
+    again = max(begin - 1, 0)  # shorter windows tell the states where longer ones begin
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, few_runs=True)
     point, states = _cheapest(task, job, q.lengths[0])
     squares, counts, trail = [], [], []
-    for seconds in q.lengths[begin:end]:
+    for seconds in q.lengths[again:end]:
+        shooting, z = _cut(undecided(task), point, seconds, states, q.lengths[0])
+        if trail:
+            z = _nearer(task, shooting, point, z, q.lengths[0])
         for _ in range(TURNS):
-            shooting, z = windows(undecided(task), point, seconds, states)
             found = minimise(shooting, point, z, **STAGE, until=job.seconds)
-            point = found.q
-            states = _filled(task, point, q.lengths[0], shooting.trajectories(found.q, found.z))
+            point, z = found.q, found.z
             left, count = _left(shooting, found)
-            before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
-            task = dataclasses.replace(task, weights=weights(size))
-            if not np.nanmax(np.abs(np.log(size / before))) > CHANGED:
+            if not np.isfinite(left).all():
                 break
+            before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
+            shooting = dataclasses.replace(shooting, weights=weights(size))
+            if time.monotonic() > job.seconds or not np.nanmax(np.abs(np.log(size / before))) > CHANGED:
+                break
+        task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
+        states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
         squares.append(left)
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    return Look(trail[-1], np.array(squares), np.array(counts), size, first, tuple(trail[:-1]))
+    new = slice(begin - again, None)
+    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]))
+
+
+def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
+    """Scaled start states from the shorter windows, or from a new run where these lead to less."""
+    p = task.free.vector(q)
+    guess = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
+    other = shooting.clip(horizon.window_starts(shooting.segments, guess, shooting.start))
+    return min(z, other, key=lambda each: shooting.cost(q, each))
 
 
 def _cheapest(task: Task, job: Job, seconds: float) -> tuple[np.ndarray, list[np.ndarray]]:
     """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx)."""
     points = [_point(task, start) for start in job.starts]
-    states = _guess(task, points[0], seconds)
+    p = task.free.vector(points[0])
+    states = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
     if len(points) > 1:
-        shooting, z = windows(task, points[0], seconds, states)
+        shooting, z = _cut(task, points[0], seconds, states, seconds)
         points.sort(key=lambda q: shooting.cost(q, z))
     return points[0], states
+
+
+def _cut(
+    task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarray], shortest: float
+) -> tuple[Shooting, np.ndarray]:
+    """Windows of ``seconds`` with all start states free, and their scaled start states from known trajectories.
+
+    They begin where shorter ones began, so that these have found the states there, and do not overlap.
+    """
+    start = StartStates(task.flat, [s.name for s in task.flat.states], task.free.index)
+    delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
+    places = horizon.cut(task.recordings, shortest)
+    segments: list[Segment] = []
+    for place in places[:: int(np.ceil(len(places) / MOST))]:
+        time = task.recordings[place.recording].time
+        end = int(np.searchsorted(time, time[place.first] + seconds - 1e-9))
+        free = not segments or segments[-1].recording != place.recording or segments[-1].last <= place.first
+        if free and time[-1] - time[place.first] > 0.5 * seconds:
+            lead_in = int(np.searchsorted(time, time[place.first] - delay, side="right")) - 1
+            segments.append(Segment(place.recording, max(lead_in, 0), place.first, min(end, len(time))))
+    z = horizon.window_starts(segments, states, start)
+    shooting = Shooting(
+        task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
+        prior=task.prior,
+    )  # fmt: skip
+    return shooting, shooting.clip(z)
 
 
 def _point(task: Task, start: Mapping[str, float]) -> np.ndarray:
@@ -75,17 +119,6 @@ def _point(task: Task, start: Mapping[str, float]) -> np.ndarray:
     first = dict(zip(free.names, free.start.tolist(), strict=True))
     values = np.array([start.get(n, first[n]) for n in free.names])
     return free.scaled(np.clip(values, free.lower, free.upper))
-
-
-def _guess(task: Task, q: np.ndarray, seconds: float) -> list[np.ndarray]:
-    return horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), seconds)
-
-
-def _filled(task: Task, q: np.ndarray, seconds: float, states: list[np.ndarray]) -> list[np.ndarray]:
-    """State trajectories with those of short runs where none is known."""
-    if all(np.isfinite(x).all() for x in states):
-        return states
-    return [np.where(np.isfinite(x), x, g) for x, g in zip(states, _guess(task, q, seconds), strict=True)]
 
 
 def _left(shooting: Shooting, found) -> tuple[np.ndarray, np.ndarray]:

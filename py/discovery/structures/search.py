@@ -5,7 +5,6 @@ Nothing is forbidden: what promises little waits, and is tried when nothing bett
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import itertools
 import time
@@ -22,8 +21,7 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..fits.job import Fitted, Job, Look
-from ..fits.whole import fit, glance, trajectories
-from ..fits.windows import look
+from ..fits.whole import step, trajectories
 from .starts import looks, seen_by, usual
 from .table import Entry, Table
 
@@ -33,13 +31,14 @@ class Effort:
     """How far a search goes.
 
     fits : structures of a size that are fitted though they promise less than the best. pool : single effects, the most
-    promising, of which pairs and larger structures are made. seconds : the most that one fit takes [s].
+    promising, of which pairs and larger structures are made. look, seconds : the most that a look and a fit take [s].
     iterations : the most of every stage of a fit. batch : looks between which the most promising are fitted.
     together : structures that are led on at once.
     """
 
     fits: int = 6
     pool: int = 10
+    look: float = 8.0
     seconds: float = 60.0
     iterations: int = 15
     batch: int = 16
@@ -47,9 +46,9 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(fits=4, pool=6, seconds=20.0, iterations=10),
+    "quick": Effort(fits=4, pool=6, look=4.0, seconds=20.0, iterations=10),
     "normal": Effort(),
-    "thorough": Effort(fits=20, pool=24, seconds=300.0, iterations=30),
+    "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 EARLY = 0.1  # of it: what promises to leave less is fitted as soon as it is seen
@@ -70,8 +69,7 @@ class Search:
     most: int = 3
     until: float = np.inf
     complete: bool = True
-    trajectories: tuple[np.ndarray, ...] = ()
-    first: int = 1
+    trajectories: list[np.ndarray] | None = None
 
     def go(self) -> None:
         """Search until nothing promises to improve the answer, or the time is over."""
@@ -93,22 +91,23 @@ class Search:
 
     # -- the base ------------------------------------------------------------------------------------------------
     def _identify(self) -> None:
-        """Identify the base; it decides how long the windows of a first look are."""
+        """Look at the base; where the shortest windows do not show that something is missing, fit it first of all."""
         table, q, base = self.table, self.table.question, self.table.entry()
         if base.fitted:
             return
-        flat = table.base.flat
-        start = free_parameters(flat, table.free)
-        lengths = tuple(horizons(flat, q.fit, start.vector(start.scaled(start.start))))
+        start = free_parameters(table.base.flat, table.free)
+        lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
-        self._advance([base], len(lengths))
         self._advance([base])
+        if not (lengths and base.look and table.visible(0) > DECIDING.visible):
+            self._finish_base()
+
+    def _finish_base(self) -> None:
+        base = self.table.entry()
+        while base.open:
+            self._advance([base])
         if not base.fitted:
             raise SolveError(f"gap: the base model cannot be identified ({base.failed}). Correct its start values first.")
-        self.first = telling(base, table)
-        if any(looks(c) for c in table.candidates):
-            with contextlib.suppress(SolveError):
-                self.trajectories = tuple(trajectories(flat, q, base.fitted))
 
     def explained(self) -> bool:
         """Whether a structure leaves no more than what names would cost."""
@@ -119,11 +118,13 @@ class Search:
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:
         """Look at structures and fit the most promising: those that promise everything as soon as they are seen."""
-        fresh = [e for e in entries if e.open and not e.look]
+        base, first = self.table.entry(), telling(self.table)
+        fresh = sorted((e for e in entries if e.open and not e.look), key=lambda e: any(map(looks, e.members)))
         for batch in _batches(fresh, self.effort.batch):
-            self._advance(batch, self.first)
-            while early := [e for e in batch if e.open and self.table.promise(e) < EARLY]:
+            self._advance([*([base] if base.open else []), *batch], first)
+            while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
+        self._finish_base()
         self._climb(entries)
 
     def _climb(self, entries: Sequence[Entry]) -> None:
@@ -170,43 +171,43 @@ class Search:
             fresh = [e for e in parts if not (e.fitted or e.failed)]
             if not fresh:
                 return
-            self._fit(fresh)
+            self._advance(fresh, len(self.table.question.lengths))
 
     # -- jobs ----------------------------------------------------------------------------------------------------
-    def _advance(self, entries: Sequence[Entry], to: int | None = None) -> None:
-        """Lead structures through the next longer windows, up to those before ``to``; after the last, fit them."""
-        lengths = len(self.table.question.lengths)
-        known = [e for e in entries if self._usable(e)]
-        at = {e.key: len(e.look.squares) if e.look else 0 for e in known}
-        look_at = [e for e in known if at[e.key] < lengths or not (lengths or e.look)]
-        jobs = []
-        for e in look_at:
-            starts = [e.look.values] if e.look else self._starts(e)
-            end = max(to or 0, at[e.key] + 1)
-            jobs.append(self._job(e, starts, size=e.look and e.look.size, stages=(at[e.key], end)))
-        for entry, found in zip(look_at, self._ran(look if lengths else glance, jobs, "look"), strict=True):
-            if isinstance(found, Look):
-                entry.look = found.after(entry.look)
-            else:
-                entry.failed = found
-        self._fit([e for e in known if e not in look_at])
+    def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
+        """Lead structures on: a new one through the ``first`` lengths of windows, then the next; after the last, fit.
 
-    def _fit(self, entries: Sequence[Entry]) -> None:
-        """Fit structures from where their windows ended; one that does worse than a part of it goes on from that."""
-        known = [e for e in entries if not e.fitted and self._usable(e)]
-        self._take(known, self._ran(fit, [self._climbing(e) for e in known], "fit"))
+        The base goes through all that are left at once. One that does worse than a part of it goes on from that.
+        """
+        known = [e for e in entries if e.open and self._usable(e)]
+        self._take(known, self._ran([self._next(e, first) for e in known]))
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
-        jobs = [self._from_part(e, part) for e, part in worse]
-        for (entry, _), found in zip(worse, self._ran(fit, jobs, "fit"), strict=True):
+        for (entry, _), found in zip(worse, self._ran([self._from_part(*pair) for pair in worse]), strict=True):
             if isinstance(found, Fitted):
                 before, entry.fitted = entry.fitted, found
                 after = self.table.score(entry)
                 entry.fitted = before
                 entry.fitted = found if after < self.table.score(entry) else before
 
+    def _next(self, entry: Entry, first: int) -> Job:
+        """The next step of a structure, from where it stands."""
+        lengths, seen = len(self.table.question.lengths), entry.look
+        if seen is None:
+            limit = self.effort.look if entry.members else self.effort.seconds
+            return self._job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
+        at = len(seen.squares)
+        if at < lengths:
+            end = at + 1 if entry.members else lengths
+            limit = self.effort.look if entry.members else self.effort.seconds
+            return self._job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+        starts = [seen.values, *seen.trail, *self._starts(entry)]
+        return self._job(entry, starts, size=seen.size, states=seen.states)
+
     def _take(self, entries: Sequence[Entry], answers: Sequence) -> None:
         for entry, found in zip(entries, answers, strict=True):
-            if isinstance(found, Fitted):
+            if isinstance(found, Look):
+                entry.look = found.after(entry.look)
+            elif isinstance(found, Fitted):
                 entry.fitted = found
             else:
                 entry.failed = found
@@ -217,12 +218,12 @@ class Search:
         best = min(parts, key=self.table.score, default=None)
         return best if best and self.table.score(best) < self.table.score(entry) - 1.0 else None
 
-    def _ran(self, function: Callable, jobs: Sequence[Job], stage: str) -> list:
+    def _ran(self, jobs: Sequence[Job]) -> list:
         if not jobs:
             return []
         if time.monotonic() > self.until and len(self.table.entries) > 1:
             raise OutOfTime
-        return self.run(function, jobs, stage)
+        return self.run(step, jobs, "search")
 
     def _usable(self, entry: Entry) -> bool:
         try:
@@ -238,14 +239,6 @@ class Search:
         return Job(
             table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings
         )
-
-    def _climbing(self, entry: Entry) -> Job:
-        """The fit to whole recordings from where the windows ended; from the user's start where there are none."""
-        if entry.look is None:
-            return self._job(entry, self._starts(entry))
-        seen = entry.look
-        starts = [seen.values, *seen.trail, *self._starts(entry)]
-        return self._job(entry, starts, size=seen.size, states=seen.states)
 
     def _from_part(self, entry: Entry, part: Entry) -> Job:
         """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
@@ -265,10 +258,16 @@ class Search:
         return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(_diagonal(each), 6)]
 
     def _seen(self, candidate: Candidate):
-        base = self.table.entries[NOTHING]
-        if not looks(candidate) or not base.fitted or not self.trajectories:
+        base, flat = self.table.entries[NOTHING], self.table.base.flat
+        if not looks(candidate) or not base.fitted:
             return None
-        flat = self.table.base.flat
+        if self.trajectories is None:
+            try:
+                self.trajectories = trajectories(flat, self.table.question, base.fitted)
+            except SolveError:
+                self.trajectories = []
+        if not self.trajectories:
+            return None
         model = self.table.model(self.table.entry([candidate]))
         states = [s.name for s in flat.states]
         return seen_by(
@@ -276,14 +275,15 @@ class Search:
         )
 
 
-def telling(base: Entry, table: Table) -> int:
+def telling(table: Table) -> int:
     """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
 
     Where it leaves little at every length, as many as leave the most.
     """
+    base = table.entries[NOTHING]
     if not (base.look and table.question.lengths):
         return 0
-    scores = [table.in_windows(base.look, k) for k in range(len(base.look.squares))]
+    scores = [table.visible(k) for k in range(len(base.look.squares))]
     enough = (k + 1 for k, s in enumerate(scores) if s > DECIDING.visible)
     return next(enough, int(np.argmax(scores)) + 1)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -112,18 +112,30 @@ class Table:
     # -- what the windows promise ----------------------------------------------------------------------------------
     def promise(self, entry: Entry) -> float:
         """Share of what the base leaves that a structure leaves in windows as long; 1 where it was not looked at."""
-        base = self.entries[NOTHING].look
-        if entry.look is None or base is None:
+        if entry.look is None or self.entries[NOTHING].look is None:
             return 1.0
         stage = len(entry.look.squares) - 1
-        before = self.in_windows(base, stage)
-        return self.in_windows(entry.look, stage, base) / before if before > 0 else 1.0
+        before = self.base_in_windows(stage)
+        whole = self._in_windows(before)
+        return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0
 
-    def in_windows(self, look: Look, stage: int, base: Look | None = None) -> float:
-        """S of what windows of one length leave, nats."""
-        left = Spectrum(look.squares[stage : stage + 1], look.counts[stage : stage + 1])
-        known = None if base is None else Spectrum(base.squares[stage : stage + 1], base.counts[stage : stage + 1])
-        return score(left, Floor(self.question.noise, np.zeros_like(self.coloured), known and known.variance))
+    def visible(self, stage: int) -> float:
+        """S of what the base leaves in windows of one length, nats."""
+        return self._in_windows(self.base_in_windows(stage))
+
+    def base_in_windows(self, stage: int) -> Spectrum:
+        """What the base leaves in windows of one length, and never more than the mean of an output would."""
+        left = self._left(self.entries[NOTHING].look, stage)
+        y = np.concatenate([r.y for r in self.question.fit])
+        spread = np.array([np.nanvar(c) if np.isfinite(c).any() else 0.0 for c in y.T])
+        return Spectrum(np.minimum(left.squares, spread * left.counts), left.counts)
+
+    @staticmethod
+    def _left(look: Look, stage: int) -> Spectrum:
+        return Spectrum(look.squares[stage : stage + 1], look.counts[stage : stage + 1])
+
+    def _in_windows(self, left: Spectrum, base: Spectrum | None = None) -> float:
+        return score(left, Floor(self.question.noise, np.zeros_like(self.coloured), base and base.variance))
 
     def share(self, entry: Entry) -> float:
         """Share of what the base leaves of whole recordings that a fitted structure leaves."""

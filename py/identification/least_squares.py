@@ -73,7 +73,8 @@ def minimise(
     twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale,
     or when steps that promised less than that kept no promise: a cost that is rough on a small scale never ends to
     promise. A step that diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start
-    states alone. ``until``: the time of `time.monotonic` [s] at which it stops where it is.
+    states alone. ``until``: the processor
+    time (`time.process_time`) [s] at which it stops where it is.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     logarithmic = shooting.free.logarithmic
@@ -111,7 +112,7 @@ def minimise(
             damping, growth = damping * growth, growth * 2
             if damping > STALLED or promise < 1e-12 * at.cost:
                 return Minimum(q, z, at, number, promise < enough, "no step descends any further")
-        if time.monotonic() > until:
+        if time.process_time() > until:
             return Minimum(q, z, at, number, False, "stopped at its time limit")
     return Minimum(q, z, at, most, False, f"stopped after {most} iterations")
 

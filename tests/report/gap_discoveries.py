@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hydrotwin.discovery.discovery import (
+from hydrotwin.discovery.answer.discovery import (
     Discovery,
     EffectParameter,
     Experiment,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Deciding:
     """The constants that decide, each with its unit and where it comes from.
 
-    law : share (1) of what an effect does by which a machine's law differs from the catalogue's; benchmark, tuning seeds.
+    law : share (1) of what an effect does by which a machine's law differs from the catalogue's; tuning seeds.
     known : share (1) by which the variance of a sensor's noise is uncertain, beside chance; benchmark, tuning seeds.
     chance : standard deviations (1) that noise may exceed its variance in one output and time scale; one in forty.
     coarse : step of a recorded signal in noises (1) from which on most of the noise is rounding, which is coloured.

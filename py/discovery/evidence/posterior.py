@@ -4,7 +4,7 @@
 
 m effects cost one name each out of N candidates, k parameters half the logarithm of n measured values each (BIC). No
 law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
-units of T. Something else would leave nothing, at the price of the cheapest effect, and has a small prior.
+units of T. Something else would leave nothing, at the price of the best structure, and has a small prior.
 Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
 """
 
@@ -69,10 +69,12 @@ def posterior(scores: Mapping[Key, float], parameters: Mapping[Key, int], prices
     """Of scores S by key; that of the base, the empty key, must be among them."""
     T = temperature(scores[NOTHING])
     keys = [k for k in scores if np.isfinite(scores[k])] or [NOTHING]
-    logs = [-min(scores[k], 1e300) / T - prices.of(len(k), parameters[k]) for k in keys]
-    cheapest = min((prices.of(len(k), parameters[k]) for k in keys if k), default=prices.of(1, 1))
-    known, else_ = np.log(1 - DECIDING.something_else), np.log(DECIDING.something_else) - cheapest
-    logs = np.array([*(known + np.array(logs)), else_])
-    weights = np.exp(logs - logs.max())
+    costs = {k: prices.of(len(k), parameters[k]) for k in keys}
+    logs = {k: -min(scores[k], 1e300) / T - costs[k] for k in keys}
+    effects = [k for k in keys if k]
+    as_dear = costs[max(effects, key=logs.__getitem__)] if effects else prices.of(1, 1)
+    known, else_ = np.log(1 - DECIDING.something_else), np.log(DECIDING.something_else) - as_dear
+    values = np.array([*(known + logs[k] for k in keys), else_])
+    weights = np.exp(values - values.max())
     weights /= weights.sum()
     return Posterior(dict(zip(keys, weights[:-1].tolist(), strict=True)), float(weights[-1]))

@@ -54,7 +54,7 @@ class Job:
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
     where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
-    which one to before which one a look goes; None for a fit to whole recordings. threads : over recordings and windows.
+    which one to before which one a look goes; None for a fit to whole recordings. threads : over recordings.
     """
 
     flat: FlatModel
@@ -70,8 +70,8 @@ class Job:
     threads: int = 1
 
     def beginning(self) -> Job:
-        """The same, whose seconds count from now: ``seconds`` becomes a time of this process's clock."""
-        return dataclasses.replace(self, seconds=time.monotonic() + self.seconds)
+        """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""
+        return dataclasses.replace(self, seconds=time.process_time() + self.seconds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +81,7 @@ class Look:
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
     states by name and recording. trail : values after the stages before.
+    sigmas : of the values, by path, infinite where nothing shows.
     """
 
     values: Mapping[str, float]
@@ -89,6 +90,7 @@ class Look:
     size: np.ndarray
     states: tuple[Mapping[str, float], ...] = ()
     trail: tuple[Mapping[str, float], ...] = ()
+    sigmas: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
 
     def after(self, before: Look | None) -> Look:
@@ -128,9 +130,7 @@ def task_of(
     """The task of a fit from one start, where a residual of ``size`` (ny,), SI, costs as much as noise does."""
     q = job.question
     free = free_parameters(job.flat, job.free, inside(job.flat, start))
-    propagator = prepare(
-        job.flat, free_parameters=free.names, free_states=list(states), step=q.step, few_runs=few_runs
-    )
+    propagator = prepare(job.flat, free_parameters=free.names, free_states=list(states), step=q.step, few_runs=few_runs)
     return Task(
         job.flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads,
         _silent, q.noise, prior=prior_of(free, q),

@@ -31,7 +31,6 @@ from .windows import look
 
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
-LAST_WORD = 40  # iterations of a fit that is reported
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
@@ -109,14 +108,12 @@ def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tup
     for number in range(ROUNDS):
         task = dataclasses.replace(undecided(task), weights=weights(size))
         rules = TOLERANCE if number else FIRST
-        found = minimise(
-            whole_runs(task)[0], found.q, found.z, **rules, most=max(1, min(most, further)), until=until
-        )
+        found = minimise(whole_runs(task)[0], found.q, found.z, **rules, most=max(1, min(most, further)), until=until)
         further -= found.iterations
         left = residuals_of(task, found)
         before, size = size, _size(task, left)
         agreed = number and np.nanmax(np.abs(np.log(size / before))) < STEADY
-        if agreed or further <= 0 or time.monotonic() > until:
+        if agreed or further <= 0 or time.process_time() > until:
             break
     return task, found, left
 
@@ -183,10 +180,10 @@ class Concluded:
 
 
 def conclude(job: Job) -> Concluded | str:
-    """Fit a structure for good from where it stands, and judge it on ``question.select``, which takes no part.
+    """The `Fit` of a structure where it stands, and what it leaves of what judges, which takes no part.
 
-    No bit of what is fitted depends on what judges: not even the compiled equations know of it. A sentence when it
-    diverges. Pure and picklable.
+    It is fitted on only where it has not come to rest. No bit of what is fitted depends on what judges: not even the
+    compiled equations know of it. A sentence when it diverges. Pure and picklable.
     """
     try:
         return _conclude(job.beginning())
@@ -196,8 +193,14 @@ def conclude(job: Job) -> Concluded | str:
 
 def _conclude(job: Job) -> Concluded:
     began, q = time.perf_counter(), job.question
-    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()), iterations=LAST_WORD)
-    task, found, left = _fitted(alone)
+    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()))
+    task = task_of(alone, job.starts[0], not_below(q.noise, job.size), moving_starts(alone))
+    shooting, z = whole_runs(task)
+    start = task.free.scaled(task.free.start)
+    found = minimise(
+        shooting, start, given(shooting, z, job.states), **TOLERANCE, most=job.iterations, until=job.seconds
+    )
+    left = residuals_of(task, found)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     one = answer(task, [found], (), settings, began)
     judged = tuple(residuals_of(_judging(task, job), found, q.select)) if q.select else ()

@@ -14,7 +14,7 @@ import numpy as np
 
 from hydrotwin.identification import horizon
 from hydrotwin.identification.descent import Task, undecided
-from hydrotwin.identification.least_squares import minimise
+from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.identification.start_states import StartStates
@@ -57,7 +57,7 @@ def _led(job: Job) -> Look:
                 break
             before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
             shooting = dataclasses.replace(shooting, weights=weights(size))
-            if time.monotonic() > job.seconds or not np.nanmax(np.abs(np.log(size / before))) > CHANGED:
+            if time.process_time() > job.seconds or not np.nanmax(np.abs(np.log(size / before))) > CHANGED:
                 break
         task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
@@ -65,8 +65,8 @@ def _led(job: Job) -> Look:
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    new = slice(begin - again, None)
-    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]))
+    new, sigmas = slice(begin - again, None), dict(zip(task.free.names, _sigmas(task, found), strict=True))
+    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), sigmas)
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -119,6 +119,19 @@ def _point(task: Task, start: Mapping[str, float]) -> np.ndarray:
     first = dict(zip(free.names, free.start.tolist(), strict=True))
     values = np.array([start.get(n, first[n]) for n in free.names])
     return free.scaled(np.clip(values, free.lower, free.upper))
+
+
+def _sigmas(task: Task, found: Minimum) -> list[float]:
+    """Standard deviations of the free parameters, SI, infinite where nothing shows or a run diverged."""
+    information = found.information()
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    seen = size > 0
+    if not np.isfinite(information).all() or not seen.any():
+        return [np.inf] * len(size)
+    scaled = information[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    sigma = np.full(len(size), np.inf)
+    sigma[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)), 0.0)) / size[seen]
+    return (sigma * np.abs(task.free.slope(found.q))).tolist()
 
 
 def _left(shooting: Shooting, found) -> tuple[np.ndarray, np.ndarray]:

@@ -37,21 +37,21 @@ class Effort:
     """
 
     fits: int = 6
-    pool: int = 10
-    look: float = 8.0
-    seconds: float = 60.0
+    pool: int = 8
+    look: float = 5.0
+    seconds: float = 40.0
     iterations: int = 15
     batch: int = 16
     together: int = 4
 
 
 EFFORTS = {
-    "quick": Effort(fits=4, pool=6, look=4.0, seconds=20.0, iterations=10),
+    "quick": Effort(fits=4, pool=6, look=3.0, seconds=20.0, iterations=10),
     "normal": Effort(),
     "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
-EARLY = 0.1  # of it: what promises to leave less is fitted as soon as it is seen
+EARLY = 0.2  # of it: what promises to leave less is fitted as soon as it is seen
 NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
 
 
@@ -79,35 +79,42 @@ class Search:
             self.complete = False
 
     def _go(self) -> None:
-        table = self.table
-        self._identify()
-        if not self.explained():
-            self._looked([table.entry([c]) for c in table.candidates])
-        for size in range(2, self.most + 1):
-            if self.explained() or len(table.candidates) < size:
+        table, _ = self.table, self.identify()
+        if self.explained():
+            return
+        first = telling(table)
+        tell = bool(first) and table.visible(first - 1) > DECIDING.visible
+        for size in range(1, self.most + 1):
+            if len(table.candidates) < size:
                 break
-            self._looked(self._larger(size))
-        self._dropped()
+            entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size, first)
+            self._looked(entries, first)
+            if not tell:  # windows do not show what is missing: whole recordings must
+                self._climb(entries)
+            if self.explained():
+                break
+        self._climb(list(table.entries.values()))
+        self._dropped(tell)
 
-    # -- the base ------------------------------------------------------------------------------------------------
-    def _identify(self) -> None:
-        """Look at the base; where the shortest windows do not show that something is missing, fit it first of all."""
+    def identify(self) -> Entry:
+        """The base, led through all windows and fitted. Raises SolveError where it diverges."""
         table, q, base = self.table, self.table.question, self.table.entry()
         if base.fitted:
-            return
+            return base
         start = free_parameters(table.base.flat, table.free)
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
+        self._advance([base], len(lengths))
         self._advance([base])
-        if not (lengths and base.look and table.visible(0) > DECIDING.visible):
-            self._finish_base()
-
-    def _finish_base(self) -> None:
-        base = self.table.entry()
-        while base.open:
-            self._advance([base])
         if not base.fitted:
-            raise SolveError(f"gap: the base model cannot be identified ({base.failed}). Correct its start values first.")
+            raise SolveError(
+                f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
+            )
+        return base
+
+    def waiting(self) -> list[Entry]:
+        """Structures that a longer search would try, the most promising first."""
+        return sorted((e for e in self.table.entries.values() if e.open and e.members), key=self.table.promise)
 
     def explained(self) -> bool:
         """Whether a structure leaves no more than what names would cost."""
@@ -116,16 +123,12 @@ class Search:
         return any(s < T * table.prices.of(1, 1) / 2 for s in scores.values())
 
     # -- steps ---------------------------------------------------------------------------------------------------
-    def _looked(self, entries: Sequence[Entry]) -> None:
-        """Look at structures and fit the most promising: those that promise everything as soon as they are seen."""
-        base, first = self.table.entry(), telling(self.table)
-        fresh = sorted((e for e in entries if e.open and not e.look), key=lambda e: any(map(looks, e.members)))
-        for batch in _batches(fresh, self.effort.batch):
-            self._advance([*([base] if base.open else []), *batch], first)
+    def _looked(self, entries: Sequence[Entry], first: int) -> None:
+        """Look at structures in windows; those that promise everything are fitted as soon as they are seen."""
+        for batch in _batches([e for e in entries if e.open and not e.look], self.effort.batch):
+            self._advance(batch, first)
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
-        self._finish_base()
-        self._climb(entries)
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
@@ -142,25 +145,25 @@ class Search:
             self._advance(chosen)
             beyond += 0 if near else sum(not e.open for e in chosen)
 
-    def _larger(self, size: int) -> list[Entry]:
-        """Structures of a size out of the most promising effects, and the best ones known with one more effect."""
+    def _larger(self, size: int, first: int) -> list[Entry]:
+        """Structures of a size out of the most promising effects, and the best smaller ones with one effect more."""
         table = self.table
-        singles = [e for e in table.entries.values() if len(e.key) == 1 and not e.failed]
-        scores, base = table.scores(), max(table.scores()[NOTHING], 1e-9)
+        known = [e for e in table.entries.values() if e.members and not e.failed]
 
         def worth(e: Entry) -> float:
-            return min(table.promise(e), scores[e.key] / base if e.key in scores else np.inf)
+            return min(table.promise(e, first), table.share(e) if e.fitted else np.inf)
 
-        pool = [e.members[0] for e in sorted(singles, key=worth)[: self.effort.pool]]
+        singles = sorted((e for e in known if len(e.key) == 1), key=worth)
+        pool = [e.members[0] for e in singles[: self.effort.pool]]
         if size == 2:
-            groups = itertools.combinations(pool, 2)
+            groups = sorted(itertools.combinations(pool, 2), key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
         else:
-            smaller = sorted((e for e in table.fitted if len(e.key) == size - 1), key=lambda e: scores[e.key])
+            smaller = sorted((e for e in known if len(e.key) == size - 1), key=worth)
             groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
         return [table.entry(g) for g in groups if compatible(g)]
 
-    def _dropped(self) -> None:
-        """Fit what is left of the best structure without each of its effects."""
+    def _dropped(self, tell: bool) -> None:
+        """Fit the best structure without each of its effects, unless windows ``tell`` that it is less."""
         while True:
             best = self.table.entries[self.table.posterior().best]
             parts = [
@@ -168,7 +171,7 @@ class Search:
                 for gone in best.members
                 if len(best.members) > 1
             ]
-            fresh = [e for e in parts if not (e.fitted or e.failed)]
+            fresh = [e for e in parts if e.open and not (tell and self.table.promise(e) > EARLY)]
             if not fresh:
                 return
             self._advance(fresh, len(self.table.question.lengths))
@@ -194,14 +197,14 @@ class Search:
         lengths, seen = len(self.table.question.lengths), entry.look
         if seen is None:
             limit = self.effort.look if entry.members else self.effort.seconds
-            return self._job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
+            return self.job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else lengths
             limit = self.effort.look if entry.members else self.effort.seconds
-            return self._job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+            return self.job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         starts = [seen.values, *seen.trail, *self._starts(entry)]
-        return self._job(entry, starts, size=seen.size, states=seen.states)
+        return self.job(entry, starts, size=seen.size, states=seen.states)
 
     def _take(self, entries: Sequence[Entry], answers: Sequence) -> None:
         for entry, found in zip(entries, answers, strict=True):
@@ -232,13 +235,12 @@ class Search:
             entry.failed = str(error)
         return not entry.failed
 
-    def _job(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
+    def job(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
+        """The job of a structure from these starts; settings as in `Job`."""
         table, effort = self.table, self.effort
         settings = {"iterations": effort.iterations, "seconds": effort.seconds, **settings}
         label = " + ".join(entry.key) or table.base.name
-        return Job(
-            table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings
-        )
+        return Job(table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings)
 
     def _from_part(self, entry: Entry, part: Entry) -> Job:
         """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
@@ -248,7 +250,7 @@ class Search:
                 start = usual(c)[0]
                 own |= {n: c.neutral[n] + NEARLY * (start[n] - c.neutral[n]) for n in c.free}
         known = part.fitted
-        return self._job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
+        return self.job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
 
     def _starts(self, entry: Entry) -> list[dict[str, float]]:
         """Starts of a structure: each of its effects at usual values, the base where its user put it."""
@@ -270,9 +272,7 @@ class Search:
             return None
         model = self.table.model(self.table.entry([candidate]))
         states = [s.name for s in flat.states]
-        return seen_by(
-            candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values
-        )
+        return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
 
 
 def telling(table: Table) -> int:

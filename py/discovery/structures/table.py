@@ -1,4 +1,4 @@
-"""The table: every structure that was looked at or fitted, with what is known of it. The answer is read from it alone."""
+"""The table: every structure that was looked at or fitted, and what is known of it. The answer is read from it."""
 
 from __future__ import annotations
 
@@ -110,11 +110,14 @@ class Table:
         return posterior(self.scores(), parameters, self.prices)
 
     # -- what the windows promise ----------------------------------------------------------------------------------
-    def promise(self, entry: Entry) -> float:
-        """Share of what the base leaves that a structure leaves in windows as long; 1 where it was not looked at."""
+    def promise(self, entry: Entry, most: int | None = None) -> float:
+        """Share of what the base leaves that a structure leaves in windows as long; 1 where it was not looked at.
+
+        most : of how many lengths the last is meant at most; None: of all that it went through.
+        """
         if entry.look is None or self.entries[NOTHING].look is None:
             return 1.0
-        stage = len(entry.look.squares) - 1
+        stage = min(len(entry.look.squares), most or len(entry.look.squares)) - 1
         before = self.base_in_windows(stage)
         whole = self._in_windows(before)
         return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0

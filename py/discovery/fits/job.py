@@ -81,7 +81,7 @@ class Look:
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
     states by name and recording. trail : values after the stages before.
-    sigmas : of the values, by path, infinite where nothing shows.
+    sigmas : of the values, by path, infinite where nothing shows. left : of whole recordings, where it looked at them.
     """
 
     values: Mapping[str, float]
@@ -91,6 +91,7 @@ class Look:
     states: tuple[Mapping[str, float], ...] = ()
     trail: tuple[Mapping[str, float], ...] = ()
     sigmas: Mapping[str, float] = field(default_factory=dict)
+    left: Spectrum | None = None
     seconds: float = 0.0
 
     def after(self, before: Look | None) -> Look:

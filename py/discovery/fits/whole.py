@@ -29,6 +29,7 @@ from ..evidence.score import spectrum
 from .job import Fitted, Job, Look, broad, moving_starts, not_below, task_of
 from .windows import look
 
+FEW = 8  # iterations of a look at whole recordings
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
 STEADY = 0.02  # relative change of the sizes that ends the rounds
@@ -60,14 +61,18 @@ def glance(job: Job) -> Look | str:
     """
     began = time.perf_counter()
     try:
-        task, found = _first(job.beginning())
-        left = spectrum(residuals_of(task, found))
+        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW))
+        runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
-    values = dict(zip(task.free.names, task.free.values(found.q).tolist(), strict=True))
+    return dataclasses.replace(as_look(_answer(task, found, runs)), seconds=time.perf_counter() - began)
+
+
+def as_look(fitted: Fitted) -> Look:
+    """A fit to whole recordings as a look at them."""
+    left = fitted.left
     squares, counts = left.squares.sum(axis=0)[None], left.counts.sum(axis=0)[None]
-    size = not_below(job.question.noise, left.rmse)
-    return Look(values, squares, counts, size, seconds=time.perf_counter() - began)
+    return Look(fitted.values, squares, counts, left.rmse, fitted.states, left=left, seconds=fitted.seconds)
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:

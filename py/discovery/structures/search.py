@@ -21,7 +21,7 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..fits.job import Fitted, Job, Look
-from ..fits.whole import step, trajectories
+from ..fits.whole import as_look, step, trajectories
 from .starts import looks, seen_by, usual
 from .table import Entry, Table
 
@@ -61,7 +61,11 @@ class OutOfTime(Exception):
 
 @dataclass(eq=False)
 class Search:
-    """A table, how jobs are run, and how far to go. until : the time of `time.monotonic` [s] at which it ends."""
+    """A table, how jobs are run, and how far to go.
+
+    until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
+    first : how many lengths of windows a first look goes through; 0: whole recordings.
+    """
 
     table: Table
     run: Callable[[Callable, Sequence, str], list]
@@ -70,6 +74,7 @@ class Search:
     until: float = np.inf
     complete: bool = True
     trajectories: list[np.ndarray] | None = None
+    first: int = 0
 
     def go(self) -> None:
         """Search until nothing promises to improve the answer, or the time is over."""
@@ -77,24 +82,31 @@ class Search:
             self._go()
         except OutOfTime:
             self.complete = False
+            self.until = np.inf  # what promises everything is worth its fit
+            for entry in [e for e in self.waiting() if e.look and self.table.promise(e) < EARLY][
+                : self.effort.together
+            ]:
+                self._take([entry], self._ran([self._whole(entry)]))
 
     def _go(self) -> None:
-        table, _ = self.table, self.identify()
+        table, base = self.table, self.identify()
         if self.explained():
             return
-        first = telling(table)
-        tell = bool(first) and table.visible(first - 1) > DECIDING.visible
+        self.first = telling(table)
+        if not self.first:  # what is missing shows in whole recordings alone, and the base is near what it would be
+            table.question = dataclasses.replace(table.question, lengths=())
+            base.look = as_look(base.fitted)
         for size in range(1, self.most + 1):
             if len(table.candidates) < size:
                 break
-            entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size, first)
-            self._looked(entries, first)
-            if not tell:  # windows do not show what is missing: whole recordings must
+            entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
+            self._looked(entries)
+            if not self.first:
                 self._climb(entries)
             if self.explained():
                 break
         self._climb(list(table.entries.values()))
-        self._dropped(tell)
+        self._dropped()
 
     def identify(self) -> Entry:
         """The base, led through all windows and fitted. Raises SolveError where it diverges."""
@@ -123,10 +135,10 @@ class Search:
         return any(s < T * table.prices.of(1, 1) / 2 for s in scores.values())
 
     # -- steps ---------------------------------------------------------------------------------------------------
-    def _looked(self, entries: Sequence[Entry], first: int) -> None:
-        """Look at structures in windows; those that promise everything are fitted as soon as they are seen."""
+    def _looked(self, entries: Sequence[Entry]) -> None:
+        """Look at structures; those that promise everything are fitted as soon as they are seen."""
         for batch in _batches([e for e in entries if e.open and not e.look], self.effort.batch):
-            self._advance(batch, first)
+            self._advance(batch, self.first)
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
 
@@ -145,13 +157,13 @@ class Search:
             self._advance(chosen)
             beyond += 0 if near else sum(not e.open for e in chosen)
 
-    def _larger(self, size: int, first: int) -> list[Entry]:
+    def _larger(self, size: int) -> list[Entry]:
         """Structures of a size out of the most promising effects, and the best smaller ones with one effect more."""
         table = self.table
         known = [e for e in table.entries.values() if e.members and not e.failed]
 
         def worth(e: Entry) -> float:
-            return min(table.promise(e, first), table.share(e) if e.fitted else np.inf)
+            return min(table.promise(e, self.first), table.share(e) if e.fitted else np.inf)
 
         singles = sorted((e for e in known if len(e.key) == 1), key=worth)
         pool = [e.members[0] for e in singles[: self.effort.pool]]
@@ -162,8 +174,8 @@ class Search:
             groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
         return [table.entry(g) for g in groups if compatible(g)]
 
-    def _dropped(self, tell: bool) -> None:
-        """Fit the best structure without each of its effects, unless windows ``tell`` that it is less."""
+    def _dropped(self) -> None:
+        """Fit the best structure without each of its effects, unless windows tell that this is less."""
         while True:
             best = self.table.entries[self.table.posterior().best]
             parts = [
@@ -171,7 +183,7 @@ class Search:
                 for gone in best.members
                 if len(best.members) > 1
             ]
-            fresh = [e for e in parts if e.open and not (tell and self.table.promise(e) > EARLY)]
+            fresh = [e for e in parts if e.open and not (self.first and self.table.promise(e) > EARLY)]
             if not fresh:
                 return
             self._advance(fresh, len(self.table.question.lengths))
@@ -197,12 +209,26 @@ class Search:
         lengths, seen = len(self.table.question.lengths), entry.look
         if seen is None:
             limit = self.effort.look if entry.members else self.effort.seconds
+            if not lengths and entry.members:
+                return self._beside_the_base(entry, limit)
             return self.job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else lengths
             limit = self.effort.look if entry.members else self.effort.seconds
             return self.job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+        return self._whole(entry)
+
+    def _beside_the_base(self, entry: Entry, limit: float) -> Job:
+        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
+        known, starts = self.table.entry().fitted, self._starts(entry)
+        small = {n: v for c in entry.members for n, v in _small(c, starts[0]).items()}
+        starts = [{**known.values, **start} for start in (*starts, small)]
+        return self.job(entry, starts, stages=(0, 0), seconds=limit, states=known.states, size=known.rmse)
+
+    def _whole(self, entry: Entry) -> Job:
+        """The fit to whole recordings from where its looks ended, or cheaper from where they came by or began."""
+        seen = entry.look
         starts = [seen.values, *seen.trail, *self._starts(entry)]
         return self.job(entry, starts, size=seen.size, states=seen.states)
 
@@ -247,8 +273,7 @@ class Search:
         own = {}
         for c in entry.members:
             if c not in part.members:
-                start = usual(c)[0]
-                own |= {n: c.neutral[n] + NEARLY * (start[n] - c.neutral[n]) for n in c.free}
+                own |= _small(c, usual(c)[0])
         known = part.fitted
         return self.job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
 
@@ -275,17 +300,21 @@ class Search:
         return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
 
 
+def _small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
+    """An effect at a tenth of a size."""
+    return {n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in candidate.free}
+
+
 def telling(table: Table) -> int:
     """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
 
-    Where it leaves little at every length, as many as leave the most.
+    0 where no length shows it.
     """
     base = table.entries[NOTHING]
     if not (base.look and table.question.lengths):
         return 0
-    scores = [table.visible(k) for k in range(len(base.look.squares))]
-    enough = (k + 1 for k, s in enumerate(scores) if s > DECIDING.visible)
-    return next(enough, int(np.argmax(scores)) + 1)
+    stages = range(len(base.look.squares))
+    return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
 
 
 def compatible(members: Sequence[Candidate]) -> bool:

@@ -145,12 +145,14 @@ class Search:
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
-        Ends when what is left promises less than what was reached; where that explains too little, a few later.
+        Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
-            reached = min((table.share(e) for e in entries if e.fitted), default=-1.0)
-            near = [e for e in waiting if table.promise(e) < reached + SAME]
+            done = [e for e in entries if e.fitted and e.members]
+            best = min(done, key=table.share, default=None)
+            level = SAME + max(table.share(best), table.promise(best)) if best else -1.0
+            near = [e for e in waiting if table.promise(e) < level]
             if not near and (self.explained() or beyond >= self.effort.fits):
                 return
             chosen = (near or waiting)[: self.effort.together]

@@ -20,6 +20,7 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
+from ..evidence.score import score
 from ..fits.job import Fitted, Job, Look
 from ..fits.whole import as_look, step, trajectories
 from .starts import looks, seen_by, usual
@@ -117,7 +118,11 @@ class Search:
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
         self._advance([base], len(lengths))
-        self._advance([base])
+        starts = self._whole(base).starts if base.look else ({},)
+        size, states = (base.look.size, base.look.states) if base.look else (None, ())
+        jobs = [self.job(base, [start], size=size, states=states) for start in _different(starts)]
+        found = [f for f in self._ran(jobs) if isinstance(f, Fitted)]
+        base.fitted = min(found, key=lambda f: score(f.left, table.floor()), default=None)
         if not base.fitted:
             raise SolveError(
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
@@ -300,6 +305,12 @@ class Search:
         model = self.table.model(self.table.entry([candidate]))
         states = [s.name for s in flat.states]
         return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
+
+
+def _different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
+    """The user's start, and of those that windows led to the last and the first: a free run may lead from one alone."""
+    chosen = [starts[-1], *starts[:1], *starts[1:-1][:1]]
+    return [start for i, start in enumerate(chosen) if start not in chosen[:i]]
 
 
 def _small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:

@@ -10,6 +10,7 @@ class Deciding:
     """The constants that decide, each with its unit and where it comes from.
 
     law : share (1) of what an effect does by which a machine's law differs from the catalogue's; tuning seeds.
+    rough, rarely : the same of a law that is only roughly the machine's (1), and the prior probability of that.
     known : share (1) by which the variance of a sensor's noise is uncertain, beside chance; benchmark, tuning seeds.
     chance : standard deviations (1) that noise may exceed its variance in one output and time scale; one in forty.
     coarse : step of a recorded signal in noises (1) from which on most of the noise is rounding, which is coloured.
@@ -22,6 +23,8 @@ class Deciding:
     """
 
     law: float = 0.02
+    rough: float = 0.1
+    rarely: float = 0.1
     known: float = 0.05
     chance: float = 2.0
     coarse: float = 2.5

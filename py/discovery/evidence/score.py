@@ -72,19 +72,20 @@ class Floor:
     """What nothing missing would leave.
 
     noise : of the sensors (ny,), SI; coloured : what of it is no white noise (ny,), SI: rounding, accuracy of the runs.
-    base : mean squares (scales, ny) that the base leaves, of which a right law keeps some.
+    base : mean squares (scales, ny) that the base leaves, of which a right law keeps the share ``law`` (of the root).
     """
 
     noise: np.ndarray
     coloured: np.ndarray
     base: np.ndarray | None = None
+    law: float = DECIDING.law
 
     def variance(self, counts: np.ndarray) -> np.ndarray:
         """f (scales, ny) for so many coefficients, SI squared."""
         scales = np.arange(len(counts))[:, None]
         chance = DECIDING.known + DECIDING.chance * np.sqrt(2 / np.maximum(counts, 1))
         noise = np.square(self.noise) * (1 + chance) + np.square(self.coloured) * 2.0**scales
-        return noise if self.base is None else noise + DECIDING.law**2 * self.base
+        return noise if self.base is None else noise + self.law**2 * self.base
 
 
 def score(left: Spectrum, floor: Floor) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.model import Model
 
+from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior
 from ..evidence.score import Floor, Spectrum, score, sharper
 from ..fits.job import Fitted, Look, Question
@@ -85,16 +86,17 @@ class Table:
         """Of the sensors (ny,), SI, as all fits together show it."""
         return sharper(self.question.noise, [e.fitted.left for e in self.fitted], self.told, self.coloured)
 
-    def floor(self) -> Floor:
-        """What a right structure may leave of whole recordings."""
+    def floor(self, law: float = DECIDING.law) -> Floor:
+        """What a right structure, whose law differs by this share, may leave of whole recordings."""
         base = self.entries.get(NOTHING)
         known = base.fitted.left.variance if base and base.fitted else None
         known = known if known is not None and np.isfinite(known).all() else None
-        return Floor(self.noise, self.coloured, known)
+        return Floor(self.noise, self.coloured, known, law)
 
-    def score(self, entry: Entry) -> float:
+    def score(self, entry: Entry, law: float = DECIDING.law) -> float:
         """S of a fit, nats."""
-        return score(entry.fitted.left, Floor(self.noise, self.coloured) if entry.key == NOTHING else self.floor())
+        own = Floor(self.noise, self.coloured) if entry.key == NOTHING else self.floor(law)
+        return score(entry.fitted.left, own)
 
     def scores(self) -> dict[Key, float]:
         """S of every fit, nats."""
@@ -107,7 +109,8 @@ class Table:
     def posterior(self) -> Posterior:
         """What all fits together say."""
         parameters = {e.key: self.parameters(e) for e in self.fitted}
-        return posterior(self.scores(), parameters, self.prices)
+        rough = {e.key: self.score(e, DECIDING.rough) for e in self.fitted}
+        return posterior(self.scores(), rough, parameters, self.prices)
 
     # -- what the windows promise ----------------------------------------------------------------------------------
     def promise(self, entry: Entry, most: int | None = None) -> float:

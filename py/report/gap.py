@@ -7,8 +7,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from hydrotwin.discovery.answer.discovery import Discovery, Step
-from hydrotwin.discovery.answer.words import certainty, joined, lowered, percent, placed
+from hydrotwin.discovery.discovery import Discovery, Step
+from hydrotwin.discovery.words import certainty, joined, lowered, percent, placed
 from hydrotwin.records.between import between
 
 from .fit import parameter_rows, parameter_table

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 
-from hydrotwin.discovery.answer.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
+from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records.between import between
 from hydrotwin.simulation.control import Accuracy

@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from hydrotwin.discovery.answer.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
-from hydrotwin.discovery.answer.words import percent, placed
+from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
+from hydrotwin.discovery.words import percent, placed
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, number_text, shown_unit, to_shown

@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
-from hydrotwin.discovery.answer.words import certainty, joined, percent
+from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
+from hydrotwin.discovery.words import certainty, joined, percent
 
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown

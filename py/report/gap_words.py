@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, Step
-from hydrotwin.discovery.answer.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
+from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Step
+from hydrotwin.discovery.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
 from .gap_text import (

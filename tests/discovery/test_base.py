@@ -11,7 +11,7 @@ from hydrotwin.discovery.base import identified
 from hydrotwin.discovery.discover import KEPT
 from hydrotwin.discovery.recordings import split
 from hydrotwin.discovery.refit import Question, RefitJob, lead, refit
-from hydrotwin.discovery.work.memory import packed, unpacked
+from hydrotwin.discovery.resume import packed, unpacked
 from hydrotwin.discovery.search import Search
 from tests.identification import pulled
 from tests.identification.hanging import FREE, MASS, NOISE, hanging, swinging

@@ -12,8 +12,8 @@ import pytest
 
 from hydrotwin.discovery import answering, discover, refit
 from hydrotwin.discovery.answering import SOUND
-from hydrotwin.discovery.answer.discovery import FATES
-from hydrotwin.discovery.work.memory import Memory
+from hydrotwin.discovery.discovery import FATES
+from hydrotwin.discovery.resume import Memory
 from hydrotwin.models.components.mechanical import Freewheel
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Input, Model, connect, der

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.diagnosis.experiment import DIVERGED, _absorbed, _Member, _rms, candidates, next_experiment, seen_limits
+from hydrotwin.discovery.experiment import DIVERGED, _absorbed, _Member, _rms, candidates, next_experiment, seen_limits
 from hydrotwin.discovery.refit import Question, RefitJob, refit
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start

@@ -11,7 +11,7 @@ import pytest
 from hydrotwin.discovery.decide import bic_gain, correlation_times
 from hydrotwin.discovery.discover import _runner
 from hydrotwin.discovery.refit import LONGEST, RefitJob, conclude, likelihood, pooled_rmse, refit
-from hydrotwin.discovery.work.memory import key_of
+from hydrotwin.discovery.resume import key_of
 from hydrotwin.identification.descent import descend, whole_runs
 from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.effects import candidates

@@ -12,7 +12,7 @@ import pytest
 
 from hydrotwin.discovery import refit
 from hydrotwin.discovery.discover import discover
-from hydrotwin.discovery.work.memory import Memory
+from hydrotwin.discovery.resume import Memory
 from hydrotwin.discovery.verdict import DOUBTED
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.models.language import Model

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hydrotwin.discovery.answer.discovery import (
+from hydrotwin.discovery.discovery import (
     Discovery,
     EffectParameter,
     Experiment,

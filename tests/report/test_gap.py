@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.answer.discovery import OutputGap, Rung
-from hydrotwin.discovery.answer.words import percent, placed
+from hydrotwin.discovery.discovery import OutputGap, Rung
+from hydrotwin.discovery.words import percent, placed
 from hydrotwin.report import gap_data, gap_page, gap_text
 from hydrotwin.report.gap import _title
 from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure

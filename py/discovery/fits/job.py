@@ -28,14 +28,13 @@ BROAD = 0.05  # of the spread of an output: the error allowed before anything is
 class Question:
     """What is the same for every structure.
 
-    fit : the recordings; select : those that judge, of a last fit only; noise : of the sensors (ny,), SI.
+    fit : the recordings; noise : of the sensors (ny,), SI.
     usual : base parameters by path at the values that the model came with, known to a factor of two (one sigma).
     lengths : seconds [s] of the windows through which every fit is led, growing; none for what cannot start anywhere.
     """
 
     fit: tuple[Recording, ...]
     noise: np.ndarray
-    select: tuple[Recording, ...] = ()
     initial_states: str = "auto"
     step: float | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
@@ -143,7 +142,7 @@ def moving_starts(job: Job) -> list[str]:
     q = job.question
     if q.initial_states == "free" or job.flat.black_box:
         return [s.name for s in job.flat.states]
-    return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
+    return sorted(set().union(*(measured_start(job.flat, r) for r in q.fit)))
 
 
 def prior_of(free: FreeParameters, q: Question) -> Prior:

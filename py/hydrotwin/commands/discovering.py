@@ -107,7 +107,7 @@ def gap(
     is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
     """
     from hydrotwin.discovery.discover import discover
-    from hydrotwin.discovery.work.executor import executor_for
+    from hydrotwin.discovery.executor import executor_for
     from hydrotwin.models.effects import candidates
 
     began = time.perf_counter()
@@ -156,7 +156,7 @@ def origin_from(thing, spec: str, folder: Path) -> str:
 
 def finished_fits(folder: Path):
     """The memory of a run in ``folder``: it keeps what is data. A final fit carries its equations and is made anew."""
-    from hydrotwin.discovery.work.memory import Memory
+    from hydrotwin.discovery.resume import Memory
 
     class Finished(Memory):
         def put(self, key, answer) -> None:
@@ -169,7 +169,7 @@ def finished_fits(folder: Path):
 @contextlib.contextmanager
 def telling(name: str, silent: bool):
     """The function that moves a bar with ``(stage, done, total, note)``; None where nothing is to be shown."""
-    from hydrotwin.discovery.work.progress import described
+    from hydrotwin.discovery.progress import described
 
     if silent:
         yield None
@@ -265,7 +265,7 @@ def print_discovery(found, folder: Path) -> None:
 
 def effect_rows(found) -> list[list[str]]:
     """One row for each parameter of each named effect; the members of a class below it."""
-    from hydrotwin.discovery.answer.words import percent
+    from hydrotwin.discovery.words import percent
     from hydrotwin.report.gap_text import value_text, value_texts
 
     rows = []
@@ -285,7 +285,7 @@ def effect_rows(found) -> list[list[str]]:
 
 def output_rows(found) -> list[list]:
     """RMSE of every output on unseen recordings in the units of the report; before and after when it changed."""
-    from hydrotwin.discovery.answer.words import percent
+    from hydrotwin.discovery.words import percent
     from hydrotwin.report.format import difference_to_shown, pretty_unit
     from hydrotwin.report.gap_words import display_units
 

@@ -176,7 +176,7 @@ def _same_versions(client, spec: str) -> None:
 
 
 def _versions_there() -> Mapping[str, str]:
-    from hydrotwin.discovery.work.executor import versions
+    from hydrotwin.discovery.executor import versions
 
     return versions()
 

@@ -24,7 +24,7 @@ from scipy.special import ndtr, stdtr
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
 
-from ..answer.discovery import Region
+from .discovery import Region
 
 BINS = 12
 SAMPLES = 10_000  # of a recording that are mapped, at most

@@ -23,7 +23,7 @@ from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.units import display_units, from_si
 
-from ..answer.discovery import Location
+from .discovery import Location
 from .regions import Quantity, autocorrelation, bin_edges, bins_of, finite, has_gap, quantities
 
 SPLITS = 24  # values tried of every quantity

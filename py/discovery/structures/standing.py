@@ -9,7 +9,7 @@ from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, Key, Posterior
-from ..structures.table import Entry, Table
+from .table import Entry, Table
 
 
 @dataclass(frozen=True, eq=False)

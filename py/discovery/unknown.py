@@ -23,7 +23,7 @@ from scipy.fft import next_fast_len, rfft
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
 
-from ..answer.discovery import Unknown
+from .discovery import Unknown
 from .locate import amount
 from .regions import PERIODS, Carrier, Quantity, carriers, finite, has_gap, quantities
 

@@ -23,9 +23,9 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel, Signal
 from hydrotwin.simulation import prepare
 
-from ..answer.discovery import Experiment
-from ..fits.job import Question
+from .discovery import Experiment
 from .locate import amount
+from .refit import Question
 
 SHORTEST, LONGEST = 10.0, 60.0  # s
 SAMPLES = 4000  # of an experiment, at most

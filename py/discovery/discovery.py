@@ -12,7 +12,7 @@ from hydrotwin.models.language.model import Model
 from .words import capitalised, said
 
 VERDICTS = ("named", "class", "none", "unknown")
-FATES = ("named", "in class", "rejected", "not fitted", "not testable", "cannot be added")
+FATES = ("named", "in class", "rejected", "not refitted", "not testable", "cannot be added", "implausible")
 
 
 @dataclass(frozen=True)
@@ -37,12 +37,13 @@ class EffectParameter:
 
 @dataclass(frozen=True)
 class Ranked:
-    """One effect at one site beside those named before it, with what speaks for and against it.
+    """One effect at one site, with the evidence for and against it in one step of the search.
 
-    share : part of what the model before leaves in windows that it promises to close, 0..1; nan where nobody looked.
-    left : nats S that it leaves of whole recordings (nan when not fitted): none is a right structure's.
-    gap_closed : 1 - (MSE_after - noise^2)/(MSE_before - noise^2), pooled over outputs; nan when not fitted.
-    probability : that it is missing. fate : one of FATES; ``reason`` says in a sentence why.
+    share : part of the squared gap that the screen predicts it could close, 0..1.
+    bic_gain : BIC of the model before minus BIC with it (nan when not refitted).
+    paired_t : of log block errors on the select recordings against the model before; positive: better.
+    gap_closed : on the select recordings, 1 - (MSE_after - noise^2)/(MSE_before - noise^2), pooled over outputs.
+    fate : one of FATES; ``reason`` says in a sentence why.
     """
 
     effect: str
@@ -50,7 +51,8 @@ class Ranked:
     title: str
     equation: str
     share: float
-    left: float
+    bic_gain: float
+    paired_t: float
     gap_closed: float
     probability: float
     fate: str
@@ -228,8 +230,6 @@ class Discovery:
     fit_before, fit_after : the `Fit` of each on all fit recordings.
     outputs : per role ("train", "validate") the pooled OutputGap of every output.
     screened : how many candidates were looked at, each an effect at a place; fitted : how many of them were fitted.
-    probabilities : of "nothing", of every structure that is likely enough to tell, and of "something else".
-    untried : what a longer search would try next, labels; only of one that its limit ended.
     given : how many recordings were given by role, a lone one counted once though it is cut into parts.
     seconds : of the whole search [s], of all its parts when it was interrupted.
     reason : why there is no name, where more is known than the verdict says.
@@ -263,8 +263,6 @@ class Discovery:
     timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)
     reason: str = ""
-    probabilities: Mapping[str, float] = field(default_factory=dict)
-    untried: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
 
     @property

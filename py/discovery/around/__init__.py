@@ -1,1 +1,0 @@
-"""Around an FMU: effects before its inputs and after its outputs."""

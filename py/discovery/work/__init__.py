@@ -1,1 +1,0 @@
-"""Work: where jobs run, what is remembered of them, how far they are."""

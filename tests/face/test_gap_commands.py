@@ -255,7 +255,6 @@ def test_fresh_forgets_what_was_finished(here, discover):
     [(DataError("train_1.csv: nothing moves."), 2), (SolveError("cehA: diverges from every start."), 1)],
 )
 def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here, discover, error, code):
-    assert hydrotwin(*GAP).code == 0
     discover.side_effect = error
     answer = hydrotwin(*GAP)
     assert answer.code == code
@@ -263,7 +262,22 @@ def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here
     found = json.loads((here / "gap/gap.json").read_text())
     assert set(found) >= KEYS
     assert (found["verdict"], found["steps"], found["findings"]) == ("unknown", [], [str(error)])
-    assert {p.name for p in (here / "gap").iterdir()} == {"gap.json"}, "nothing of the earlier answer is left beside it"
+    assert {p.name for p in (here / "gap").iterdir()} == {"gap.json"}
+
+
+@pytest.mark.parametrize(("error", "code"), [(DataError("train_1.csv: nothing moves."), 2), (SolveError("no."), 1)])
+def test_a_run_that_fails_leaves_the_answer_of_an_earlier_one(here, discover, error, code):
+    assert hydrotwin(*GAP).code == 0
+    before, discover.side_effect = contents(here / "gap"), error
+    answer = hydrotwin(*GAP)
+    assert answer.code == code and str(error) in answer.said
+    assert "gap/gap.json keeps the answer of an earlier run; why this run failed is in gap/failure.json" in answer.said
+    after = contents(here / "gap")
+    assert after.keys() - before.keys() == {"failure.json"} and before.items() <= after.items()
+    assert json.loads((here / "gap/failure.json").read_text())["findings"] == [str(error)]
+    discover.side_effect = None
+    assert hydrotwin(*GAP).code == 0
+    assert not (here / "gap/failure.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ from .showing import physical
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
 GAP_COLUMNS = (("RMSE", "noise", "unit"), ("before", "after", "noise", "unit", "gap closed"))  # without, with a name
-WRITTEN = ("report.html", "report.md", "model.toml", "model.mo")
+DATA, FAILURE = "gap.json", "failure.json"
 
 
 def register(app: typer.Typer) -> None:
@@ -129,7 +129,9 @@ def gap(
                 interpolation=interpolation_from(interpolation),
             )  # fmt: skip
         except HydrotwinError as error:
-            write_failure(thing.name, str(error), output, time.perf_counter() - began + memory.earlier)
+            seconds = time.perf_counter() - began + memory.earlier
+            if kept := write_failure(thing.name, str(error), output, seconds):
+                err.print(kept, style="dim")
             raise
         except KeyboardInterrupt:
             err.print(f"stopped; finished fits kept: {len(memory)}. The same command goes on from there.", style="dim")
@@ -202,6 +204,7 @@ def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict)
 
     write_gap_report(found, folder)
     values = getattr(found.fit_after, "flat", None) or found.model.flat
+    (folder / FAILURE).unlink(missing_ok=True)
     write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
     write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
 
@@ -223,16 +226,29 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     }
 
 
-def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> None:
-    """A gap.json that says why there is no answer, in place of whatever an earlier run left in the folder."""
+def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> str:
+    """A gap.json that says why there is no answer; where the folder has one, it stays, and failure.json says it.
 
+    Returns a sentence on what was kept, empty where there was nothing.
+    """
     empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
     content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
     content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
-    write_whole(folder / "gap.json", json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
-    for stale in WRITTEN:
-        with contextlib.suppress(FileNotFoundError):
-            (folder / stale).unlink()
+    there = answer_in(folder)
+    file = folder / (DATA if there is None else FAILURE)
+    write_whole(file, json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
+    if there is None:
+        return ""
+    return f"{folder / DATA} keeps the answer of an earlier run; why this run failed is in {file}"
+
+
+def answer_in(folder: Path) -> dict | None:
+    """The content of a gap.json that holds an answer, with the tables of its page; None for a failure or no file."""
+    try:
+        content = json.loads((folder / DATA).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) and "tables" in content else None
 
 
 def print_discovery(found, folder: Path) -> None:

@@ -53,7 +53,7 @@ EFFORTS = {
 }
 SHORT = 2  # lengths of windows in which a large gap shows
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
-EARLY = 0.2  # of it: what promises to leave less is fitted as soon as it is seen
+EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
 
 

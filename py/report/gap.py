@@ -20,10 +20,12 @@ from .gap_figures import (
     moved,
     overlay_groups,
     overlay_plan,
+    picture,
     region_groups,
     shift_figure,
     waterfall_figure,
 )
+from .gap_moved import moved_notes
 from .gap_tables import (
     candidate_tables,
     effect_table,
@@ -89,6 +91,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         title=f"{discovery.name}: {TITLES[discovery.verdict]}",
         eyebrow=_eyebrow(discovery, date),
         answer=discovery.answer,
+        picture=picture(discovery, shown),
         results=results(discovery),
         facts=facts(discovery, shown),
         notices=notices(discovery, shown),
@@ -214,7 +217,11 @@ def _shifts(discovery: Discovery) -> Section:
         return Section("shifts", "How the base parameters moved", ())
     lead = "Without the missing effect the free parameters of the base model made up for it as far as they could."
     known = any(moved(s) == moved(s) for s in discovery.shifts)
-    parts: list = [shift_table(discovery), *([shift_figure(discovery.shifts)] if known else [])]
+    parts: list = [
+        *moved_notes(discovery),
+        shift_table(discovery),
+        *([shift_figure(discovery.shifts)] if known else []),
+    ]
     if getattr(discovery.fit_after, "parameters", ()):
         rows = parameter_table(parameter_rows(discovery.fit_after), "fit_after")
         note = "Intervals of the fit alone. Those of the effects above also allow for the form of the law."

@@ -14,7 +14,7 @@ from hydrotwin.discovery.words import percent, placed
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, number_text, shown_unit, to_shown
 from .gap_text import capital, largest, unit_label
-from .gap_words import ROLES
+from .gap_words import AT_NOISE, ROLES
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
 FAINT = "#c3c9cf"
@@ -22,6 +22,8 @@ BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
 BUDGET = 1.6e6  # bytes of curves in one page
 MOST, FEWEST = 2000, 250  # points of one curve
 BARS = 14  # candidates drawn
+PICTURE = 440  # height of the figure at the top: with the answer above it on the first screen
+UNSEEN = ("report", "validate")  # roles of recordings never used for fitting
 
 
 def region_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[FigureGroup]:
@@ -117,6 +119,35 @@ def overlay_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[Figur
         if figures:
             groups.append(FigureGroup(f"plot-{output}", output, tuple(figures)))
     return groups
+
+
+def picture(discovery: Discovery, shown: Mapping[str, str]) -> Figure | None:
+    """The overlay that shows most, for the top of the page: of recordings never used where these show a gap."""
+    points, drawn = overlay_plan(discovery)
+    sizes = [(_times_noise(discovery, o, name), o, name) for o in drawn for name in o.measured if name in o.before]
+    fresh = [s for s in sizes if s[1].role in UNSEEN and s[0] > AT_NOISE]
+    sizes = fresh or sizes
+    if not sizes:
+        return None
+    _, o, output = max(sizes, key=lambda s: s[0])
+    figure = _overlay(discovery, o, output, _units(discovery).get(output, "1"), shown.get(output, "1"), points)
+    spec = {**figure.spec, "layout": figure.spec["layout"] | {"height": PICTURE}}
+    role = ROLES.get(o.role, o.role)
+    gap = "the gap shows most" if discovery.verdict != "none" else "the difference is largest"
+    caption = f"{output} of {o.record} ({role}), where {gap}. The error below is model minus measurement."
+    return Figure("picture", "", spec, caption=caption)
+
+
+def _times_noise(discovery: Discovery, o: Overlay, output: str) -> float:
+    """RMSE of the model before over the noise of the sensor (the spread of the signal where it is not known)."""
+    measured = np.asarray(o.measured[output], float)
+    error = np.asarray(o.before[output], float) - measured
+    known = np.isfinite(error)
+    if not known.any():
+        return 0.0
+    noise = discovery.noise.get(output, math.nan)
+    size = noise if math.isfinite(noise) and noise > 0.0 else float(np.std(measured[known]))
+    return float(np.sqrt(np.mean(error[known] ** 2))) / size if size > 0.0 else 0.0
 
 
 def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:

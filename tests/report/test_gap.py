@@ -13,9 +13,9 @@ import pytest
 
 from hydrotwin.discovery.discovery import OutputGap, Rung
 from hydrotwin.discovery.words import percent, placed
-from hydrotwin.report import gap_data, gap_page, gap_text
+from hydrotwin.report import Table, gap_data, gap_page, gap_text
 from hydrotwin.report.gap import _title
-from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
+from hydrotwin.report.gap_figures import overlay_groups, picture, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
 from hydrotwin.report.gap_text import interval_words, value_text
 from hydrotwin.report.gap_words import display_units
@@ -151,6 +151,29 @@ def test_overlays_put_unseen_recordings_first_and_the_error_below():
     assert len(unpacked(measured["x"])) <= 2000
 
 
+def test_the_picture_comes_right_after_the_answer_and_shows_the_largest_gap_of_an_unseen_recording(tmp_path):
+    found = named()
+    larger = replace(found.overlays[1], before={n: 2.0 * v for n, v in found.overlays[1].before.items()})
+    fitted = replace(larger, record="run_1", role="fit", before={n: 3.0 * v for n, v in larger.before.items()})
+    found = replace(found, overlays=(fitted, found.overlays[0], larger))
+    shown = picture(found, display_units(found))
+    assert shown.caption.startswith(f"arm_angle of {larger.record} (never used), where the gap shows most.")
+    assert [t["name"] for t in shown.spec["data"][:3]] == ["measured", "before", "after"]
+    html = written(found, tmp_path)["html"].read_text(encoding="utf-8")
+    order = ['class="answer"', 'data-figure="picture"', 'class="result"', 'id="table-headline"']
+    places = [html.index(mark) for mark in order]
+    assert places == sorted(places)
+
+
+def test_where_unseen_recordings_show_no_gap_the_picture_is_of_one_that_does():
+    found = named()
+    quiet = tuple(replace(o, before=o.measured) for o in found.overlays)
+    loud = replace(found.overlays[0], record="run_1", role="fit")
+    shown = picture(replace(found, overlays=(*quiet, loud)), display_units(found))
+    assert " of run_1 (fitted)" in shown.caption
+    assert picture(replace(found, overlays=()), {}) is None
+
+
 def test_many_long_recordings_keep_the_page_small():
     overlays = tuple(overlay(f"run_{k}", "report", k) for k in range(40))
     found = replace(named(), overlays=overlays)
@@ -186,7 +209,8 @@ def test_moves_are_told_in_sigmas_of_the_difference_and_bounds_are_marked():
     lag = moved["x"][moved["y"].index("motor.lag")]
     assert lag == pytest.approx((0.0304 - 0.051) / math.hypot(0.002, 0.0002))
     section = next(s for s in gap_page(two_effects(), command="", date=DATE).sections if s.id == "shifts")
-    (bound,) = [row for row in section.parts[0].rows if row[0].text == "cylinder.cap_dead_volume"]
+    shifts = next(part for part in section.parts if isinstance(part, Table))
+    (bound,) = [row for row in shifts.rows if row[0].text == "cylinder.cap_dead_volume"]
     assert [c.text for c in bound if c.tone == "warning"] == ["at bound"]
 
 

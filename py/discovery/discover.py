@@ -19,6 +19,7 @@ from hydrotwin.records.between import settled
 
 from .answer.answering import answer
 from .answer.discovery import Discovery
+from .answer.so_far import SoFar
 from .around.foreign import around
 from .around.surroundings import SurroundedFmu
 from .asked import Asked, Wanted, bounded, free_names
@@ -55,6 +56,7 @@ def discover(
     interpolation: Mapping[str, str] | None = None,
     effort: str = "normal",
     time_limit: float | None = None,
+    so_far: Callable[[Discovery], None] | None = None,
 ) -> Discovery:
     """Name the physical effects that a model lacks, from recordings of the machine.
 
@@ -79,6 +81,7 @@ def discover(
         interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
         effort: "quick", "normal" or "thorough": how many structures are fitted, and how long each may take.
         time_limit: seconds [s] after which the best so far is the answer; the last fits still come to their end.
+        so_far: called with the answer as it stands, after 45 s and again every minute at most; changes nothing.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
     diverges from every start).
@@ -95,6 +98,13 @@ def discover(
     ask = around if is_fmu else inside
     asked = ask(model, wanted)
     until = time.monotonic() + (np.inf if time_limit is None else time_limit)
+
+    def complete(said: Discovery) -> Discovery:
+        earlier = 0.0 if memory is None else memory.earlier
+        given = {"train": len(records), "validate": len(validate)}
+        return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
+
+    telling = SoFar(so_far, complete) if so_far else None
     with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory, 1 if is_fmu else cores_of(pool))
         report("identify the base", 0, 1, asked.note)
@@ -105,14 +115,13 @@ def discover(
         def begin(asked: Asked) -> Search:
             told = [o.name in (noise or {}) for o in asked.model.flat.outputs]
             search = Search(asked.table(step, told), run, EFFORTS[effort], max_effects, until)
+            search.pause = telling and telling.of(asked.data, asked.model)
             search.identify()
             return search
 
         search, asked, given_up = fairly(asked, again, begin)
         said = with_assumptions(answer(search, asked.data, asked.model), given_up)
-    earlier = 0.0 if memory is None else memory.earlier
-    given = {"train": len(records), "validate": len(validate)}
-    return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
+    return complete(said)
 
 
 def inside(model: Model, wanted: Wanted) -> Asked:

@@ -66,6 +66,7 @@ class Search:
 
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
     first : how many lengths of windows a first look goes through; 0: whole recordings.
+    pause : called with the search between its batches of jobs.
     """
 
     table: Table
@@ -76,6 +77,7 @@ class Search:
     complete: bool = True
     trajectories: list[np.ndarray] | None = None
     first: int = 0
+    pause: Callable[[Search], None] | None = None
 
     def go(self) -> None:
         """Search until nothing promises to improve the answer, or the time is over."""
@@ -259,6 +261,8 @@ class Search:
             return []
         if time.monotonic() > self.until and len(self.table.entries) > 1:
             raise OutOfTime
+        if self.pause:
+            self.pause(self)
         return self.run(step, jobs, "search")
 
     def _usable(self, entry: Entry) -> bool:

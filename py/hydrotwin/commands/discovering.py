@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
+import re
 import time
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hydrotwin import __version__
-from hydrotwin.models.language.errors import HydrotwinError
-from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.models.language.writing import json_values, write_whole
+from hydrotwin.models.language.errors import DeclarationError, HydrotwinError, nearest
 from hydrotwin.records import Record, require
 
-from ..loading import is_fmu, origin, sha256_of, surroundable
+from ..loading import is_fmu, origin, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
     InterpolationOption,
@@ -42,11 +38,13 @@ from .shared import (
     tell_ignored,
 )
 from .showing import physical
+from .writing import BestSoFar, gap_provenance, write_discovery, write_failure
 
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
 GAP_COLUMNS = (("RMSE", "noise", "unit"), ("before", "after", "noise", "unit", "gap closed"))  # without, with a name
-WRITTEN = ("report.html", "report.md", "model.toml", "model.mo")
+NUMBER = r"(\d+(?:\.\d+)?)"
+DURATION = re.compile(rf"(?:{NUMBER}\s*h)?\s*(?:{NUMBER}\s*m(?:in)?)?\s*(?:{NUMBER}\s*s)?")
 
 
 def register(app: typer.Typer) -> None:
@@ -90,6 +88,12 @@ def gap(
         str, typer.Option(help="auto; free: start states are estimated, for a load or a level nobody measured; fixed")
     ] = "auto",
     max_effects: Annotated[int, typer.Option(min=1, help="most effects to add, one after the other")] = 3,
+    effort: Annotated[
+        str, typer.Option(metavar="HOW", help="quick, normal or thorough: how many combinations are fitted, how long")
+    ] = "normal",
+    time_limit: Annotated[
+        str | None, typer.Option(metavar="TIME", help="90s, 5min, 1h30min: then the best so far is the answer")
+    ] = None,
     executor: Annotated[
         str, typer.Option(metavar="WHERE", help="where the fits run: processes, threads or dask://host:port")
     ] = "processes",
@@ -112,6 +116,8 @@ def gap(
 
     began = time.perf_counter()
     check_folder(output)
+    check_effort(effort)
+    limit = None if time_limit is None else seconds_of(time_limit)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
@@ -121,20 +127,29 @@ def gap(
         memory.remove()
     elif len(memory):
         err.print(f"going on: {len(memory)} fits of an interrupted run are kept (--fresh begins anew)", style="dim")
+
+    def write(found, so_far: bool = False) -> None:
+        named = origin_from(thing, model, output)
+        write_discovery(found, named, output, gap_provenance(found, train, judged), so_far)
+
+    best = BestSoFar(output, write, silent=as_json)
     with executor_for(executor) as pool, telling(thing.name, as_json) as told:
         try:
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
                 max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
-                interpolation=interpolation_from(interpolation),
+                interpolation=interpolation_from(interpolation), effort=effort, time_limit=limit, so_far=best,
             )  # fmt: skip
         except HydrotwinError as error:
-            write_failure(thing.name, str(error), output, time.perf_counter() - began + memory.earlier)
+            seconds = time.perf_counter() - began + memory.earlier
+            if kept := write_failure(thing.name, str(error), output, seconds):
+                err.print(kept, style="dim")
             raise
         except KeyboardInterrupt:
-            err.print(f"stopped; finished fits kept: {len(memory)}. The same command goes on from there.", style="dim")
+            kept = f"stopped; finished fits kept: {len(memory)}. The same command goes on from there. {best.left}"
+            err.print(kept.strip(), style="dim")
             raise
-    write_discovery(found, origin_from(thing, model, output), output, gap_provenance(found, train, judged))
+    write(found)
     memory.remove()
     if as_json:
         from hydrotwin.report.gap_data import gap_data
@@ -144,6 +159,29 @@ def gap(
     print_discovery(found, output)
     if ".py:" in model and found.steps:
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+def check_effort(effort: str) -> None:
+    """Refuse an effort that does not exist."""
+    from hydrotwin.discovery.structures.search import EFFORTS
+
+    if effort not in EFFORTS:
+        raise DeclarationError(f"--effort {effort}: no such effort. {nearest(effort, list(EFFORTS))}")
+
+
+def seconds_of(duration: str) -> float:
+    """A duration in seconds: a number, or numbers with h, min and s.
+
+    >>> [seconds_of(text) for text in ("90", "90s", "5 min", "1.5h", "1h30min")]
+    [90.0, 90.0, 300.0, 5400.0, 5400.0]
+    """
+    text = duration.strip().lower()
+    parts = re.fullmatch(NUMBER, text) or DURATION.fullmatch(text)
+    given = [float(part or 0) for part in parts.groups()] if parts else []
+    seconds = sum(value * 60**k for k, value in enumerate(reversed(given)))
+    if not seconds > 0:
+        raise DeclarationError(f"--time-limit {duration}: no duration. Write for example 90s, 5min, 1.5h or 1h30min.")
+    return seconds
 
 
 def origin_from(thing, spec: str, folder: Path) -> str:
@@ -193,46 +231,6 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
     require_unseen(train, judged)
     tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
-
-
-def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict) -> None:
-    """The report, the model with its effects as model.toml and as model.mo."""
-    from hydrotwin.models.language.modelica import modelica_text
-    from hydrotwin.report.gap import write_gap_report
-
-    write_gap_report(found, folder)
-    values = getattr(found.fit_after, "flat", None) or found.model.flat
-    write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
-    write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
-
-
-def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
-    """What the model file says about its making."""
-    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
-    steps = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
-    return {
-        "made_by": f"hydrotwin {__version__}",
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
-        **({"fmu": {"sha256": sha256_of(Path(found.model.fmu.path))}} if hasattr(found.model, "fmu") else {}),
-        "verdict": found.verdict,
-        "effects": steps,
-        "noise": dict(found.noise),
-        "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
-        "findings": [str(f) for f in found.findings],
-    }
-
-
-def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> None:
-    """A gap.json that says why there is no answer, in place of whatever an earlier run left in the folder."""
-
-    empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
-    content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
-    content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
-    write_whole(folder / "gap.json", json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
-    for stale in WRITTEN:
-        with contextlib.suppress(FileNotFoundError):
-            (folder / stale).unlink()
 
 
 def print_discovery(found, folder: Path) -> None:

@@ -20,10 +20,13 @@ from .gap_figures import (
     moved,
     overlay_groups,
     overlay_plan,
+    picture,
     region_groups,
     shift_figure,
     waterfall_figure,
 )
+from .gap_moved import moved_notes
+from .gap_sure import sure_section, untried_sentences
 from .gap_tables import (
     candidate_tables,
     effect_table,
@@ -73,6 +76,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         _where(discovery, shown),
         _candidates(discovery),
         _effects(discovery),
+        sure_section(discovery),
         _plots(discovery, shown),
         _waterfall(discovery),
         _shifts(discovery),
@@ -89,9 +93,10 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         title=f"{discovery.name}: {TITLES[discovery.verdict]}",
         eyebrow=_eyebrow(discovery, date),
         answer=discovery.answer,
+        picture=picture(discovery, shown),
         results=results(discovery),
         facts=facts(discovery, shown),
-        notices=notices(discovery, shown),
+        notices=(*untried_sentences(discovery), *notices(discovery, shown)),
         headline=headline(discovery, shown),
         sections=tuple(s for s in made if s.parts),
         data=gap_data(discovery) | extra,
@@ -130,12 +135,10 @@ def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 
 
 def _candidates(discovery: Discovery) -> Section:
-    kept = chose(discovery)
-    chosen_by = "the recordings for choosing, which are not fitted to" if kept else "the same, all there are"
     lead = (
-        "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
-        "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
-        f"that fit, paired t and gap closed on {chosen_by}."
+        "Every effect of the catalogue at every place it fits. Promise: the part of the gap that short windows promise "
+        "it would close, – where nobody looked. What promises most is fitted to whole recordings together with the "
+        f"base parameters. Gap closed is the share of the squared gap on {_judges_of_the_search(discovery)}."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
@@ -214,7 +217,11 @@ def _shifts(discovery: Discovery) -> Section:
         return Section("shifts", "How the base parameters moved", ())
     lead = "Without the missing effect the free parameters of the base model made up for it as far as they could."
     known = any(moved(s) == moved(s) for s in discovery.shifts)
-    parts: list = [shift_table(discovery), *([shift_figure(discovery.shifts)] if known else [])]
+    parts: list = [
+        *moved_notes(discovery),
+        shift_table(discovery),
+        *([shift_figure(discovery.shifts)] if known else []),
+    ]
     if getattr(discovery.fit_after, "parameters", ()):
         rows = parameter_table(parameter_rows(discovery.fit_after), "fit_after")
         note = "Intervals of the fit alone. Those of the effects above also allow for the form of the law."

@@ -29,6 +29,8 @@ def gap_data(discovery: Discovery) -> dict:
         "train": _outputs(discovery.outputs.get("train", ())),
         "validate": _outputs(discovery.outputs.get("validate", ())),
         "separating_experiment": _experiment(discovery.experiment),
+        "probabilities": dict(discovery.probabilities),
+        "untried": list(discovery.untried),
         "screened": discovery.screened,
         "fitted": discovery.fitted,
         "given": dict(discovery.given),

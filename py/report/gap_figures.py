@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -14,14 +14,16 @@ from hydrotwin.discovery.answer.words import percent, placed
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, number_text, shown_unit, to_shown
 from .gap_text import capital, largest, unit_label
-from .gap_words import ROLES
+from .gap_words import AT_NOISE, ROLES
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
-FAINT = "#c3c9cf"
+FAINT, AS_WELL = "#c3c9cf", "#56B4E9"  # turned down; explains the recordings as well
 BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
 BUDGET = 1.6e6  # bytes of curves in one page
 MOST, FEWEST = 2000, 250  # points of one curve
 BARS = 14  # candidates drawn
+PICTURE = 440  # height of the figure at the top: with the answer above it on the first screen
+UNSEEN = ("report", "validate")  # roles of recordings never used for fitting
 
 
 def region_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[FigureGroup]:
@@ -119,6 +121,35 @@ def overlay_groups(discovery: Discovery, shown: Mapping[str, str]) -> list[Figur
     return groups
 
 
+def picture(discovery: Discovery, shown: Mapping[str, str]) -> Figure | None:
+    """The overlay that shows most, for the top of the page: of recordings never used where these show a gap."""
+    points, drawn = overlay_plan(discovery)
+    sizes = [(_times_noise(discovery, o, name), o, name) for o in drawn for name in o.measured if name in o.before]
+    fresh = [s for s in sizes if s[1].role in UNSEEN and s[0] > AT_NOISE]
+    sizes = fresh or sizes
+    if not sizes:
+        return None
+    _, o, output = max(sizes, key=lambda s: s[0])
+    figure = _overlay(discovery, o, output, _units(discovery).get(output, "1"), shown.get(output, "1"), points)
+    spec = {**figure.spec, "layout": figure.spec["layout"] | {"height": PICTURE}}
+    role = ROLES.get(o.role, o.role)
+    gap = "the gap shows most" if discovery.verdict != "none" else "the difference is largest"
+    caption = f"{output} of {o.record} ({role}), where {gap}. The error below is model minus measurement."
+    return Figure("picture", "", spec, caption=caption)
+
+
+def _times_noise(discovery: Discovery, o: Overlay, output: str) -> float:
+    """RMSE of the model before over the noise of the sensor (the spread of the signal where it is not known)."""
+    measured = np.asarray(o.measured[output], float)
+    error = np.asarray(o.before[output], float) - measured
+    known = np.isfinite(error)
+    if not known.any():
+        return 0.0
+    noise = discovery.noise.get(output, math.nan)
+    size = noise if math.isfinite(noise) and noise > 0.0 else float(np.std(measured[known]))
+    return float(np.sqrt(np.mean(error[known] ** 2))) / size if size > 0.0 else 0.0
+
+
 def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:
     """Points per curve and the recordings drawn, those never used first, such that all curves fit into BUDGET."""
     order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
@@ -166,7 +197,7 @@ def waterfall_figure(discovery: Discovery) -> Figure:
     labels = [first.label, *(r.label for r in later), "what is left"]
     base = [0.0, *left[1:], 0.0]
     size = [left[0], *(a - b for a, b in pairwise(left)), left[-1]]
-    colours = [BEFORE, *("#56B4E9" for _ in later), AFTER]
+    colours = [BEFORE, *(AS_WELL for _ in later), AFTER]
     words = [_size(left[0]), *(f"{'−' if s >= 0 else '+'}{_size(abs(s))}" for s in size[1:-1]), _size(left[-1])]
     bars = {
         "type": "bar",
@@ -237,33 +268,47 @@ def experiment_figure(experiment: Experiment) -> Figure:
 
 
 def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
-    """Gap closed by each refitted candidate; what was named or could be as well is coloured. None without any."""
-    rows = [r for r in ranked if math.isfinite(r.gap_closed)][:BARS][::-1]
+    """Gap closed by each fitted candidate; what was named or could be as well is coloured. None without any."""
+    rows = [r for r in ranked if math.isfinite(r.gap_closed)][:BARS]
     if not rows:
         return None
-    colour = {"named": AFTER, "in class": "#56B4E9"}
-    places = list(range(len(rows)))
+    colour = {"named": AFTER, "in class": AS_WELL}
+    sizes, words = [max(r.gap_closed, -0.2) for r in rows], [percent(r.gap_closed) for r in rows]
+    labels, colours = [capital(placed(r)) for r in rows], [colour.get(r.fate, FAINT) for r in rows]
+    caption = "Of the fits of the search. Dark: named. Light blue: explains the recordings as well. Grey: turned down."
+    return lying_bars(id, "gap closed [%]", labels, sizes, words, colours, caption)
+
+
+def lying_bars(
+    id: str,
+    title: str,
+    labels: Sequence[str],
+    shares: Sequence[float],
+    words: Sequence[str],
+    colours: Sequence[str],
+    caption: str,
+) -> Figure:
+    """Shares as bars from left to right, the first at the top, each under its label."""
+    places = list(range(len(labels)))
     bars = {
         "type": "bar",
         "orientation": "h",
         "y": places,
-        "x": [100.0 * max(r.gap_closed, -0.2) for r in rows],
+        "x": [100.0 * s for s in shares][::-1],
         "width": 0.42,
-        "marker": {"color": [colour.get(r.fate, FAINT) for r in rows]},
-        "text": [percent(r.gap_closed) for r in rows],
+        "marker": {"color": list(colours)[::-1]},
+        "text": list(words)[::-1],
         "textposition": "outside",
         "cliponaxis": False,
         "hovertemplate": "%{text}<extra></extra>",
         "showlegend": False,
     }
-    plan = layout("gap closed [%]", [""], height=100 + 46 * len(rows))
-    plan |= {"hovermode": "closest", "annotations": [_over_bar(capital(placed(r)), k) for k, r in enumerate(rows)]}
+    plan = layout(title, [""], height=100 + 46 * len(labels))
+    plan |= {"hovermode": "closest", "annotations": [_over_bar(t, k) for k, t in enumerate(labels[::-1])]}
     plan["margin"] = plan["margin"] | {"l": 20, "t": 16}
     plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.25]}
     plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
-    plan["yaxis"] |= {"range": [-0.6, len(rows) - 0.2]}
-    caption = "On the recordings that chose, of the fits of the search. "
-    caption += "Dark: named. Light blue: explains them as well. Grey: turned down."
+    plan["yaxis"] |= {"range": [-0.6, len(labels) - 0.2]}
     return Figure(id, "", {"data": [bars], "layout": plan}, caption=caption)
 
 

@@ -213,11 +213,13 @@ def tried_sentence(discovery: Discovery) -> str:
     tried = tried_last(discovery)
     if not tried:
         return ""
-    refitted = [r for r in tried if math.isfinite(r.bic_gain)]
-    words = f"{discovery.screened} candidates were screened and {discovery.fitted} of them fitted"
-    if discovery.verdict == "none" or not refitted:
+    fitted = [r for r in tried if math.isfinite(r.left)]
+    words = f"{discovery.screened} candidates were looked at and {discovery.fitted} of them fitted"
+    if discovery.verdict == "none":
         return f"{words}; none is needed."
-    best = max(refitted, key=lambda r: r.gap_closed if math.isfinite(r.gap_closed) else -math.inf)
+    if not fitted:
+        return f"{words}; none is named."
+    best = min(fitted, key=lambda r: r.left)
     reason = f" ({lowered(best.reason).rstrip('.')})" if best.reason else ""
     return f"{words}; none is named. The nearest, {lowered(placed(best))}, was turned down{reason}."
 

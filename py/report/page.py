@@ -41,8 +41,8 @@ class Section:
 class Page:
     """A report: what the first screen says, the sections below, and ``data`` for the JSON beside the tables.
 
-    eyebrow : small line above the title.  answer : the result in one sentence.  results : what it says in numbers,
-    set off.  facts : the sentences below it.
+    eyebrow : small line above the title.  answer : the result in one sentence.  picture : the figure right below it.
+    results : what it says in numbers, set off.  facts : the sentences below it.
     headline : the table of the first screen.  notices : what went wrong and must not be missed.
     """
 
@@ -55,6 +55,7 @@ class Page:
     facts: tuple[str, ...] = ()
     notices: tuple[str, ...] = ()
     data: dict | None = None
+    picture: Figure | None = None
 
     @property
     def tables(self) -> Iterator[Table]:

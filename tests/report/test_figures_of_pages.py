@@ -141,7 +141,7 @@ def test_a_gap_page_counts_the_recordings_that_were_given_and_the_candidates_tha
     (eyebrow,) = [line for line in text.splitlines() if line.startswith("Gap of ")]
     assert f" · {given} recording{'s' * (given > 1)} · {data['screened']} candidates · " in eyebrow
     assert shows(eyebrow.split(" · ")[3].removesuffix(" s"), data["seconds"])
-    fitted = {c["effect"] for c in data["candidates"] if c["bic_gain"] is not None}
+    fitted = {c["effect"] for c in data["candidates"] if c["left"] is not None}
     assert len(fitted) <= data["fitted"] <= data["screened"]
 
 

@@ -13,9 +13,9 @@ import pytest
 
 from hydrotwin.discovery.answer.discovery import OutputGap, Rung
 from hydrotwin.discovery.answer.words import percent, placed
-from hydrotwin.report import gap_data, gap_page, gap_text
+from hydrotwin.report import Table, gap_data, gap_page, gap_text
 from hydrotwin.report.gap import _title
-from hydrotwin.report.gap_figures import overlay_groups, region_groups, shift_figure, waterfall_figure
+from hydrotwin.report.gap_figures import overlay_groups, picture, region_groups, shift_figure, waterfall_figure
 from hydrotwin.report.gap_tables import candidate_tables
 from hydrotwin.report.gap_text import interval_words, value_text
 from hydrotwin.report.gap_words import display_units
@@ -38,6 +38,7 @@ from tests.report.gap_discoveries import (
 from tests.report.test_pieces import unpacked
 
 CONTRACT = {"model", "verdict", "steps", "noise", "train", "validate", "separating_experiment", "seconds"}
+CONTRACT |= {"probabilities", "untried"}
 STEP = {"effect", "site", "class", "probability", "parameters", "gap_closed"}
 
 
@@ -75,7 +76,9 @@ def test_what_does_not_exist_is_null_in_gap_json():
     data = gap_data(named())
     assert data["validate"]["motor_speed"]["gap_closed"] is None
     (dropped,) = [c for c in data["candidates"] if c["effect"] == "backlash"]
-    assert (dropped["bic_gain"], dropped["fate"], dropped["step"]) == (None, "not refitted", 1)
+    assert (dropped["share"], dropped["left"], dropped["gap_closed"]) == (None, None, None)
+    assert (dropped["fate"], dropped["step"]) == ("not fitted", 1)
+    assert not {"bic_gain", "paired_t"} & dropped.keys()
     json.dumps(data, allow_nan=False)
 
 
@@ -101,7 +104,7 @@ def test_the_page_needs_nothing_from_elsewhere_and_stays_small(case, tmp_path):
 def test_sections_of_a_named_effect_come_in_the_order_of_the_work():
     ids = [s.id for s in gap_page(named(), command="", date=DATE).sections]
     assert ids == [
-        *("where", "candidates", "effects", "plots", "waterfall", "shifts", "apart", "recordings"),
+        *("where", "candidates", "effects", "sure", "plots", "waterfall", "shifts", "apart", "recordings"),
         *("not-testable", "noise", "provenance"),
     ]
     assert {"unknown", "findings"} <= {s.id for s in gap_page(unknown(), command="", date=DATE).sections}
@@ -151,6 +154,29 @@ def test_overlays_put_unseen_recordings_first_and_the_error_below():
     assert len(unpacked(measured["x"])) <= 2000
 
 
+def test_the_picture_comes_right_after_the_answer_and_shows_the_largest_gap_of_an_unseen_recording(tmp_path):
+    found = named()
+    larger = replace(found.overlays[1], before={n: 2.0 * v for n, v in found.overlays[1].before.items()})
+    fitted = replace(larger, record="run_1", role="fit", before={n: 3.0 * v for n, v in larger.before.items()})
+    found = replace(found, overlays=(fitted, found.overlays[0], larger))
+    shown = picture(found, display_units(found))
+    assert shown.caption.startswith(f"arm_angle of {larger.record} (never used), where the gap shows most.")
+    assert [t["name"] for t in shown.spec["data"][:3]] == ["measured", "before", "after"]
+    html = written(found, tmp_path)["html"].read_text(encoding="utf-8")
+    order = ['class="answer"', 'data-figure="picture"', 'class="result"', 'id="table-headline"']
+    places = [html.index(mark) for mark in order]
+    assert places == sorted(places)
+
+
+def test_where_unseen_recordings_show_no_gap_the_picture_is_of_one_that_does():
+    found = named()
+    quiet = tuple(replace(o, before=o.measured) for o in found.overlays)
+    loud = replace(found.overlays[0], record="run_1", role="fit")
+    shown = picture(replace(found, overlays=(*quiet, loud)), display_units(found))
+    assert " of run_1 (fitted)" in shown.caption
+    assert picture(replace(found, overlays=()), {}) is None
+
+
 def test_many_long_recordings_keep_the_page_small():
     overlays = tuple(overlay(f"run_{k}", "report", k) for k in range(40))
     found = replace(named(), overlays=overlays)
@@ -164,11 +190,14 @@ def test_many_long_recordings_keep_the_page_small():
 def test_candidates_are_ranked_with_evidence_fate_and_reason():
     first, rest = candidate_tables(named().steps[0].ranked, "candidates_1", "First look")
     rows = {row[0].text: [c.text for c in row] for row in first.rows}
-    assert rows["Coulomb friction"][1:8] == [
-        *("cylinder.rod", "83\u00a0%", "5210", "14", "99\u00a0%", "98\u00a0%", "named"),
+    assert [c.title for c in first.columns][2:5] == ["Promise", "Left", "Gap closed"]
+    assert rows["Coulomb friction"][1:7] == [
+        *("cylinder.rod", "83\u00a0%", "12.4", "99\u00a0%", "98\u00a0%", "named"),
     ]
-    assert rows["Stribeck friction"][-1] == "Refines Coulomb friction by 4 BIC: not worth its name."
-    assert rest.folded
+    assert rows["Stribeck friction"][-1] == "Leaves more than what is told, or no less for more parameters."
+    assert "0: nothing but noise is left" in first.note
+    assert rest.folded and not rest.note
+    assert [row[2].text for row in rest.rows if row[0].text == "Play"] == ["–"], "where nobody looked"
     assert len(rest.rows) == 3
 
 
@@ -186,7 +215,8 @@ def test_moves_are_told_in_sigmas_of_the_difference_and_bounds_are_marked():
     lag = moved["x"][moved["y"].index("motor.lag")]
     assert lag == pytest.approx((0.0304 - 0.051) / math.hypot(0.002, 0.0002))
     section = next(s for s in gap_page(two_effects(), command="", date=DATE).sections if s.id == "shifts")
-    (bound,) = [row for row in section.parts[0].rows if row[0].text == "cylinder.cap_dead_volume"]
+    shifts = next(part for part in section.parts if isinstance(part, Table))
+    (bound,) = [row for row in shifts.rows if row[0].text == "cylinder.cap_dead_volume"]
     assert [c.text for c in bound if c.tone == "warning"] == ["at bound"]
 
 

@@ -38,11 +38,11 @@ def opened(chromium, paths):
     return chromium
 
 
-def test_answer_results_and_figures_are_on_the_first_screen(opened, paths):
+def test_the_answer_and_its_picture_are_on_the_first_screen(opened, paths):
     data = json.loads(paths["json"].read_text(encoding="utf-8"))
     assert opened.execute_script("return document.querySelector('.answer').textContent") == data["answer"]
     opened.execute_script("window.scrollTo({top: 0, behavior: 'instant'})")
-    bottom = opened.execute_script("return document.getElementById('table-headline').getBoundingClientRect().bottom")
+    bottom = opened.execute_script("return document.querySelector('header figure').getBoundingClientRect().bottom")
     assert bottom < 900
 
 

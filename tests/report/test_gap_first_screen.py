@@ -103,7 +103,7 @@ def test_no_gap_is_told_plainly_and_promises_no_more_than_the_recordings_can_hol
     text = first_screen(none())
     assert "No effect is missing: the model agrees with the recordings to within the noise of the sensors." in text
     assert "at most 1.01 times it, on arm_angle" in text
-    assert "74 candidates were screened and 2 of them fitted; none is needed." in text
+    assert "74 candidates were looked at and 2 of them fitted; none is needed." in text
     assert "These recordings cannot judge entrained air at cylinder.cap" in text
     assert "closes" not in text
 
@@ -150,7 +150,7 @@ def test_an_answer_that_no_recording_confirms_says_so_on_the_first_screen():
     page = gap_page(replace(named(), recordings=fitted), command="", date=DATE)
     assert page.notices == (), "those that judge show the gap, and that it is closed"
     (lead,) = (s.lead for s in page.sections if s.id == "candidates")
-    assert "for choosing" not in lead and "the same, all there are" in lead
+    assert "for choosing" not in lead and "on the recordings of the fit." in lead
     still = tuple(
         replace(r, outputs=tuple(replace(o, gap_closed=float("nan")) for o in r.outputs)) if r.role == "report" else r
         for r in fitted

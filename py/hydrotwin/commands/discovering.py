@@ -235,6 +235,7 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
 
 def print_discovery(found, folder: Path) -> None:
     """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
+    from hydrotwin.report.gap_sure import untried_sentences
     from hydrotwin.report.gap_text import sentence
     from hydrotwin.report.gap_words import experiment_sentence
 
@@ -253,6 +254,8 @@ def print_discovery(found, folder: Path) -> None:
         mark(out, "note", sentence(str(finding)))
     if len(found.findings) > TOLD:
         mark(out, "note", f"{len(found.findings) - TOLD} more findings are in the report.")
+    for cut_short in untried_sentences(found):
+        mark(out, "note", cut_short)
     reached = getattr(found.fit_after, "accuracy", None)
     if reached and reached.reached:  # else a finding says so
         mark(out, "note", f"the runs are {reached}")

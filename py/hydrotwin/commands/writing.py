@@ -115,7 +115,7 @@ def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> str
     """
     empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
     content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
-    content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
+    content |= {"candidates": [], "not_testable": [], "probabilities": {}, "untried": [], "findings": [sentence]}
     there = answer_in(folder)
     file = folder / (DATA if there is None else FAILURE)
     write_whole(file, json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")

@@ -7,6 +7,7 @@ does.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -16,19 +17,19 @@ from .score import Answer, Named
 LIMIT = 300.0  # s of one case
 
 
-def explored(made, executor: Executor) -> Answer:
-    """The answer of `explore` on a case of the benchmark."""
+def explored(made, executor: Executor, effects: Sequence[str] | None = None) -> Answer:
+    """The answer of `explore` on a case of the benchmark; effects: globs, None for all."""
     from hydrotwin.discovery.structures.explore import explore
 
     began = time.perf_counter()
-    search, said = explore(made.model, made.fit, executor=executor, time_limit=LIMIT)
+    search, said = explore(made.model, made.fit, effects=effects, executor=executor, time_limit=LIMIT)
     seconds, table, named = time.perf_counter() - began, said.table, []
     for effect in said.order if said.kept.members else ():
         members = tuple((m.id, m.site.name) for m in said.members(effect))
         own = tuple((n, said.best.fitted.values[n], np.nan, np.nan) for n in effect.free)
         named.append(Named(effect.id, effect.site.name, members, said.probability(effect.label), own))
     noise = table.noise
-    ranked = [e for e in said.posterior.ranked()[:5]]
+    ranked = said.posterior.ranked()[:5]
     notes = {
         "complete": search.complete,
         "first": search.first,
@@ -45,6 +46,7 @@ def explored(made, executor: Executor) -> Answer:
 
 def held_out(search, entry, records) -> dict[str, float]:
     """RMSE, by output, SI, that a fit leaves of recordings which took no part."""
+    from hydrotwin.discovery.evidence.score import spectrum
     from hydrotwin.discovery.fits.job import moving_starts, task_of
     from hydrotwin.identification.descent import held_out_run
     from hydrotwin.identification.problem import recordings
@@ -56,15 +58,7 @@ def held_out(search, entry, records) -> dict[str, float]:
     for recording in recordings(flat, records, None, "held out"):
         shooting, z = held_out_run(task, q, recording)
         run = shooting.residuals(0, q, z[0])
-        left.append(
-            np.full(recording.y.shape, np.inf)
-            if run is None
-            else run / np.where(task.weights > 0, task.weights, np.nan)
-        )
-    squares = np.concatenate(left) ** 2
-    names = [o.name for o in flat.outputs]
-    return {
-        n: float(np.sqrt(np.nanmean(c)))
-        for n, c in zip(names, squares.T, strict=True)
-        if np.isfinite(c).any() or np.isinf(c).any()
-    }
+        unit = np.where(task.weights > 0, task.weights, np.nan)
+        left.append(np.where(np.isfinite(recording.y), np.inf, np.nan) if run is None else run / unit)
+    rmse = spectrum(left).rmse
+    return {o.name: float(r) for o, r in zip(flat.outputs, rmse, strict=True) if not np.isnan(r)}

@@ -18,7 +18,6 @@ class Deciding:
     something_else : prior probability (1) that what is missing stands in no catalogue; benchmark, cases of that kind.
     in_class : probability (1) that a class holds; the usual 95 %.
     told : probability (1) from which on a structure is told as a member of a class.
-    confirmed : share (1) of the gap that must close on recordings which took no part; less takes a name back.
     visible : nats that the base must leave in windows before these decide which candidates come first.
     """
 
@@ -32,7 +31,6 @@ class Deciding:
     something_else: float = 0.05
     in_class: float = 0.95
     told: float = 0.01
-    confirmed: float = 0.5
     visible: float = 300.0
 
 

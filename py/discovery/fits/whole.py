@@ -24,7 +24,7 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
-from .job import Fitted, Job, Look, broad, moving_starts, not_below, task_of
+from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, task_of
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
@@ -97,9 +97,7 @@ def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> np.nda
     free = task.free
     if len(job.starts) == 1:
         return free.scaled(free.start)
-    first = dict(zip(free.names, free.start.tolist(), strict=True))
-    values = [np.array([start.get(n, first[n]) for n in free.names]) for start in job.starts]
-    points = [free.scaled(np.clip(v, free.lower, free.upper)) for v in values]
+    points = [point_of(free, start) for start in job.starts]
     began = time.process_time()
     costs = []
     for q in points:

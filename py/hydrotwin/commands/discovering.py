@@ -204,9 +204,9 @@ def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict)
 
     write_gap_report(found, folder)
     values = getattr(found.fit_after, "flat", None) or found.model.flat
-    (folder / FAILURE).unlink(missing_ok=True)
     write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
     write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
+    (folder / FAILURE).unlink(missing_ok=True)
 
 
 def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
@@ -227,28 +227,28 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
 
 
 def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> str:
-    """A gap.json that says why there is no answer; where the folder has one, it stays, and failure.json says it.
+    """A gap.json that says why there is no answer; where the folder has any but of a failure, failure.json says it.
 
     Returns a sentence on what was kept, empty where there was nothing.
     """
     empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
-    content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
+    content = {"model": name, "failed": True, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
     content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
-    there = answer_in(folder)
-    file = folder / (DATA if there is None else FAILURE)
+    kept = worth_keeping(folder / DATA)
+    file = folder / (FAILURE if kept else DATA)
     write_whole(file, json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
-    if there is None:
-        return ""
-    return f"{folder / DATA} keeps the answer of an earlier run; why this run failed is in {file}"
+    return f"{folder / DATA} is that of an earlier run; why this run failed is in {file}" if kept else ""
 
 
-def answer_in(folder: Path) -> dict | None:
-    """The content of a gap.json that holds an answer, with the tables of its page; None for a failure or no file."""
+def worth_keeping(file: Path) -> bool:
+    """Whether a gap.json is there and does not itself say that a run failed; one that cannot be read is kept."""
     try:
-        content = json.loads((folder / DATA).read_text(encoding="utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return False
     except (OSError, ValueError):
-        return None
-    return content if isinstance(content, dict) and "tables" in content else None
+        return True
+    return not (isinstance(content, dict) and content.get("failed"))
 
 
 def print_discovery(found, folder: Path) -> None:

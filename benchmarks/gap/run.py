@@ -17,7 +17,7 @@ from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
-METHODS = ("discover", "plain", "bic", "sindy", "gp")
+METHODS = ("discover", "explore", "plain", "bic", "sindy", "gp")
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
 
@@ -73,6 +73,10 @@ def _answer(method, made, bench, memory):
         from hydrotwin.discovery.discover import discover
 
         return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
+    if method == "explore":
+        from benchmarks.gap.explored import explored
+
+        return explored(made, Here())
     if method == "plain":
         from benchmarks.gap.plain import plain
 

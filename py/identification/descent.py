@@ -17,7 +17,7 @@ from .fit import Iteration
 from .least_squares import Minimum, minimise
 from .loss import Loss
 from .problem import FreeParameters, Recording
-from .shooting import Prior, Shooting
+from .shooting import Prior, Segment, Shooting
 from .start_states import StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")
@@ -110,12 +110,16 @@ def windows(task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarr
 
     Only as many as give a direction, evenly spread: the last digits come from the whole recordings.
     """
-    start = StartStates(task.flat, [s.name for s in task.flat.states], task.free.index)
     delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
     segments = horizon.cut(task.recordings, seconds, delay)
     samples = sum(s.last - s.begin for s in segments)
     stride = int(np.ceil(max(len(segments) / ENOUGH_WINDOWS, samples / ENOUGH_SAMPLES)))
-    segments = segments[:: min(stride, max(1, len(segments) // FEWEST_WINDOWS))]
+    return freely(task, segments[:: min(stride, max(1, len(segments) // FEWEST_WINDOWS))], states)
+
+
+def freely(task: Task, segments: Sequence[Segment], states: Sequence[np.ndarray]) -> tuple[Shooting, np.ndarray]:
+    """Segments with all start states free, and their scaled start states from known trajectories (n, nx)."""
+    start = StartStates(task.flat, [s.name for s in task.flat.states], task.free.index)
     z = horizon.window_starts(segments, states, start)
     shooting = Shooting(
         task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,

@@ -73,8 +73,7 @@ def minimise(
     twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale,
     or when steps that promised less than that kept no promise: a cost that is rough on a small scale never ends to
     promise. A step that diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start
-    states alone. ``until``: the processor
-    time (`time.process_time`) [s] at which it stops where it is.
+    states alone. ``until``: the processor time [s], as of `time.process_time`, at which it stops where it is.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     logarithmic = shooting.free.logarithmic

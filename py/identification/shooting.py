@@ -98,7 +98,12 @@ class Shooting:
     @cached_property
     def count(self) -> int:
         """Measured values in all segments."""
-        return max(1, sum(int(seen.sum()) for seen in self._measured))
+        return max(1, int(self.counts.sum()))
+
+    @cached_property
+    def counts(self) -> np.ndarray:
+        """The same by output, (ny,)."""
+        return np.sum([seen.sum(axis=0) for seen in self._measured], axis=0)
 
     def clip(self, z: np.ndarray) -> np.ndarray:
         """Scaled start states inside the states' bounds."""

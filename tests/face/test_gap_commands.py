@@ -265,6 +265,40 @@ def test_a_gap_that_cannot_be_looked_for_says_why_on_screen_and_in_gap_json(here
     assert {p.name for p in (here / "gap").iterdir()} == {"gap.json"}
 
 
+@pytest.mark.parametrize("there", ['{"verdict": "named", "steps": []}', "not JSON", "[1, 2]", ""])
+def test_whatever_an_earlier_version_or_a_user_has_written_stays_when_a_run_fails(here, discover, there):
+    (here / "gap").mkdir()
+    (here / "gap/gap.json").write_text(there)
+    discover.side_effect = SolveError("no.")
+    for _ in range(2):
+        assert hydrotwin(*GAP).code == 1
+    assert (here / "gap/gap.json").read_text() == there
+    assert json.loads((here / "gap/failure.json").read_text())["findings"] == ["no."]
+
+
+def test_the_reason_of_a_failure_is_replaced_by_that_of_the_next(here, discover):
+    for words in ("first.", "second."):
+        discover.side_effect = SolveError(words)
+        assert hydrotwin(*GAP).code == 1
+    assert json.loads((here / "gap/gap.json").read_text())["findings"] == ["second."]
+    assert not (here / "gap/failure.json").exists()
+
+
+@pytest.mark.parametrize(("error", "code"), [(DataError("train_1.csv: nothing moves."), 2), (SolveError("no."), 1)])
+def test_a_run_that_fails_leaves_the_answer_of_an_earlier_one(here, discover, error, code):
+    assert hydrotwin(*GAP).code == 0
+    before, discover.side_effect = contents(here / "gap"), error
+    answer = hydrotwin(*GAP)
+    assert answer.code == code and str(error) in answer.said
+    assert "gap/gap.json is that of an earlier run; why this run failed is in gap/failure.json" in answer.said
+    after = contents(here / "gap")
+    assert after.keys() - before.keys() == {"failure.json"} and before.items() <= after.items()
+    assert json.loads((here / "gap/failure.json").read_text())["findings"] == [str(error)]
+    discover.side_effect = None
+    assert hydrotwin(*GAP).code == 0
+    assert not (here / "gap/failure.json").exists()
+
+
 @pytest.mark.parametrize(
     ("edit", "says"),
     [

@@ -12,7 +12,7 @@ class Deciding:
     law : share (1) of what an effect does by which a machine's law differs from the catalogue's; tuning seeds.
     rough, rarely : the same of a law that is only roughly the machine's (1), and the prior probability of that.
     known : share (1) by which the variance of a sensor's noise is uncertain, beside chance; benchmark, tuning seeds.
-    chance : standard deviations (1) that noise may exceed its variance in one output and time scale; one in forty.
+    chance : standard deviations (1) that noise may exceed its variance in one output and time scale; one in a thousand.
     coarse : step of a recorded signal in noises (1) from which on most of the noise is rounding, which is coloured.
     tempered : share (1) of the base's score that tells two structures apart by one nat, as no law is exact.
     something_else : prior probability (1) that what is missing stands in no catalogue; benchmark, cases of that kind.
@@ -26,7 +26,7 @@ class Deciding:
     rough: float = 0.1
     rarely: float = 0.1
     known: float = 0.05
-    chance: float = 2.0
+    chance: float = 3.0
     coarse: float = 2.5
     tempered: float = 0.002
     something_else: float = 0.05

@@ -80,8 +80,8 @@ class Look:
 
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
-    states by name and recording. trail : values after the stages before.
-    sigmas : of the values, by path, infinite where nothing shows. left : of whole recordings, where it looked at them.
+    states by name and recording. trail : values after the stages before. sigmas : of the values, by path, infinite
+    where nothing shows. left : of whole recordings, where it looked at them.
     """
 
     values: Mapping[str, float]
@@ -136,6 +136,12 @@ def task_of(
         job.flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads,
         _silent, q.noise, prior=prior_of(free, q),
     )  # fmt: skip
+
+
+def point_of(free: FreeParameters, start: Mapping[str, float]) -> np.ndarray:
+    """Scaled parameters of a start, clipped to the bounds; what it does not say is as ``free`` begins."""
+    values = np.array([start.get(n, own) for n, own in zip(free.names, free.start.tolist(), strict=True)])
+    return free.scaled(np.clip(values, free.lower, free.upper))
 
 
 def moving_starts(job: Job) -> list[str]:

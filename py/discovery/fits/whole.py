@@ -26,12 +26,13 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
-from .job import Fitted, Job, Look, broad, moving_starts, not_below, task_of
+from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, task_of
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
+COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
@@ -98,10 +99,16 @@ def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> np.nda
     free = task.free
     if len(job.starts) == 1:
         return free.scaled(free.start)
-    first = dict(zip(free.names, free.start.tolist(), strict=True))
-    values = [np.array([start.get(n, first[n]) for n in free.names]) for start in job.starts]
-    points = [free.scaled(np.clip(v, free.lower, free.upper)) for v in values]
-    points = sorted(points, key=lambda q: shooting.cost(q, z))
+    points = [point_of(free, start) for start in job.starts]
+    began = time.process_time()
+    costs = []
+    for q in points:
+        costs.append(shooting.cost(q, z))
+        if time.process_time() - began > COSTLY * (job.seconds - began):
+            break  # so stiff that the first few must do
+    points = [points[k] for k in np.argsort(costs)]
+    if time.process_time() - began > COSTLY * (job.seconds - began):
+        return points[0]
     leading = (q for q in points if not shooting.linearise(q, z).diverged.any())
     return next(leading, points[0])
 

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hydrotwin.identification import horizon
-from hydrotwin.identification.descent import Task, undecided
+from hydrotwin.identification.descent import Task, freely, undecided
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
-from hydrotwin.identification.start_states import StartStates
 from hydrotwin.models.language.errors import SolveError
 
-from .job import Job, Look, broad, not_below, task_of
+from .job import Job, Look, broad, not_below, point_of, task_of
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 2.0, "most": 12}  # of a minimisation over windows
 MOST = 200  # windows of a length, evenly spread
@@ -79,7 +78,7 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
 
 def _cheapest(task: Task, job: Job, seconds: float) -> tuple[np.ndarray, list[np.ndarray]]:
     """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx)."""
-    points = [_point(task, start) for start in job.starts]
+    points = [point_of(task.free, start) for start in job.starts]
     p = task.free.vector(points[0])
     states = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
     if len(points) > 1:
@@ -95,7 +94,6 @@ def _cut(
 
     They begin where shorter ones began, so that these have found the states there, and do not overlap.
     """
-    start = StartStates(task.flat, [s.name for s in task.flat.states], task.free.index)
     delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
     places = horizon.cut(task.recordings, shortest)
     segments: list[Segment] = []
@@ -106,19 +104,7 @@ def _cut(
         if free and time[-1] - time[place.first] > 0.5 * seconds:
             lead_in = int(np.searchsorted(time, time[place.first] - delay, side="right")) - 1
             segments.append(Segment(place.recording, max(lead_in, 0), place.first, min(end, len(time))))
-    z = horizon.window_starts(segments, states, start)
-    shooting = Shooting(
-        task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
-        prior=task.prior,
-    )  # fmt: skip
-    return shooting, shooting.clip(z)
-
-
-def _point(task: Task, start: Mapping[str, float]) -> np.ndarray:
-    free = task.free
-    first = dict(zip(free.names, free.start.tolist(), strict=True))
-    values = np.array([start.get(n, first[n]) for n in free.names])
-    return free.scaled(np.clip(values, free.lower, free.upper))
+    return freely(task, segments, states)
 
 
 def _sigmas(task: Task, found: Minimum) -> list[float]:
@@ -134,10 +120,10 @@ def _sigmas(task: Task, found: Minimum) -> list[float]:
     return (sigma * np.abs(task.free.slope(found.q))).tolist()
 
 
-def _left(shooting: Shooting, found) -> tuple[np.ndarray, np.ndarray]:
+def _left(shooting: Shooting, found: Minimum) -> tuple[np.ndarray, np.ndarray]:
     """Sums of squares (ny,), SI, of all windows, and how many values they are worth beside the free start states."""
     squares = found.at.squares
-    counts = np.sum([seen.sum(axis=0) for seen in shooting._measured], axis=0).astype(float)
+    counts = shooting.counts.astype(float)
     with np.errstate(invalid="ignore"):
         total = np.where(np.isfinite(squares), squares, np.inf).sum(axis=0)
     spent = shooting.locals * len(shooting.segments)

@@ -51,8 +51,9 @@ EFFORTS = {
     "normal": Effort(),
     "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
+SHORT = 2  # lengths of windows in which a large gap shows
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
-EARLY = 0.2  # of it: what promises to leave less is fitted as soon as it is seen
+EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
 
 
@@ -325,12 +326,12 @@ def _small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]
 def telling(table: Table) -> int:
     """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
 
-    0 where no length shows it.
+    0 where short ones do not show it: the gap is small then, and the base near what it would be.
     """
     base = table.entries[NOTHING]
     if not (base.look and table.question.lengths):
         return 0
-    stages = range(len(base.look.squares))
+    stages = range(min(len(base.look.squares), SHORT))
     return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
 
 

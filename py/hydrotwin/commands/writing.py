@@ -103,41 +103,51 @@ class BestSoFar:
     @property
     def left(self) -> str:
         """What an interrupted run has left, in a sentence or two."""
-        there, aside = answer_in(self.folder), self.folder / EARLIER
-        told = [f"The best so far is in {self.folder}."] if there and there.get(SO_FAR) else []
+        aside = self.folder / EARLIER
+        told = [f"The best so far is in {self.folder}."] if so_far_in(self.folder) else []
         return " ".join([*told, *([f"The answer of an earlier run is in {aside}."] if aside.is_dir() else [])])
 
 
 def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> str:
-    """A gap.json that says why there is no answer; where the folder has one, it stays, and failure.json says it.
+    """A gap.json that says why there is no answer; where the folder has any but of a failure, failure.json says it.
 
     Returns a sentence on what was kept, empty where there was nothing.
     """
     empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
-    content = {"model": name, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
+    content = {"model": name, "failed": True, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
     content |= {"candidates": [], "not_testable": [], "probabilities": {}, "untried": [], "findings": [sentence]}
-    there = answer_in(folder)
-    file = folder / (DATA if there is None else FAILURE)
+    kept = worth_keeping(folder / DATA)
+    file = folder / (FAILURE if kept else DATA)
     write_whole(file, json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
-    if there is None:
+    if not kept:
         return ""
-    what = "the best so far" if there.get(SO_FAR) else "the answer of an earlier run"
-    return f"{folder / DATA} keeps {what}; why this run failed is in {file}"
+    what = "holds the best so far" if so_far_in(folder) else "is that of an earlier run"
+    return f"{folder / DATA} {what}; why this run failed is in {file}"
 
 
-def answer_in(folder: Path) -> dict | None:
-    """The content of a gap.json that holds an answer, with the tables of its page; None for a failure or no file."""
+def worth_keeping(file: Path) -> bool:
+    """Whether a gap.json is there and does not itself say that a run failed; one that cannot be read is kept."""
+    content = _content(file)
+    return file.exists() and not (isinstance(content, dict) and content.get("failed"))
+
+
+def so_far_in(folder: Path) -> bool:
+    """Whether the folder holds the best so far of a search that has not come to its end."""
+    content = _content(folder / DATA)
+    return isinstance(content, dict) and bool(content.get(SO_FAR))
+
+
+def _content(file: Path):
+    """What is in a JSON file, None where there is none that can be read."""
     try:
-        content = json.loads((folder / DATA).read_text(encoding="utf-8"))
+        return json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
-    return content if isinstance(content, dict) and "tables" in content else None
 
 
 def put_aside(folder: Path) -> None:
     """Copy a final answer that stands in the folder to one of its own, whole or not at all."""
-    there = answer_in(folder)
-    if there is None or there.get(SO_FAR):
+    if not worth_keeping(folder / DATA) or so_far_in(folder):
         return
     forget_earlier(folder)
     beside = folder / f".{EARLIER}"

@@ -21,6 +21,7 @@ from hydrotwin.simulation import prepare
 from ..evidence.score import Spectrum
 
 KNOWN_TO = np.log(2.0)  # one sigma of what a model came with, of ln p
+WINDOWS = 200  # of a length, at most
 BROAD = 0.05  # of the spread of an output: the error allowed before anything is known of it
 
 
@@ -31,6 +32,7 @@ class Question:
     fit : the recordings; select : those that judge, of a last fit only; noise : of the sensors (ny,), SI.
     usual : base parameters by path at the values that the model came with, known to a factor of two (one sigma).
     lengths : seconds [s] of the windows through which every fit is led, growing; none for what cannot start anywhere.
+    windows : of a length, at most, evenly spread.
     """
 
     fit: tuple[Recording, ...]
@@ -40,6 +42,7 @@ class Question:
     step: float | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
     lengths: tuple[float, ...] = ()
+    windows: int = WINDOWS
 
     @property
     def counts(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
-from ..fits.job import Fitted, Job, Look
+from ..fits.job import WINDOWS, Fitted, Job, Look
 from ..fits.whole import as_look, step, trajectories
 from .starts import looks, seen_by, usual
 from .table import Entry, Table
@@ -52,6 +52,8 @@ EFFORTS = {
     "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
 SHORT = 2  # lengths of windows in which a large gap shows
+ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
+FEWEST = 40  # windows of a length
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
@@ -96,7 +98,6 @@ class Search:
         table, base = self.table, self.identify()
         if self.explained():
             return
-        self.first = telling(table)
         if not self.first:  # what is missing shows in whole recordings alone, and the base is near what it would be
             table.question = dataclasses.replace(table.question, lengths=())
             base.look = as_look(base.fitted)
@@ -120,6 +121,9 @@ class Search:
         start = free_parameters(table.base.flat, table.free)
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
+        self._advance([base], SHORT)
+        self.first = telling(table)
+        self._fewer_windows()
         self._advance([base], len(lengths))
         starts = self._whole(base).starts if base.look else ({},)
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
@@ -131,6 +135,14 @@ class Search:
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
+
+    def _fewer_windows(self) -> None:
+        """Look through no more windows than show the gap well; the base begins anew with those."""
+        table, base = self.table, self.table.entry()
+        enough = int(WINDOWS * ENOUGH / table.visible(self.first - 1)) if self.first else WINDOWS
+        if enough < WINDOWS / 2:
+            table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
+            base.look = None
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""

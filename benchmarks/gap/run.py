@@ -11,13 +11,14 @@ import multiprocessing
 import os
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
-METHODS = ("discover", "explore", "plain", "bic", "sindy", "gp")
+METHODS = ("discover", "plain", "sindy", "gp")
+LIMIT = 300.0  # s that a search may take, if not told
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
 
@@ -33,8 +34,13 @@ class Here(Executor):
         return future
 
 
-def rows_of(name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None) -> list[dict]:
-    """Every row of one case; its own process, so that nothing it does is left behind. memory: a folder for fits."""
+def rows_of(
+    name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None, search: Mapping | None = None
+) -> list[dict]:
+    """Every row of one case; its own process, so that nothing it does is left behind.
+
+    memory: a folder for fits of the plain baseline. search: options of `discover`.
+    """
     from benchmarks.gap.cases import Case, Unreachable, make
 
     try:
@@ -43,10 +49,10 @@ def rows_of(name: str, methods: Sequence[str], with_oracle: bool, memory: Path |
         return [{"case": name, "method": method, "unreachable": str(reason)} for method in methods]
     except Exception as error:
         return [{"case": name, "method": m, "failed": f"{type(error).__name__}: {error}"} for m in methods]
-    return _judged(made, methods, with_oracle, memory)
+    return _judged(made, methods, with_oracle, memory, search or {})
 
 
-def _judged(made, methods, with_oracle, memory) -> list[dict]:
+def _judged(made, methods, with_oracle, memory, search) -> list[dict]:
     from benchmarks.gap.refits import Bench, oracle
     from benchmarks.gap.score import row_of
 
@@ -60,23 +66,20 @@ def _judged(made, methods, with_oracle, memory) -> list[dict]:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
         try:
-            rows.append(row_of(made, _answer(method, made, bench, memory), method=method, oracle=best, lacking=lacking))
+            said = _answer(method, made, bench, memory, search)
+            rows.append(row_of(made, said, method=method, oracle=best, lacking=lacking))
         except Exception as error:
             rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
     return rows
 
 
-def _answer(method, made, bench, memory):
+def _answer(method, made, bench, memory, search):
     from benchmarks.gap.score import answer_of
 
     if method == "discover":
         from hydrotwin.discovery.discover import discover
 
-        return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
-    if method == "explore":
-        from benchmarks.gap.explored import explored
-
-        return explored(made, Here())
+        return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here(), **search))
     if method == "plain":
         from benchmarks.gap.plain import plain
 
@@ -85,9 +88,9 @@ def _answer(method, made, bench, memory):
         from benchmarks.gap.sindy import sparse_regression
 
         return sparse_regression(bench)
-    from benchmarks.gap import baselines
+    from benchmarks.gap.baselines import gaussian_process
 
-    return {"bic": baselines.bic_alone, "gp": baselines.gaussian_process}[method](bench)
+    return gaussian_process(bench)
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -162,7 +165,8 @@ def _finished(jobs, options):
     context = multiprocessing.get_context("spawn")
     for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            asked = not options.no_oracle, options.out / "fits"
+            search = {"time_limit": options.time_limit, "effort": options.effort}
+            asked = not options.no_oracle, options.out / "fits", search
             futures = [pool.submit(rows_of, name, left, *asked) for name, left in batch]
             for future in as_completed(futures):
                 yield future.result()
@@ -199,5 +203,7 @@ def _options(arguments):
     p.add_argument("--quick", action="store_true", help="one seed, two severities, recordings of 20 s")
     p.add_argument("--no-oracle", action="store_true", help="do not refit the true structure")
     p.add_argument("--list", action="store_true", help="print the names of the cases and stop")
+    p.add_argument("--effort", default="normal", help="of discover")
+    p.add_argument("--time-limit", type=float, default=LIMIT, metavar="SECONDS", help="of discover")
     p.add_argument("--table", action="store_true", help="only write the table of the rows that are there")
     return p.parse_args(arguments)

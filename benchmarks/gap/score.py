@@ -139,7 +139,12 @@ def answer_of(discovery) -> Answer:
         {name: o.rmse_before for name, o in judged.items()},
         {name: o.rmse_after for name, o in judged.items()},
         discovery.seconds,
-        {"timings": dict(discovery.timings)},
+        {
+            "told": dict(discovery.probabilities),
+            "untried": list(discovery.untried),
+            "looked_at": discovery.screened,
+            "fitted": discovery.fitted,
+        },
     )
 
 

@@ -168,13 +168,21 @@ def test_the_answer_of_a_discovery_keeps_sites_and_members():
     )
     gaps = tuple(SimpleNamespace(output=n, rmse_before=2 * s, rmse_after=s) for n, s in NOISE.items())
     found = SimpleNamespace(
-        verdict="class", steps=(step, late), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3}
+        verdict="class",
+        steps=(step, late),
+        outputs={"validate": gaps},
+        seconds=3.0,
+        probabilities={"nothing": 0.1},
+        untried=(),
+        screened=40,
+        fitted=3,
     )
     a = answer_of(found)
     assert [n.effect for n in a.named] == ["coulomb_friction", "dead_time"]
     r = row_of(made(), a, method="discover")
     assert r["exact"] == [True] and r["extra"] == 1
     assert r["parameters"][0]["covered"]
+    assert r["notes"]["told"] == {"nothing": 0.1} and r["notes"]["looked_at"] == 40
 
 
 def test_the_table_counts_what_the_rows_say():

@@ -144,6 +144,7 @@ def answer_of(discovery) -> Answer:
             "untried": list(discovery.untried),
             "looked_at": discovery.screened,
             "fitted": discovery.fitted,
+            "nearest": [[r.effect, r.site, r.gap_closed] for r in discovery.last_ranked[:3]],
         },
     )
 

@@ -26,7 +26,7 @@ from .discovery import Discovery, Ranked, Rung, Shift
 from .discovery import Step as NamedStep
 from .findings import findings_of, reason_of
 from .rows import concluded_values, rows_of, testable
-from .standing import Standing, standing
+from .standing import Standing, closed, standing
 from .view import View
 
 MOST_RIVALS = 4  # fits of what is told beside what is named
@@ -50,10 +50,10 @@ def answer(search: Search, data: Split, model: Model) -> Discovery:
     elsewhere = _only_elsewhere(said, finals, data)
     shown = _closed_where_it_counts(finals, data)
     if said.verdict == "none" and elsewhere:
-        said = dataclasses.replace(said, verdict="unknown")
-    refuted = said.verdict in ("named", "class") and shown < DECIDING.confirmed
+        said = dataclasses.replace(said, verdict="unknown", part=False)
+    refuted = bool(said.kept.members) and shown < DECIDING.confirmed
     if refuted:
-        said = dataclasses.replace(said, verdict="unknown")
+        said = dataclasses.replace(said, verdict="unknown", part=False)
         finals = dataclasses.replace(finals, after=finals.before)
     doubts = _doubts(said, finals, data) if said.kept.members else {}
     steps = _steps(said, finals, doubts) if said.kept.members else ()
@@ -214,8 +214,7 @@ def _steps(said: Standing, finals: Finals, doubts: Mapping[str, float]) -> tuple
 def _closed_by(said: Standing, members: Sequence[Candidate], row: Ranked) -> float:
     """Share of the base's gap that the effects so far close."""
     entry = said.table.entry(members)
-    base, noise = said.table.entry().fitted, said.table.noise
-    return gap_closed(base.rmse, entry.fitted.rmse, noise) if entry.fitted else row.gap_closed
+    return closed(said.table, entry) if entry.fitted else row.gap_closed
 
 
 def _together(said: Standing, c: Candidate) -> tuple[tuple[str, str], ...]:

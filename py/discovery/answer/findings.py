@@ -12,8 +12,8 @@ from hydrotwin.models.language.flat import FlatModel
 from ..recordings import Split
 from ..structures.search import Search
 from .rows import testable
-from .standing import Standing
-from .words import joined, lowered
+from .standing import Standing, closed
+from .words import capitalised, joined, lowered, percent
 
 FURTHER = 0.1  # of the range that was fitted: beyond it a model is not what was tested
 WORTH = 0.5  # of what the base leaves: a structure that leaves less is told where it is not named
@@ -35,6 +35,12 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
     unfinished = (
         "" if search.complete else " The time limit ended the search; a longer one would try more (--time-limit)."
     )
+    if said.part:
+        verb = "is a part" if len(best.members) == 1 else "are parts"
+        return (
+            f"{capitalised(_words(best.members))} {verb} of what is missing: {percent(closed(table, best))} of the gap "
+            f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"
+        )
     if best is not None and table.share(best) < WORTH:
         return (
             f"Something is missing, and no effect of the catalogue explains all of it: {_words(best.members)} comes "

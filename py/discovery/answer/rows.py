@@ -10,11 +10,10 @@ import numpy as np
 from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
-from ..evidence.gaps import gap_closed
 from ..fits.whole import Concluded
 from ..structures.table import Entry, Table
 from .discovery import EffectParameter, Ranked
-from .standing import Standing
+from .standing import Standing, closed
 
 SHOWN = 12  # candidates of a step in the answer that were not fitted
 
@@ -40,11 +39,11 @@ def rows_of(
         fate, reason = _fate(table, entry, c, named, members)
         final = concluded.get(c.label)
         values = concluded_values(c, final) if final else _as_fitted(table, entry, c)
-        probability = standing.probability(c.label) * doubts.get(c.label, 1.0) if fate != "rejected" else 0.0
+        probability = standing.probability(c.label) * doubts.get(c.label, 1.0)
         found.append(
             Ranked(
                 c.id, c.site.name, c.effect.title, c.effect.equation, _share(table, entry),
-                table.score(entry) if entry.fitted else np.nan, _closed(table, entry), probability, fate, reason,
+                table.score(entry) if entry.fitted else np.nan, closed(table, entry), probability, fate, reason,
                 values,
             )
         )  # fmt: skip
@@ -91,13 +90,6 @@ def testable(entry: Entry, c: Candidate) -> bool:
 
 def _share(table: Table, entry: Entry) -> float:
     return float(np.clip(1 - table.promise(entry), 0.0, 1.0)) if entry.look else np.nan
-
-
-def _closed(table: Table, entry: Entry) -> float:
-    """Share of the base's gap that a fit closes."""
-    if not entry.fitted:
-        return np.nan
-    return gap_closed(table.entry().fitted.rmse, entry.fitted.rmse, table.noise)
 
 
 def _as_fitted(table: Table, entry: Entry, candidate: Candidate) -> tuple[EffectParameter, ...]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
+from ..evidence.gaps import gap_closed
 from ..evidence.posterior import NOTHING, Key, Posterior
 from ..structures.table import Entry, Table
 
@@ -18,6 +19,7 @@ class Standing:
 
     verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect; None without
     any. order : its effects, the one that explains most alone first. class_ : structures that are told together.
+    part : whether the best, which does not explain all, is a part of what is missing.
     """
 
     table: Table
@@ -26,20 +28,25 @@ class Standing:
     best: Entry | None
     order: tuple[Candidate, ...]
     class_: tuple[Key, ...]
+    part: bool = False
 
     @property
     def kept(self) -> Entry:
         """The structure that the answer adds: the best where it is named, else the base."""
-        return self.best if self.verdict in ("named", "class") else self.table.entries[NOTHING]
+        return self.best if self.verdict in ("named", "class") or self.part else self.table.entries[NOTHING]
 
     def probability(self, label: str) -> float:
-        """That this effect is missing: of all structures that hold it."""
-        return sum(p for key, p in self.posterior.structures.items() if label in key)
+        """That this effect is missing: of all structures that hold it, and beside something else where it is a part."""
+        beside = self.part and label in self.best.key
+        alone = sum(p for key, p in self.posterior.structures.items() if label in key)
+        return alone + DECIDING.partly * self.posterior.else_ * beside
 
     def members(self, effect: Candidate) -> list[Candidate]:
         """What may stand in the place of a named effect, itself first."""
         rest = set(self.best.key) - {effect.label}
         found = [effect]
+        if self.part:
+            return found
         for key in self.class_:
             others = [c for c in self.table.entries[key].members if c.label not in rest]
             if rest <= set(key) and len(others) == 1 and others[0].label != effect.label:
@@ -70,7 +77,13 @@ def standing(table: Table) -> Standing:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
-    return Standing(table, posterior, verdict, best, order, class_)
+    part = verdict == "unknown" and best is not None and closed(table, best) >= DECIDING.part
+    return Standing(table, posterior, verdict, best, order, class_, part)
+
+
+def closed(table: Table, entry: Entry) -> float:
+    """Share of the gap of the base that a fit closes, squared errors; nan where it was not fitted."""
+    return gap_closed(table.entry().fitted.rmse, entry.fitted.rmse, table.noise) if entry.fitted else float("nan")
 
 
 def _alone(table: Table, candidate: Candidate) -> float:

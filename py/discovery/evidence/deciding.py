@@ -15,9 +15,12 @@ class Deciding:
     chance : standard deviations (1) that noise may exceed its variance in one output and time scale; one in a thousand.
     coarse : step of a recorded signal in noises (1) from which on most of the noise is rounding, which is coloured.
     tempered : share (1) of the base's score that tells two structures apart by one nat, as no law is exact.
+    astray : the same share (1) of what the best structure leaves, which lacks something; benchmark, tuning seeds.
     something_else : prior probability (1) that what is missing stands in no catalogue; benchmark, cases of that kind.
     in_class : probability (1) that a class holds; the usual 95 %.
     told : probability (1) from which on a structure is told as a member of a class.
+    part, partly : share (1) of the gap from which on a structure that does not explain all of it is told as a part of
+    what is missing, and the probability (1) of that; benchmark, tuning seeds.
     confirmed : share (1) of the gap that must close on recordings which took no part; less takes a name back.
     visible : nats that the base must leave in windows before these decide which candidates come first.
     """
@@ -29,9 +32,12 @@ class Deciding:
     chance: float = 3.0
     coarse: float = 2.5
     tempered: float = 0.002
+    astray: float = 0.05
     something_else: float = 0.05
     in_class: float = 0.95
     told: float = 0.01
+    part: float = 0.5
+    partly: float = 0.8
     confirmed: float = 0.5
     visible: float = 300.0
 

@@ -1,9 +1,11 @@
 """The posterior over nothing, every structure that was fitted, and something else.
 
-    p(structure) ~ [(1 - r) exp(-S / T) + r exp(-S_rough / T)] N^-m n^(-k/2),    T = max(1, tempered S_base)
+    p(structure) ~ [(1 - r) exp(-S / T) + r exp(-S_rough / T)] N^-m n^(-k/2),
+    T = max(1, tempered S_base, astray S_best)
 
 m effects cost one name each out of N candidates, k parameters half the logarithm of n measured values each (BIC). No
-law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
+law is exactly the machine's: of a large gap two right structures leave shares that say nothing, and where the best
+leaves much, something in it is wrong, and small differences between such structures say nothing. So scores count in
 units of T. With the prior probability r the law of what is missing is only roughly the catalogue's, and S_rough allows
 for that. Something else would leave nothing, at the price of the best structure, and has a small prior.
 Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
@@ -61,17 +63,17 @@ class Posterior:
         return members
 
 
-def temperature(base: float) -> float:
-    """Nats of difference in score that count as one."""
-    return max(1.0, DECIDING.tempered * base)
+def temperature(base: float, best: float = 0.0) -> float:
+    """Nats of difference in score that count as one, where the base and the best structure leave so many."""
+    return max(1.0, DECIDING.tempered * base, DECIDING.astray * best)
 
 
 def posterior(
     scores: Mapping[Key, float], rough: Mapping[Key, float], parameters: Mapping[Key, int], prices: Prices
 ) -> Posterior:
     """Of scores S and S_rough by key; those of the base, the empty key, must be among them."""
-    T = temperature(scores[NOTHING])
     keys = [k for k in scores if np.isfinite(scores[k])] or [NOTHING]
+    T = temperature(scores[NOTHING], min(scores[k] for k in keys))
     costs = {k: prices.of(len(k), parameters[k]) for k in keys}
     r = DECIDING.rarely
     logs = {k: np.logaddexp(np.log(1 - r) - scores[k] / T, np.log(r) - rough[k] / T) - costs[k] for k in keys}

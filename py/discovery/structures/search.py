@@ -54,6 +54,7 @@ EFFORTS = {
 SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
 FEWEST = 40  # windows of a length
+FIRST = 2  # structures of a size that are fitted, the most promising, before larger ones are looked at
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
@@ -106,11 +107,11 @@ class Search:
                 break
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
             self._looked(entries)
-            if not self.first:
-                self._climb(entries)
+            self._climb(entries, FIRST if self.first else len(entries))
             if self.explained():
                 break
-        self._climb(list(table.entries.values()))
+        entries = list(table.entries.values())
+        self._climb(entries, len(entries))
         self._dropped()
 
     def identify(self) -> Entry:
@@ -140,7 +141,7 @@ class Search:
         """Look through no more windows than show the gap well; the base begins anew with those."""
         table, base = self.table, self.table.entry()
         enough = int(WINDOWS * ENOUGH / table.visible(self.first - 1)) if self.first else WINDOWS
-        if enough < WINDOWS / 2:
+        if enough < 0.8 * WINDOWS:
             table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
             base.look = None
 
@@ -162,13 +163,16 @@ class Search:
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
 
-    def _climb(self, entries: Sequence[Entry]) -> None:
+    def _climb(self, entries: Sequence[Entry], most: int) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
         Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
+        most : that are fitted in all.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
+            if sum(bool(e.fitted) for e in entries) >= most:
+                return
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)
             level = SAME + max(table.share(best), table.promise(best)) if best else -1.0

@@ -174,7 +174,7 @@ def test_the_answer_of_a_discovery_keeps_sites_and_members():
         seconds=3.0,
         probabilities={"nothing": 0.1},
         untried=(),
-        screened=40,
+        screened=40, last_ranked=(),
         fitted=3,
     )
     a = answer_of(found)

@@ -1,4 +1,4 @@
-"""What the workflow is held against: runs and residuals of the base, and a Gaussian process on the residual."""
+"""What the workflow is held against: residuals of the identified base, and a Gaussian process on them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Structures fitted to a case by the project's own fits: the base, and the oracle that knows what is missing."""
+"""What baselines need of a case: its base identified, and the oracle, the true structure fitted from the truth."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from itertools import product
 import numpy as np
 
 from hydrotwin.discovery.evidence.gaps import pooled_rmse
-from hydrotwin.discovery.evidence.score import Floor, score
-from hydrotwin.discovery.fits.job import Job, Question
+from hydrotwin.discovery.fits.job import Fitted, Question
 from hydrotwin.discovery.fits.whole import Concluded, conclude, fit
-from hydrotwin.discovery.fits.windows import look
-from hydrotwin.identification.horizon import horizons
-from hydrotwin.identification.problem import free_parameters, recordings
+from hydrotwin.discovery.structures.search import EFFORTS, Search
+from hydrotwin.discovery.structures.table import Entry, Table
+from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
 
 from .cases import Made
-from .score import PARAMETERS, is_it
+from .score import PARAMETERS, is_it, times_noise
 
+EFFORT = dataclasses.replace(EFFORTS["normal"], iterations=30, seconds=120.0)
 STARTS = 6
-SECONDS = 60.0  # processor time of a fit [s]
 
 
 class Bench:
@@ -34,75 +33,55 @@ class Bench:
         self.made, self.model = made, made.model
 
     @cached_property
-    def free(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.model.flat.parameters if p.free)
-
-    @cached_property
-    def question(self) -> Question:
+    def search(self) -> Search:
+        """The fits of `discover`, with the noise told and the base within the bounds of its model."""
         flat = self.model.flat
-        train, held_out = (recordings(flat, r, None, "record") for r in (self.made.fit, self.made.held_out))
         noise = np.array([self.made.noise.get(s.name, np.nan) for s in flat.outputs])
-        start = free_parameters(flat, self.free)
-        lengths = horizons(flat, train, start.vector(start.scaled(start.start)))
-        return Question(tuple(train), noise, select=tuple(held_out), lengths=tuple(lengths))
+        free = tuple(p.name for p in flat.parameters if p.free)
+        asked = Question(recordings(flat, self.made.fit, None, "record"), noise)
+        none, told = np.zeros_like(noise), np.ones(len(noise), bool)
+        table = Table(self.model, free, candidates(self.model), asked, none, told)
+        return Search(table, lambda function, jobs, _: [function(job) for job in jobs], EFFORT)
 
     @cached_property
     def base(self) -> Concluded:
-        """The base model from its nominal values."""
-        found = self._led(self.model, self.free, [{}])
-        if isinstance(found, str):
-            raise RuntimeError(found)
-        return found
+        """The base from its nominal values, through windows, as `discover` identifies it."""
+        entry = self.search.identify()
+        return self._concluded(entry, entry.fitted)
 
-    @cached_property
-    def candidates(self) -> tuple[Candidate, ...]:
-        return candidates(self.model)
+    def fitted(self, chosen: Sequence[Candidate], starts: Sequence[Mapping[str, float]], states=()) -> Fitted | None:
+        """The base with effects added, everything free, from the cheapest start; None where it diverges."""
+        found = fit(self.search.job(self.search.table.entry(chosen), starts, states=states))
+        return found if isinstance(found, Fitted) else None
 
-    def fitted(self, chosen: Sequence[Candidate], base: Mapping[str, float], own: Mapping[str, float]):
-        """The base model with candidates added, everything free, a `Concluded` or a sentence.
+    def concluded(self, chosen: Sequence[Candidate], found: Fitted) -> Concluded:
+        """What a fit leaves of the held-out recordings, too."""
+        return self._concluded(self.search.table.entry(chosen), found)
 
-        base: values of the base parameters to start from. own: values of the candidates' parameters to start from
-        besides their probes.
-        """
-        model = self.model.plus([c.addition for c in chosen], sought=True)
-        free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
-        probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
-        points = [dict(own)] if own else []
-        points += [{k: v for probe in several for k, v in probe.items()} for several in probes]
-        return self._led(model, free, [{**base, **point} for point in points[:STARTS]])
+    def _concluded(self, entry: Entry, found: Fitted) -> Concluded:
+        job = self.search.job(entry, [found.values], states=found.states, size=found.rmse)
+        held_out = recordings(self.model.flat, self.made.held_out, None, "record")
+        one = conclude(dataclasses.replace(job, question=dataclasses.replace(job.question, select=held_out)))
+        if isinstance(one, str):
+            raise RuntimeError(one)
+        return one
 
-    def _led(self, model, free: Sequence[str], starts: Sequence[Mapping[str, float]]) -> Concluded | str:
-        """Through short windows to whole recordings, from the cheapest of the starts and of what windows came by."""
-        q = self.question
-        job = Job(model.flat, tuple(free), q, tuple(starts), seconds=SECONDS, stages=(0, len(q.lengths)))
-        seen = look(job) if q.lengths else "no windows"
-        job = dataclasses.replace(job, stages=None)
-        if not isinstance(seen, str):
-            begin = (seen.values, *seen.trail, *starts)
-            job = dataclasses.replace(job, starts=begin, states=seen.states, size=seen.size)
-        found = fit(job)
-        if isinstance(found, str):
-            return found
-        last = dataclasses.replace(job, starts=(found.values,), states=found.states, size=found.rmse)
-        return conclude(last)
+    def by_output(self, values: np.ndarray) -> dict[str, float]:
+        """Of the recorded outputs."""
+        names = [s.name for s in self.model.flat.outputs]
+        return {n: float(v) for n, v in zip(names, values, strict=True) if n in self.made.noise}
 
     def rmse(self, found: Concluded) -> dict[str, float]:
         """Held-out RMSE by recorded output, SI."""
-        names = [s.name for s in self.model.flat.outputs]
-        left = pooled_rmse(found.residuals_report)
-        return {n: float(v) for n, v in zip(names, left, strict=True) if n in self.made.noise}
-
-    def score(self, found: Concluded) -> float:
-        """Nats that it leaves of the recordings fitted to, beyond noise."""
-        return score(found.fitted.left, Floor(self.question.noise, np.zeros_like(self.question.noise)))
+        return self.by_output(pooled_rmse(found.residuals_report))
 
 
 def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
-    """Held-out RMSE of the true structure refitted; None where the catalogue cannot express it.
+    """Held-out RMSE of the true structure fitted; None where the catalogue cannot express it.
 
-    It starts from the base model fitted and from the true base parameters, from probes and, where they can be compared,
-    from the true parameters of the effects: it is the best that can be, not a rival.
-    ``without``: the number of a hidden effect to leave out, to see whether it is needed.
+    It starts from the truth, as far as it can be compared, and from the fitted base with the effects at their probes:
+    it is the best that can be, not a rival. ``without``: the number of a hidden effect to leave out, to see whether it
+    is needed.
     """
     made, sets = bench.made, []
     if made.case.kind == "none":
@@ -112,16 +91,22 @@ def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
             continue
         if effect not in CATALOGUE:
             return None
-        fitting = [c for c in bench.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
+        fitting = [c for c in bench.search.table.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
         if not fitting:
             return None
         sets.append([(c, at_truth(made, h, c)) for c in fitting])
-    found = []
-    for pairs, base in product(product(*sets), (bench.base.fitted.values, made.truth)):
+    found, base = [], bench.base.fitted
+    for pairs in product(*sets):
+        chosen = [c for c, _ in pairs]
         own = {name: value for _, values in pairs for name, value in values.items()}
-        found.append(bench.fitted([c for c, _ in pairs], base, own))
-    found = [r for r in found if not isinstance(r, str)]
-    return bench.rmse(min(found, key=bench.score)) if found else None
+        probes = list(product(*((*c.probes, dict(c.neutral)) for c in chosen)))[:STARTS]
+        points = [{k: v for probe in several for k, v in probe.items()} for several in probes]
+        true = [{**point, **made.truth, **own} for point in points]
+        for starts, states in ((true, ()), ([{**base.values, **p} for p in points], base.states)):
+            fitted = bench.fitted(chosen, starts, states)
+            found += [(chosen, fitted)] if fitted else []
+    left = [times_noise(bench.by_output(fitted.rmse), made.noise) for _, fitted in found]
+    return bench.rmse(bench.concluded(*found[int(np.argmin(left))])) if found else None
 
 
 def at_truth(made: Made, hidden: int, candidate: Candidate) -> dict[str, float]:

@@ -18,7 +18,7 @@ from pathlib import Path
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
 METHODS = ("discover", "plain", "sindy", "gp")
-LIMIT = 300.0  # s that a search may take, if not told
+LIMIT = 300.0  # s of a search
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
 
@@ -35,11 +35,11 @@ class Here(Executor):
 
 
 def rows_of(
-    name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None, search: Mapping | None = None
+    name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None, settings: Mapping | None = None
 ) -> list[dict]:
     """Every row of one case; its own process, so that nothing it does is left behind.
 
-    memory: a folder for fits of the plain baseline. search: options of `discover`.
+    memory : a folder for the fits of ``plain``. settings : of `discover`.
     """
     from benchmarks.gap.cases import Case, Unreachable, make
 
@@ -49,10 +49,10 @@ def rows_of(
         return [{"case": name, "method": method, "unreachable": str(reason)} for method in methods]
     except Exception as error:
         return [{"case": name, "method": m, "failed": f"{type(error).__name__}: {error}"} for m in methods]
-    return _judged(made, methods, with_oracle, memory, search or {})
+    return _judged(made, methods, with_oracle, memory, settings or {})
 
 
-def _judged(made, methods, with_oracle, memory, search) -> list[dict]:
+def _judged(made, methods, with_oracle, memory, settings) -> list[dict]:
     from benchmarks.gap.refits import Bench, oracle
     from benchmarks.gap.score import row_of
 
@@ -66,20 +66,20 @@ def _judged(made, methods, with_oracle, memory, search) -> list[dict]:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
         try:
-            said = _answer(method, made, bench, memory, search)
-            rows.append(row_of(made, said, method=method, oracle=best, lacking=lacking))
+            answer = _answer(method, made, bench, memory, settings)
+            rows.append(row_of(made, answer, method=method, oracle=best, lacking=lacking))
         except Exception as error:
             rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
     return rows
 
 
-def _answer(method, made, bench, memory, search):
-    from benchmarks.gap.score import answer_of
-
+def _answer(method, made, bench, memory, settings):
     if method == "discover":
+        from benchmarks.gap.score import answer_of
         from hydrotwin.discovery.discover import discover
 
-        return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here(), **search))
+        found = discover(made.model, made.fit, validate=made.held_out, executor=Here(), **settings)
+        return answer_of(found, settings)
     if method == "plain":
         from benchmarks.gap.plain import plain
 
@@ -165,8 +165,8 @@ def _finished(jobs, options):
     context = multiprocessing.get_context("spawn")
     for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            search = {"time_limit": options.time_limit, "effort": options.effort}
-            asked = not options.no_oracle, options.out / "fits", search
+            settings = {"effort": options.effort, "time_limit": options.time_limit}
+            asked = not options.no_oracle, options.out / "fits", settings
             futures = [pool.submit(rows_of, name, left, *asked) for name, left in batch]
             for future in as_completed(futures):
                 yield future.result()
@@ -185,6 +185,7 @@ def _tell(row, number, count, elapsed):
 
 def _options(arguments):
     from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, machines_of
+    from hydrotwin.discovery.structures.search import EFFORTS
 
     p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
     p.add_argument("--grid", choices=GRIDS, default="narrow", help="wide: every style, five machines; further: 3 more")
@@ -197,13 +198,13 @@ def _options(arguments):
     p.add_argument("--seeds", choices=SEEDS, default="tuning")
     p.add_argument("--seed", type=int, help="only this one of them; with --quick the first, if not given")
     p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
+    p.add_argument("--effort", choices=EFFORTS, default="normal", help="of discover")
+    p.add_argument("--time-limit", type=float, default=LIMIT, help=f"seconds of discover on a case ({LIMIT:g})")
     p.add_argument("--processes", type=int, default=2)
     p.add_argument("--out", type=Path, default=Path("out/gap"))
     p.add_argument("--limit", type=int, help="the first so many: a fair sample")
     p.add_argument("--quick", action="store_true", help="one seed, two severities, recordings of 20 s")
     p.add_argument("--no-oracle", action="store_true", help="do not refit the true structure")
     p.add_argument("--list", action="store_true", help="print the names of the cases and stop")
-    p.add_argument("--effort", default="normal", help="of discover")
-    p.add_argument("--time-limit", type=float, default=LIMIT, metavar="SECONDS", help="of discover")
     p.add_argument("--table", action="store_true", help="only write the table of the rows that are there")
     return p.parse_args(arguments)

@@ -10,8 +10,8 @@ import warnings
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.answer.findings import further_out
 from hydrotwin.discovery.discover import discover
-from hydrotwin.discovery.verdict import further_out
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError

@@ -23,7 +23,7 @@ from hydrotwin.identification.trials import FAR_MORE
 from hydrotwin.models.language.errors import SolveError
 
 from .answer.standing import Standing, standing
-from .evidence.gaps import CLEARLY, MEASURABLE, has_gap
+from .evidence.gaps import CLEARLY, LARGE, MEASURABLE, has_gap
 from .fits.job import Job, not_below, task_of
 from .fits.whole import FIRST, given, residuals_of
 from .structures.search import Search
@@ -99,9 +99,9 @@ def _stray_samples(search: Search, data: Split) -> Strays:
 
 
 def _stray_samples_of_judges(search: Search, data: Split) -> Strays:
-    """The same of those that judge, where the search has left nothing but noise."""
+    """The same of those that judge, where the search has left nothing that an error of the noise does not explain."""
     kept = standing(search.table).kept
-    if not data.report or _leaves(search, kept, MEASURABLE):
+    if not data.report or _leaves(search, kept, LARGE):
         return Strays()
     return _asked(search, kept, judge_samples, data.report)
 

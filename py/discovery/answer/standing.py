@@ -17,9 +17,10 @@ from ..structures.table import Entry, Table
 class Standing:
     """What a table says.
 
-    verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect; None without
-    any. order : its effects, the one that explains most alone first. class_ : structures that are told together.
-    part : whether the best, which does not explain all, is a part of what is missing.
+    verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect, beside
+    something else where that is more probable; None without any. order : its effects, the one that explains most alone
+    first. class_ : structures that are told together. part : whether the best, which does not explain all, is a part of
+    what is missing.
     """
 
     table: Table
@@ -68,16 +69,17 @@ def standing(table: Table) -> Standing:
     effects: Mapping[Key, float] = {k: p for k, p in posterior.structures.items() if k != NOTHING}
     best = table.entries[max(effects, key=lambda k: (effects[k], -scores[k]))] if effects else None
     nothing = posterior.structures.get(NOTHING, 0.0)
-    class_ = tuple(k for k in posterior.class_() if k != NOTHING)
+    class_, part = tuple(k for k in posterior.class_() if k != NOTHING), False
     if nothing >= max(posterior.else_, sum(effects.values())):
         verdict = "none"
     elif posterior.else_ > sum(effects.values()):
         verdict = "unknown"
+        best = table.entries[max(effects, key=posterior.beside.__getitem__)] if effects else None
+        part = best is not None and closed(table, best) >= DECIDING.part
     else:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
-    part = verdict == "unknown" and best is not None and closed(table, best) >= DECIDING.part
     return Standing(table, posterior, verdict, best, order, class_, part)
 
 

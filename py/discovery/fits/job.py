@@ -57,7 +57,8 @@ class Job:
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
     where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
-    which one to before which one a look goes; None for a fit to whole recordings. threads : over recordings.
+    which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
+    over recordings.
     """
 
     flat: FlatModel

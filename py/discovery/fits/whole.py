@@ -42,7 +42,7 @@ def step(job: Job) -> Look | Fitted | str:
     """The next step of a structure: longer windows, or whole recordings. Pure and picklable."""
     if job.stages is None:
         return fit(job)
-    return look(job) if job.question.lengths else glance(job)
+    return glance(job) if job.stages == (0, 0) else look(job)
 
 
 def fit(job: Job) -> Fitted | str:

@@ -54,6 +54,7 @@ EFFORTS = {
 SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
 FEWEST = 40  # windows of a length
+BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
 FIRST = 2  # structures of a size that are fitted, the most promising, before larger ones are looked at
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
@@ -96,23 +97,39 @@ class Search:
                 self._take([entry], self._ran([self._whole(entry)]))
 
     def _go(self) -> None:
-        table, base = self.table, self.identify()
+        self.identify()
         if self.explained():
             return
-        if not self.first:  # what is missing shows in whole recordings alone, and the base is near what it would be
-            table.question = dataclasses.replace(table.question, lengths=())
-            base.look = as_look(base.fitted)
-        for size in range(1, self.most + 1):
-            if len(table.candidates) < size:
-                break
+        if not (self.first and self._through(min(self.most, BY_WINDOWS))):
+            self._to_whole_recordings()
+        self._through(self.most)
+        entries = list(self.table.entries.values())
+        self._climb(entries, len(entries))
+        self._dropped()
+
+    def _through(self, most: int) -> bool:
+        """Go through structures of up to ``most`` effects until one explains all; whether any of them promises much."""
+        table, seen = self.table, []
+        for size in range(1, min(most, len(table.candidates)) + 1):
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
             self._looked(entries)
             self._climb(entries, FIRST if self.first else len(entries))
+            seen += entries
             if self.explained():
                 break
-        entries = list(table.entries.values())
-        self._climb(entries, len(entries))
-        self._dropped()
+        return any(table.promise(e) < EARLY for e in seen)
+
+    def _to_whole_recordings(self) -> None:
+        """Look at whole recordings from now on: windows show too little of what is missing.
+
+        The base is near what it would be then, or what is missing acts seldom.
+        """
+        table, base = self.table, self.table.entry()
+        table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
+        base.look = as_look(base.fitted)
+        for entry in table.entries.values():
+            if entry.open and entry.members:
+                entry.look = None
 
     def identify(self) -> Entry:
         """The base, led through all windows and fitted. Raises SolveError where it diverges."""

@@ -5,8 +5,8 @@
 m effects cost one name each out of N candidates, k parameters half the logarithm of n measured values each (BIC). No
 law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
 units of T. With the prior probability r the law of what is missing is only roughly the catalogue's, and S_rough allows
-for that. Something else would leave nothing, at the price of the best structure, and has a small prior. Beside something
-else the law of an effect is seen through what else is missing, so there structures are compared by exp(-S_beside / T).
+for that. Something else would leave nothing, at the price of the best structure, and has a small prior. Beside it the
+law of an effect is seen through what else is missing, so there structures are compared by exp(-S_beside / T).
 Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
 """
 

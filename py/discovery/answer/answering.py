@@ -237,7 +237,7 @@ def _not_testable(said: Standing) -> tuple[Ranked, ...]:
     found = []
     for c in said.table.candidates:
         entry = said.table.entries.get((c.label,))
-        if entry and not entry.failed and not testable(entry, c) and entry is not said.best:
+        if entry and not entry.failed and not testable(entry, c) and entry is not said.kept:
             nan, why = float("nan"), "it would not show in these recordings, whatever its size"
             found.append(
                 Ranked(c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, nan, nan, 0.0, "not testable", why)

@@ -87,6 +87,11 @@ def findings_of(search: Search, said: Standing, doubts: Iterable[str]) -> list[s
         "from one of those recordings, too, to decide it."
         for label in doubts
     ]
+    if said.verdict == "class" and table.base.flat.black_box:
+        found.append(
+            "gap: no experiment was designed to tell the class apart: it would run the FMU hundreds of times. What "
+            "separates its members stands with each of them."
+        )
     base = table.entry().fitted
     if said.verdict == "unknown" and base.at_bound:
         found.append(

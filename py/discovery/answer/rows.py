@@ -16,6 +16,7 @@ from .discovery import EffectParameter, Ranked
 from .standing import Standing, closed
 
 SHOWN = 12  # candidates of a step in the answer that were not fitted
+UNSEEN = 1e3  # times the most that is usual: what is known no better shows in nothing but rounding
 
 
 def rows_of(
@@ -85,7 +86,12 @@ def testable(entry: Entry, c: Candidate) -> bool:
     """Whether anything moves in the recordings that were looked at when its parameters do."""
     if entry.look is None or not entry.look.sigmas or not c.free:
         return True
-    return any(np.isfinite(entry.look.sigmas.get(n, np.inf)) for n in c.free)
+    return any(entry.look.sigmas.get(n, np.inf) < UNSEEN * _most(c, n) for n in c.free)
+
+
+def _most(c: Candidate, name: str) -> float:
+    """The most that a parameter of an effect usually moves; infinite where nothing is usual."""
+    return float(np.max(np.abs(np.subtract(c.typical.get(name, np.inf), c.neutral.get(name, 0.0)))))
 
 
 def _share(table: Table, entry: Entry) -> float:

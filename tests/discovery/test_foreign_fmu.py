@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.around.surroundings import surrounded
+from hydrotwin.discovery.discover import discover
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.export.repeated import runs_made
 from hydrotwin.identification import identify

@@ -10,19 +10,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hydrotwin.discovery import refit
 from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.fits import job, whole
 from hydrotwin.discovery.work.memory import Memory
-from hydrotwin.discovery.verdict import DOUBTED
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.models.language import Model
 from hydrotwin.records import Record
 from hydrotwin.report.gap_data import gap_data
 from tests.discovery.slides import (
     NOISE,
+    START,
     Inline,
     TwoSensors,
     drive_records,
+    fitted,
     found,
     question,
     record,
@@ -30,6 +31,7 @@ from tests.discovery.slides import (
     slide,
 )
 
+DOUBTED = "the recordings that judge are explained better without it"
 EFFECTS = ("coulomb_friction", "dead_time", "null_bias", "stribeck_friction")
 DRY, LATE = 50.0, 1  # N, samples
 JUDGED = ("probability", "role", "validate", "findings", "recordings", "provenance", "seconds", "verdict", "answer")
@@ -119,12 +121,15 @@ def test_whatever_validates_what_is_learned_is_the_same_to_the_bit(alone, hidden
 
 def test_a_start_that_only_validation_measures_does_not_reach_the_equations_of_the_fit(monkeypatch):
     """They would be compiled for one more free start, and need not round alike."""
-    known, prepared = {"speed": NOISE}, []
-    asked = question([late_to_begin(r) for r in records(3)], noise=known)
-    asked = dataclasses.replace(asked, select=question(records(3, first=7), noise=known).select)
-    compiled = refit.prepare
-    monkeypatch.setattr(refit, "prepare", lambda *a, **w: prepared.append(w["free_states"]) or compiled(*a, **w))
-    concluded = refit.conclude(refit.RefitJob(slide().flat, ("mass.mass", "mass.damping"), asked))
+    prepared, asked = [], question([late_to_begin(r) for r in records(3)])
+    asked = dataclasses.replace(asked, select=question(records(1, first=7), noise={"speed": NOISE}).fit[:1])
+    compiled = job.prepare
+    for module in (job, whole):
+        monkeypatch.setattr(module, "prepare", lambda *a, **w: prepared.append(w["free_states"]) or compiled(*a, **w))
+    known = fitted(asked)
+    prepared.clear()
+    last = job.Job(slide().flat, tuple(START), asked, (known.values,), known.states, known.rmse)
+    concluded = whole.conclude(last)
     assert prepared == [[], ["mass.speed"]]
     assert len(concluded.residuals_report) == 1 and np.isfinite(concluded.residuals_report[0]).all()
 

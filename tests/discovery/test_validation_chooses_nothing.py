@@ -32,7 +32,7 @@ from tests.discovery.slides import (
 )
 
 DOUBTED = "the recordings that judge are explained better without it"
-EFFECTS = ("coulomb_friction", "dead_time", "null_bias", "stribeck_friction")
+EFFECTS = ("coulomb_friction", "dead_time", "stribeck_friction")
 DRY, LATE = 50.0, 1  # N, samples
 JUDGED = ("probability", "role", "validate", "findings", "recordings", "provenance", "seconds", "verdict", "answer")
 
@@ -144,7 +144,7 @@ def test_an_effect_that_validation_speaks_against_stays_less_probable_and_with_a
         assert after["coulomb_friction"] > 0.9 * before["coulomb_friction"]
         notes = [f for f in answer.findings if DOUBTED in f]
         assert [n.partition(" is named")[0] for n in notes] == ["gap: dead_time at force"] * (not late)
-        assert (after["dead_time"] < 0.1 * before["dead_time"]) == (not late)
+        assert (after["dead_time"] < 0.5 * before["dead_time"]) == (not late)
 
 
 # -- around an FMU -----------------------------------------------------------------------------------------------------
@@ -157,28 +157,32 @@ def around(tmp_path_factory):
     return fmu, drives_around(fmu, memory), memory
 
 
-def drives(count, first, late=3, shift=0.8):
+def drives(count, first, late=3, scale=1.1):
     def later(u):
         return np.concatenate([np.full(late, u[0]), u[: len(u) - late]])
 
-    return drive_records(count, first, command=later, other=lambda w, time: w + shift)
+    return drive_records(count, first, command=later, other=lambda w, time: scale * w)
 
 
 def drives_around(fmu, memory, validate=()):
-    asked = {"effects": ["dead_time", "sensor_bias"], "executor": Inline(), "memory": memory}
+    asked = {"effects": ["dead_time", "sensor_scale"], "executor": Inline(), "memory": memory}
     return discover(fmu, drives(3, 0), validate=validate, **asked)
 
 
 @pytest.mark.parametrize(
     ("judging", "doubts"),
-    [(drives(1, 7), []), (drives(1, 7, shift=0.3), ["sensor_bias at other"]), (drives(1, 7, late=9, shift=-5.0), None)],
+    [
+        (drives(1, 7), []),
+        (drives(1, 7, scale=1.03), ["sensor_scale at other"]),
+        (drives(1, 7, late=9, scale=0.5), None),
+    ],
 )
 def test_around_an_fmu_what_validates_chooses_as_little(around, judging, doubts):
     fmu, first, memory = around
     fits = len(memory)
     answer = drives_around(fmu, memory, judging)
     assert len(memory) == fits > 3
-    assert {(s.effect, s.site) for s in first.steps} == {("dead_time", "command"), ("sensor_bias", "other")}
+    assert {(s.effect, s.site) for s in first.steps} == {("dead_time", "command"), ("sensor_scale", "other")}
     if doubts is None:
         assert (answer.verdict, answer.steps) == ("unknown", ())
         return

@@ -13,7 +13,7 @@ from hydrotwin.models.language.declarations import Input, Port
 from hydrotwin.models.language.model import Model
 
 APART = 1e6  # s between recordings that are seen as one
-MOST = 4  # starts of one effect: each costs a run
+MOST = 16  # starts of one effect: each costs a run
 
 
 def usual(candidate: Candidate, seen: Mapping[str, np.ndarray] | None = None) -> list[dict[str, float]]:

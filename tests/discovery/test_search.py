@@ -1,4 +1,4 @@
-"""The new search, on slides whose exact motion is known: windows find effects from a wrong base, and fits end there."""
+"""The search, on slides whose exact motion is known: windows find effects from a wrong base, and fits end there."""
 
 import dataclasses
 import time
@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.structures.search import EFFORTS, compatible
-from tests.discovery.slides import NOISE, records, searched, slide
+from tests.discovery.slides import NOISE, begun, found, records, searched, slide
 
 SOME = ("coulomb_friction", "null_bias", "dead_time", "sensor_bias", "sensor_scale", "command_saturation")
 
 
-def explored(runs, effects=SOME, **more):
-    return searched(runs, effects, **more)
+def one(search, name):
+    """The entry of an effect alone."""
+    return search.table.entry([next(c for c in search.table.candidates if c.id == name)])
 
 
 @pytest.fixture(scope="module")
 def rubbing():
     """30 N of dry friction."""
-    return explored(records(3, dry=30.0))
+    return searched(records(3, dry=30.0), SOME)
 
 
 def test_friction_is_found_with_its_force_from_a_base_that_is_30_percent_off(rubbing):
@@ -43,20 +44,20 @@ def test_every_candidate_was_looked_at_and_none_is_worse_than_the_base_it_contai
 
 
 def test_nothing_is_missing_where_nothing_is():
-    _, said = explored(records(3))
+    _, said = searched(records(3), SOME)
     assert said.verdict == "none"
     assert said.told()["nothing"] > 0.95
     assert not said.kept.members
 
 
 def test_a_push_that_no_effect_holds_gets_no_name():
-    _, said = explored(records(3, pulse=80.0), ("null_bias", "sensor_scale", "dead_time"))
+    _, said = searched(records(3, pulse=80.0), ("null_bias", "sensor_scale", "dead_time"))
     assert said.verdict == "unknown"
     assert said.told()["something else"] > 0.9
 
 
 def test_two_effects_of_which_neither_explains_the_gap_are_found_together():
-    _, said = explored(records(3, dry=50.0, late=3))
+    _, said = searched(records(3, dry=50.0, late=3), SOME)
     assert {c.id for c in said.order} == {"coulomb_friction", "dead_time"}
     values = said.best.fitted.values
     assert next(v for n, v in values.items() if n.endswith(".time")) == pytest.approx(0.06, abs=0.002)
@@ -64,7 +65,7 @@ def test_two_effects_of_which_neither_explains_the_gap_are_found_together():
 
 def test_a_time_limit_ends_the_search_with_what_is_known():
     began = time.monotonic()
-    search, said = explored(records(3, dry=30.0), time_limit=0.0)
+    search, said = searched(records(3, dry=30.0), SOME, time_limit=0.0)
     assert not search.complete
     assert said.verdict in ("unknown", "named")
     assert time.monotonic() - began < 30
@@ -84,7 +85,7 @@ def test_a_candidate_that_fails_costs_only_itself(monkeypatch):
         return real(self, entry)
 
     monkeypatch.setattr(table.Table, "model", broken)
-    search, said = explored(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
+    search, said = searched(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
     assert said.verdict == "named"
     assert [e.failed for e in search.table.entries.values() if e.failed] == ["no solution here"]
 
@@ -106,3 +107,72 @@ def test_scores_are_finite_and_the_noise_is_the_sensors(rubbing):
     search, _ = rubbing
     assert np.isfinite(list(search.table.scores().values())).all()
     assert search.table.noise == pytest.approx([NOISE])
+
+
+def test_no_candidate_is_forbidden_what_promises_little_only_waits():
+    search = begun(records(3, pulse=80.0), ("null_bias", "sensor_scale", "dead_time"), most=1)
+    search.effort = dataclasses.replace(search.effort, fits=99)
+    search.go()
+    assert search.complete and not search.waiting()
+    assert all(one(search, c.id).fitted for c in search.table.candidates)
+
+
+def test_a_search_that_its_time_limit_ended_says_so_and_what_it_would_have_tried():
+    answer = found(records(3, dry=30.0), SOME, time_limit=0.0)
+    assert answer.verdict in ("unknown", "named", "class")
+    assert answer.untried or answer.screened == 0
+    assert any("the time limit ended the search" in f for f in answer.findings)
+
+
+def test_a_fit_that_diverges_costs_only_its_candidate_which_is_told(monkeypatch):
+    from hydrotwin.discovery.structures import search as module
+
+    real = module.step
+    monkeypatch.setattr(module, "step", lambda job: "it diverges" if "null_bias" in job.label else real(job))
+    answer = found(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
+    assert [s.effect for s in answer.steps] == ["coulomb_friction"]
+    assert any("null_bias at force cannot be tried here (it diverges)" in f for f in answer.findings)
+
+
+@pytest.mark.parametrize("worse", [50.0, 1.0])
+def test_a_structure_is_never_left_worse_than_a_part_of_it(worse):
+    """As if the first fit of the pair had ended in a hollow: it goes on from where its part did."""
+    search, asked = begun(records(3, dry=30.0), ("coulomb_friction", "null_bias")), []
+    search.identify()
+    alone = one(search, "coulomb_friction")
+    while alone.open:
+        search._advance([alone])
+    table, real = search.table, search.run
+
+    def hollow(function, jobs, stage):
+        fits = real(function, jobs, stage)
+        asked.extend(job for job, f in zip(jobs, fits, strict=True) if hasattr(f, "at_bound"))
+        if len(asked) == 1 and hasattr(fits[0], "at_bound"):
+            left = dataclasses.replace(fits[0].left, squares=worse * fits[0].left.squares)
+            fits = [dataclasses.replace(fits[0], left=left)]
+        return fits
+
+    search.run = hollow
+    pair = table.entry(table.candidates)
+    while pair.open:
+        search._advance([pair])
+    assert table.score(pair) <= table.score(alone) + 1.0
+    assert len(asked) == (2 if worse > 1.0 else 1)
+    if worse > 1.0:
+        assert asked[1].starts[0]["mass.mass"] == alone.fitted.values["mass.mass"]
+
+
+def test_between_its_batches_a_search_pauses_and_a_base_is_identified_once():
+    paused = []
+    search = begun(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
+    search.pause = paused.append
+    base = search.identify()
+    assert search.identify() is base
+    search.go()
+    assert len(paused) > 3 and set(map(id, paused)) == {id(search)}
+
+
+@pytest.mark.xfail(strict=True, reason="a part whose own windows went astray is not fitted when an effect is dropped")
+def test_an_effect_that_is_idle_beside_two_others_is_dropped():
+    _, said = searched(records(3, dry=50.0, late=1), ("coulomb_friction", "dead_time", "null_bias"))
+    assert {c.id for c in said.order} == {"coulomb_friction", "dead_time"}

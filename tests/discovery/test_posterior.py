@@ -15,7 +15,7 @@ def of(rough=None, **scores):
     keys = {name: () if name == "base" else tuple(name) for name in scores}
     said = {keys[n]: s for n, s in scores.items()}
     loose = {keys[n]: (rough or {}).get(n, s) for n, s in scores.items()}
-    return posterior(said, loose, {k: len(k) for k in said}, PRICES)
+    return posterior(said, loose, said, {k: len(k) for k in said}, PRICES)
 
 
 def test_a_base_that_leaves_nothing_lacks_nothing():

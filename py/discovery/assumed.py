@@ -47,6 +47,11 @@ def fairly(
     """
     given_up: list[Change] = []
     search = begin(asked)
+    moving = Change() if search.explained() else _questioned(search, search.table.entry())
+    if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
+        given_up.append(moving)
+        asked = again(asked.model, "free")
+        search = begin(asked)
     strays = None
     for left in range(PATIENCE, -1, -1):
         search.go()

@@ -105,7 +105,7 @@ class Search:
         self._through(self.most)
         entries = list(self.table.entries.values())
         self._climb(entries, len(entries))
-        self._dropped()
+        self._simpler()
 
     def _through(self, most: int) -> bool:
         """Go through structures of up to ``most`` effects until one explains all; whether any of them promises much."""
@@ -217,19 +217,32 @@ class Search:
             groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
         return [table.entry(g) for g in groups if compatible(g)]
 
-    def _dropped(self) -> None:
-        """Fit the best structure without each of its effects, unless windows tell that this is less."""
+    def _simpler(self) -> None:
+        """Fit the best structure without each of its effects, and with those that they refine in their place."""
         while True:
             best = self.table.entries[self.table.posterior().best]
-            parts = [
-                self.table.entry(m for m in best.members if m is not gone)
-                for gone in best.members
-                if len(best.members) > 1
-            ]
-            fresh = [e for e in parts if e.open and not (self.first and self.table.promise(e) > EARLY)]
+            fresh = [e for e in self._less_than(best) if e.open and self._usable(e)]
             if not fresh:
                 return
-            self._advance(fresh, len(self.table.question.lengths))
+            self._take(fresh, self._ran([self._from_whole(e, best) for e in fresh]))
+
+    def _less_than(self, best: Entry) -> list[Entry]:
+        """Structures that say less than one: without an effect, or with a plainer form of it."""
+        found = []
+        for one in best.members:
+            rest = [m for m in best.members if m is not one]
+            found += [self.table.entry(rest)] if rest else []
+            plainer = [c for c in self.table.candidates if one.refines(c) and c not in best.members]
+            found += [self.table.entry([*rest, c]) for c in plainer]
+        return found
+
+    def _from_whole(self, entry: Entry, whole: Entry) -> Job:
+        """The fit of a structure that says less than another, from where that ended, else from where it began."""
+        known, own = whole.fitted, self._starts(entry)
+        names = self.table.names(entry)
+        begin = {n: v for n, v in known.values.items() if n in names}
+        starts = [{**start, **begin} for start in own]
+        return self.job(entry, [*starts, *own], states=known.states, size=known.rmse)
 
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:

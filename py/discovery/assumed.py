@@ -8,6 +8,7 @@ alone, where nothing but noise is left then: see `hydrotwin.identification.outli
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -67,7 +68,7 @@ def fairly(
                 continue
         hint = _questioned(search, search.table.entry())
         change = hint if hint.used or not said.kept.members else _questioned(search, said.kept)
-        if not change.used:
+        if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
             asked = asked if said.kept.members else asked.telling(hint.sentences)
             break
         given_up.append(change)

@@ -43,7 +43,6 @@ from .gap_tables import (
 )
 from .gap_text import capital, sentence
 from .gap_words import (
-    chose,
     class_sentence,
     display_units,
     experiment_sentence,
@@ -138,7 +137,7 @@ def _candidates(discovery: Discovery) -> Section:
     lead = (
         "Every effect of the catalogue at every place it fits. Promise: the part of the gap that short windows promise "
         "it would close, – where nobody looked. What promises most is fitted to whole recordings together with the "
-        f"base parameters. Gap closed is the share of the squared gap on {_judges_of_the_search(discovery)}."
+        "base parameters. Gap closed is the share of the squared gap on the recordings of the fit."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
@@ -202,14 +201,10 @@ def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 def _waterfall(discovery: Discovery) -> Section:
     parts = (waterfall_figure(discovery), waterfall_table(discovery)) if len(discovery.waterfall) > 1 else ()
     lead = (
-        f"The root of the mean squared error over noise of all outputs on {_judges_of_the_search(discovery)}, as the "
+        "The root of the mean squared error over noise of all outputs on the recordings of the fit, as the "
         "search left it: 1 is the noise of the sensors. Gap closed is the share of the squared gap."
     )
     return Section("waterfall", "What each effect closes", parts, lead)
-
-
-def _judges_of_the_search(discovery: Discovery) -> str:
-    return "the recordings for choosing" if chose(discovery) else "the recordings of the fit"
 
 
 def _shifts(discovery: Discovery) -> Section:
@@ -252,7 +247,7 @@ def _unknown(discovery: Discovery) -> Section:
     rows = discovery.unknown
     told = tuple(capital(sentence(u.sentence)) for u in rows if u.sentence)
     lead = "What is left, described by what was recorded. It has no physical name: take it as a hint where to look."
-    parts = (*((Note(told),) if told else ()), *((unknown_table(rows, chose(discovery)),) if rows else ()))
+    parts = (*((Note(told),) if told else ()), *((unknown_table(rows),) if rows else ()))
     if discovery.verdict == "unknown" and not rows:
         near = tried_last(discovery)
         last = f"None of the {len(near)} candidates of the last look explains what is left"

@@ -152,7 +152,7 @@ def _times_noise(discovery: Discovery, o: Overlay, output: str) -> float:
 
 def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:
     """Points per curve and the recordings drawn, those never used first, such that all curves fit into BUDGET."""
-    order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
+    order = {"report": 0, "validate": 0, "fit": 1, "train": 1}
     overlays = sorted(discovery.overlays, key=lambda o: order.get(o.role, 3))
     curves = 6 if discovery.steps else 4
     each = max(1, curves * max((len(o.measured) for o in overlays), default=1))

@@ -218,7 +218,7 @@ def shift_table(discovery: Discovery) -> Table:
 
 def recording_tables(discovery: Discovery, shown: Mapping[str, str]) -> list[Table]:
     """For each output the recordings, those never used first."""
-    order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
+    order = {"report": 0, "validate": 0, "fit": 1, "train": 1}
     recordings = sorted(discovery.recordings, key=lambda r: order.get(r.role, 3))
     outputs = dict.fromkeys(o.output for r in recordings for o in r.outputs)
     return [_by_recording(output, recordings, shown, bool(discovery.steps)) for output in outputs]
@@ -248,16 +248,15 @@ def _by_recording(output: str, recordings: Sequence[RecordingGap], shown: Mappin
     return table(f"recordings_{output}", output, columns)
 
 
-def unknown_table(rows: Sequence[Unknown], chose: bool = True) -> Table:
-    """What was left without a name: what it follows, how much of it that explains, where some recordings ``chose``."""
+def unknown_table(rows: Sequence[Unknown]) -> Table:
+    """What was left without a name: what it follows, and how much of it that explains."""
     columns = [
         texts("output", "Output", [u.output for u in rows]),
         texts("inputs", "Described by", [joined(u.inputs) for u in rows]),
         _percents("explained", "Explains of it", [u.explained for u in rows]),
         texts("formula", "Formula", [u.formula for u in rows]),
     ]
-    where = "the recordings for choosing" if chose else "the second half of each recording"
-    note = f"Shares of the squared residual on {where}; formulas in SI."
+    note = "Shares of the squared residual on recordings that the formula was not made from; formulas in SI."
     return table("unknown", "", _told(columns), note)
 
 

@@ -72,10 +72,10 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     """What speaks against the answer: a recording that got worse, values that are not plausible, bounds."""
     found = []
     judged = (o for r in discovery.recordings if r.role == "report" for o in r.outputs)
-    if discovery.steps and not chose(discovery) and not any(math.isfinite(o.gap_closed) for o in judged):
+    if discovery.steps and not any(math.isfinite(o.gap_closed) for o in judged):
         found.append(
-            "No recording confirms this: what some show the others do not, so all were fitted to. Record another run "
-            "that moves like them."
+            "No recording confirms this: none that took no part shows the gap. Record another run that moves like "
+            "those, and give it with --validate."
         )
     for r in discovery.recordings if discovery.steps else ():
         worse = [f"{o.output} (RMSE {_change(o, shown)})" for o in r.outputs if got_worse(o)]
@@ -99,12 +99,7 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def chose(discovery: Discovery) -> bool:
-    """Whether some recordings were kept from the fits, to choose by."""
-    return any(r.role == "select" for r in discovery.recordings)
-
-
-ROLES = {"fit": "fitted", "select": "for choosing", "report": "never used", "train": "fitted", "validate": "never used"}
+ROLES = {"fit": "fitted", "report": "never used", "train": "fitted", "validate": "never used"}
 
 
 def step_sentence(step: Step) -> str:

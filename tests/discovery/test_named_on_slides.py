@@ -246,7 +246,9 @@ def test_a_slow_lag_that_the_damping_of_the_base_stands_in_for_is_named_with_its
 
 # -- what does not last ------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("changing", [{"dry": 20.0, "then": 60.0}, {"leaning": 40.0}], ids=["friction", "force"])
-def test_what_changes_while_it_is_recorded_gets_no_name(changing):
+def test_what_changes_while_it_is_recorded_is_at_most_a_part_of_what_is_missing(changing):
     asked = ["coulomb_friction", "null_bias"]
     answer = found(records(3, **changing), asked, validate=records(1, 8, **changing))
-    assert answer.verdict == "unknown" and not answer.steps and not answer.model.additions
+    assert answer.verdict == "unknown"
+    said = "of what is missing" in answer.answer and "has no name in the catalogue" in answer.answer
+    assert said or not answer.steps

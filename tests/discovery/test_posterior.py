@@ -113,9 +113,9 @@ def test_probabilities_add_up_to_one():
 
 def test_a_class_holds_95_percent_of_what_is_known_and_nothing_below_a_hundredth():
     def class_(**p):
-        return Posterior({tuple(k): v for k, v in p.items()}, 0.0).class_()
+        return Posterior({tuple(k): v for k, v in p.items()}, 0.0, {}).class_()
 
     assert class_(a=0.6, b=0.3, c=0.08, d=0.02) == [("a",), ("b",), ("c",)]
     assert class_(a=0.96, b=0.04) == [("a",)]
     assert class_(a=0.94, **{c: 0.006 for c in "bcdefghijk"}) == [("a",)]
-    assert Posterior({("a",): 0.06, ("b",): 0.04}, 0.9).class_() == [("a",), ("b",)], "shares of what is known"
+    assert Posterior({("a",): 0.06, ("b",): 0.04}, 0.9, {}).class_() == [("a",), ("b",)], "shares of what is known"

@@ -172,7 +172,6 @@ def test_between_its_batches_a_search_pauses_and_a_base_is_identified_once():
     assert len(paused) > 3 and set(map(id, paused)) == {id(search)}
 
 
-@pytest.mark.xfail(strict=True, reason="a part whose own windows went astray is not fitted when an effect is dropped")
 def test_an_effect_that_is_idle_beside_two_others_is_dropped():
     _, said = searched(records(3, dry=50.0, late=1), ("coulomb_friction", "dead_time", "null_bias"))
     assert {c.id for c in said.order} == {"coulomb_friction", "dead_time"}

@@ -59,11 +59,19 @@ def test_two_that_explain_it_as_well_are_a_class_and_each_stands_for_the_other(t
     assert [said.probability(c.label) for c in said.members(first)] == pytest.approx([0.95 / 1.95] * 2, abs=0.01)
 
 
-def test_what_leaves_a_part_of_the_gap_is_something_else(table):
+def test_what_leaves_much_of_the_gap_is_a_part_of_it_beside_something_else(table):
     said = fitted(table, base=30.0, coulomb_friction=10.0, null_bias=20.0)
-    assert said.verdict == "unknown" and said.kept is table.entry()
+    assert said.verdict == "unknown" and said.part and said.kept is said.best
+    (label,) = said.best.key
+    assert said.probability(label) == pytest.approx(0.8, abs=0.02)
     assert said.best.members[0].id == "coulomb_friction"
     assert said.posterior.else_ > 0.95
+
+
+def test_what_closes_less_than_half_of_the_gap_is_not_told_as_a_part(table):
+    said = fitted(table, base=30.0, coulomb_friction=25.0)
+    assert said.verdict == "unknown" and not said.part and said.kept is table.entry()
+    assert said.members(said.best.members[0]) == [said.best.members[0]]
 
 
 def test_of_a_pair_that_which_explains_most_alone_comes_first(table):

@@ -275,7 +275,7 @@ def test_a_run_that_fails_leaves_the_answer_of_an_earlier_one(answered, asked, e
     before, asked.side_effect = contents(answered / "gap"), error
     answer = hydrotwin(*GAP)
     assert answer.code == code and str(error) in answer.said
-    assert "gap/gap.json keeps the answer of an earlier run; why this run failed is in gap/failure.json" in answer.said
+    assert "gap/gap.json is that of an earlier run; why this run failed is in gap/failure.json" in answer.said
     after = contents(answered / "gap")
     assert after.keys() - before.keys() == {"failure.json"} and before.items() <= after.items()
     assert json.loads((answered / "gap/failure.json").read_text())["findings"] == [str(error)]

@@ -32,7 +32,7 @@ NAN = float("nan")
 UNITS = {"arm_angle": "rad", "pressure_cap": "Pa", "motor_speed": "rad/s"}
 NOISE = {"arm_angle": 1.1e-4, "pressure_cap": 8.0e3, "motor_speed": 0.8}
 GAP = {"arm_angle": 1.1e-2, "pressure_cap": 2.4e5, "motor_speed": 0.0}  # size of the gap where the arm sinks
-ROLES = {"run_1": "fit", "run_2": "fit", "run_3": "select", "run_4": "report", "slow_5": "report"}
+ROLES = {"run_1": "fit", "run_2": "fit", "run_3": "fit", "run_4": "report", "slow_5": "report"}
 
 
 class Motor(Component):

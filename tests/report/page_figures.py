@@ -69,7 +69,7 @@ def gap_figures(data: dict) -> dict[str, list[dict]]:
     tables["waterfall"] = [{**r, "gap_closed": c} for r, c in zip(data["waterfall"], closed, strict=True)]
     tables["shifts"] = [_shift(s) for s in data["shifts"]]
     tables["fit_after"] = _parameters(data["parameters"])
-    order = {"report": 0, "select": 1, "fit": 2}
+    order = {"report": 0, "fit": 1}
     recordings = sorted(data["recordings"], key=lambda r: order[r["role"]])
     for output in dict.fromkeys(o for r in recordings for o in r["outputs"]):
         of = [r["outputs"][output] for r in recordings if output in r["outputs"]]

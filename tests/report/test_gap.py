@@ -145,7 +145,7 @@ def test_overlays_put_unseen_recordings_first_and_the_error_below():
     found = named()
     group = overlay_groups(found, display_units(found))[0]
     assert [(f.row, f.label) for f in group.figures] == [
-        *(("never used", "run_4"), ("never used", "slow_5"), ("for choosing", "run_3")),
+        *(("never used", "run_4"), ("never used", "slow_5")),
     ]
     measured, _, after, _, error, _ = group.figures[0].spec["data"]
     gap = np.asarray(unpacked(error["y"]))
@@ -225,7 +225,7 @@ def test_a_recording_that_got_worse_is_marked_in_its_table():
     table = next(t for t in page.tables if t.id == "recordings_arm_angle")
     marked = [row[0].text for row in table.rows if row[3].tone == "warning"]
     assert marked == ["slow_5"]
-    assert [row[1].text for row in table.rows] == ["never used"] * 2 + ["for choosing"] + ["fitted"] * 2
+    assert [row[1].text for row in table.rows] == ["never used"] * 2 + ["fitted"] * 3
 
 
 def test_intervals_get_the_digits_that_they_give_sense_to():

@@ -87,7 +87,7 @@ def gap(
     initial_states: Annotated[
         str, typer.Option(help="auto; free: start states are estimated, for a load or a level nobody measured; fixed")
     ] = "auto",
-    max_effects: Annotated[int, typer.Option(min=1, help="most effects to add, one after the other")] = 3,
+    max_effects: Annotated[int, typer.Option(min=1, help="most effects to add together")] = 3,
     effort: Annotated[
         str, typer.Option(metavar="HOW", help="quick, normal or thorough: how many combinations are fitted, how long")
     ] = "normal",
@@ -107,8 +107,9 @@ def gap(
 ) -> None:
     """Find out which physical effect a model lacks, add it, and show what it closes.
 
-    Where simulation and recordings disagree, every effect of the catalogue is tried at every place it fits. The answer
-    is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
+    Every effect of the catalogue is looked at, at every place it fits. Those that promise most are fitted, alone and
+    together. The answer is one of four: none, this one, one of these with the experiment that tells them apart, or
+    unknown.
     """
     from hydrotwin.discovery.discover import discover
     from hydrotwin.discovery.work.executor import executor_for

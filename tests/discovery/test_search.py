@@ -6,7 +6,8 @@ import time
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.structures.search import EFFORTS, compatible
+from hydrotwin.discovery.structures.search import EFFORTS
+from hydrotwin.discovery.structures.starts import compatible
 from tests.discovery.slides import NOISE, begun, found, records, searched, slide
 
 SOME = ("coulomb_friction", "null_bias", "dead_time", "sensor_bias", "sensor_scale", "command_saturation")

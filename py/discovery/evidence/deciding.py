@@ -28,12 +28,12 @@ class Deciding:
     law: float = 0.02
     beside: float = 0.3
     rough: float = 0.1
-    rarely: float = 0.1
+    rarely: float = 0.05
     known: float = 0.05
     chance: float = 3.0
     coarse: float = 2.5
     tempered: float = 0.002
-    something_else: float = 0.05
+    something_else: float = 0.04
     in_class: float = 0.95
     told: float = 0.01
     part: float = 0.5

@@ -54,7 +54,7 @@ def fairly(
         asked = again(asked.model, "free")
         search = begin(asked)
     strays = None
-    for left in range(PATIENCE, -1, -1):
+    for left in range(PATIENCE - len(given_up), -1, -1):
         search.go()
         said = standing(search.table)
         if not left or not _in_doubt(search, said):

@@ -114,7 +114,8 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
 
     def begin(asked):
         begun.append(asked.initial_states)
-        return SimpleNamespace(go=lambda: None, complete=True, table=SimpleNamespace(entry=lambda: None))
+        table = SimpleNamespace(entry=lambda: None)
+        return SimpleNamespace(go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table)
 
     kept = SimpleNamespace(members=())
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept))

@@ -309,7 +309,7 @@ def test_progress_tells_every_stage_in_order():
     told = []
     found(records(3, dry=30.0), ["coulomb_friction", "null_bias"], progress=lambda *said: told.append(said))
     stages = list(dict.fromkeys(stage for stage, *_ in told))
-    assert stages == ["identify the base", "search", "final fit"]
+    assert stages == ["identify the base", "search", "what was assumed", "final fit"]
     assert all(0 <= done <= total for _, done, total, _ in told if total)
 
 

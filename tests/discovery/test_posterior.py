@@ -7,6 +7,7 @@ from hydrotwin.discovery.evidence.deciding import DECIDING
 from hydrotwin.discovery.evidence.posterior import Posterior, Prices, posterior, temperature
 
 PRICES = Prices(100, 10_000)
+KNOWN, ELSE = 1 - DECIDING.something_else, DECIDING.something_else
 NAME, VALUE = np.log(100), 0.5 * np.log(10_000)
 
 
@@ -67,7 +68,7 @@ def test_a_law_that_is_only_roughly_the_machines_is_named_but_less_surely():
 # -- by hand: a name of a hundred costs ln 100, its value half of ln 10 000, together a factor of 1e-4 -----------------
 def test_one_effect_against_nothing():
     said = of(base=10.0, a=0.0)
-    nothing, one, other = 0.95 * np.exp(-10.0), 0.95e-4, 0.05e-4
+    nothing, one, other = KNOWN * np.exp(-10.0), KNOWN * 1e-4, ELSE * 1e-4
     whole = nothing + one + other
     assert said.structures == pytest.approx({(): nothing / whole, ("a",): one / whole})
     assert said.else_ == pytest.approx(other / whole)
@@ -75,22 +76,22 @@ def test_one_effect_against_nothing():
 
 def test_a_pair_against_one_of_it_and_something_else():
     said = of(base=60.0, a=12.0, ab=0.0)
-    one, pair, other = 0.95e-4 * np.exp(-12.0), 0.95e-8, 0.05e-8
-    whole = one + pair + other + 0.95 * np.exp(-60.0)
+    one, pair, other = KNOWN * 1e-4 * np.exp(-12.0), KNOWN * 1e-8, ELSE * 1e-8
+    whole = one + pair + other + KNOWN * np.exp(-60.0)
     assert said.structures[("a",)] == pytest.approx(one / whole)
     assert said.structures[("a", "b")] == pytest.approx(pair / whole)
     assert said.else_ == pytest.approx(other / whole), "as dear as the best"
 
 
 def test_a_rough_law_counts_with_its_prior():
-    said = of(base=60.0, a=30.0, rough={"a": 4.0})
-    one = 0.95e-4 * (0.9 * np.exp(-30.0) + 0.1 * np.exp(-4.0))
-    assert said.structures[("a",)] == pytest.approx(one / (one + 0.05e-4 + 0.95 * np.exp(-60.0)))
+    said, r = of(base=60.0, a=30.0, rough={"a": 4.0}), DECIDING.rarely
+    one = KNOWN * 1e-4 * ((1 - r) * np.exp(-30.0) + r * np.exp(-4.0))
+    assert said.structures[("a",)] == pytest.approx(one / (one + ELSE * 1e-4 + KNOWN * np.exp(-60.0)))
 
 
 def test_without_any_effect_it_is_nothing_or_something_else():
     said = of(base=8.0)
-    nothing, other = 0.95 * np.exp(-8.0), 0.05e-4
+    nothing, other = KNOWN * np.exp(-8.0), ELSE * 1e-4
     assert said.else_ == pytest.approx(other / (nothing + other))
 
 

@@ -57,6 +57,7 @@ FEWEST = 40  # windows of a length
 BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
 FIRST = 2  # structures of a size that are fitted, the most promising, before larger ones are looked at
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
+SOON = 2.0  # looks that a fit from where a good one ended may take
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 
 
@@ -243,7 +244,7 @@ class Search:
         Others are asked only where the best explains all; what leaves as little is not.
         """
         table, found = self.table, []
-        others = self._promising()[: self.effort.fits] if self.explained() else []
+        others = self._promising()[: self.effort.together] if self.explained() else []
         for one in best.members:
             rest = [m for m in best.members if m is not one]
             found += [table.entry(rest)] if rest else []
@@ -253,11 +254,11 @@ class Search:
         return [e for e in found if not (e.fitted and table.score(e) < enough)]
 
     def _from_there(self, entry: Entry, best: Entry) -> Job:
-        """The fit of a structure from where the best ended, its own effects at usual sizes."""
+        """The fit of a structure from where the best ended, its own effects at usual sizes; soon done if it is right."""
         known, own, names = best.fitted, self._starts(entry), self.table.names(entry)
         begin = {n: v for n, v in known.values.items() if n in names}
-        starts = [{**start, **begin} for start in own]
-        return self.job(entry, starts, states=known.states, size=known.rmse)
+        starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
+        return self.job(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
 
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:

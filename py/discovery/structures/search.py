@@ -254,7 +254,7 @@ class Search:
         return [e for e in found if not (e.fitted and table.score(e) < enough)]
 
     def _from_there(self, entry: Entry, best: Entry) -> Job:
-        """The fit of a structure from where the best ended, its own effects at usual sizes; soon done if it is right."""
+        """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
         known, own, names = best.fitted, self._starts(entry), self.table.names(entry)
         begin = {n: v for n, v in known.values.items() if n in names}
         starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look

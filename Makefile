@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 OUT ?= out/demo
 WORKERS ?= 2
 TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
-GAP ?= --quick --limit 10 --methods discover bic sindy gp --out out/gap_quick
+GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 

@@ -1,4 +1,4 @@
-"""What the workflow is held against: BIC alone, sparse regression of the residual, a Gaussian process on it."""
+"""What the workflow is held against: residuals of the identified base, and a Gaussian process on them."""
 
 from __future__ import annotations
 
@@ -6,44 +6,17 @@ import time
 
 import numpy as np
 
-from hydrotwin.discovery.refit import Refitted
-
 from .refits import Bench
-from .score import Answer, Named
+from .score import Answer
 
 POINTS = 500  # of the Gaussian process
 LAGS = (0.0, 0.02, 0.05, 0.1, 0.3)  # of the command [s]
 
 
-def bic_alone(bench: Bench) -> Answer:
-    """Refit every candidate, take the lowest BIC = 2 L + k ln n, every sample counted; the base model competes."""
-    began, samples = time.perf_counter(), float(np.nansum(bench.question.counts))
-
-    def bic(found: Refitted) -> float:
-        return 2 * found.likelihood + found.parameters * np.log(samples)
-
-    best, chosen = bench.base, None
-    scores = [bic(best)]
-    for candidate in bench.candidates:
-        found = bench.refitted([candidate], follow=1)
-        if isinstance(found, str):
-            continue
-        scores.append(bic(found))
-        if scores[-1] < bic(best):
-            best, chosen = found, candidate
-    weights = np.exp(-0.5 * (np.array(scores) - min(scores)))
-    named = ()
-    if chosen is not None:
-        parameters = tuple((n, best.values[n], np.nan, np.nan) for n in chosen.free)
-        named = (Named(chosen.id, chosen.site.name, (), float(1 / weights.sum()), parameters),)
-    verdict = "named" if named else "none"
-    return Answer(verdict, named, bench.rmse(bench.base), bench.rmse(best), time.perf_counter() - began)
-
-
 def free_runs(bench: Bench):
     """Free runs of the identified base model: per recording (record, simulated outputs by name), fit then held out."""
     names = [s.name for s in bench.model.flat.outputs]
-    residual = (*bench.base.residuals_fit, *bench.base.residuals_select)
+    residual = (*bench.base.residuals_fit, *bench.base.residuals_report)
     records = (*bench.made.fit, *bench.made.held_out)
     return [
         (record, {n: record[n] + r[:, names.index(n)] for n in bench.made.noise})
@@ -66,7 +39,7 @@ def residuals(bench: Bench) -> tuple[list[np.ndarray], list[np.ndarray]]:
     sigma = np.array([bench.made.noise[n] for n in bench.made.noise])
     names = [s.name for s in bench.model.flat.outputs]
     kept = [names.index(n) for n in bench.made.noise]
-    groups = (bench.base.residuals_fit, bench.base.residuals_select)
+    groups = (bench.base.residuals_fit, bench.base.residuals_report)
     return tuple([-r[:, kept] / sigma for r in group] for group in groups)
 
 

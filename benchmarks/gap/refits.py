@@ -1,83 +1,87 @@
-"""Structures refitted to a case by the project's own refit: the oracle, and what the BIC baseline chooses from."""
+"""What baselines need of a case: its base identified, and the oracle, the true structure fitted from the truth."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
-import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from itertools import product
 
 import numpy as np
 
-from hydrotwin.discovery.refit import Question, RefitJob, Refitted, pooled_rmse, refit
+from hydrotwin.discovery.evidence.gaps import pooled_rmse
+from hydrotwin.discovery.fits.job import Fitted, Question
+from hydrotwin.discovery.fits.whole import Concluded, conclude, fit
+from hydrotwin.discovery.structures.search import EFFORTS, Search
+from hydrotwin.discovery.structures.table import Entry, Table
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
 
 from .cases import Made
-from .score import PARAMETERS, is_it
+from .score import PARAMETERS, is_it, times_noise
 
+EFFORT = dataclasses.replace(EFFORTS["normal"], iterations=30, seconds=120.0)
 STARTS = 6
 
 
 class Bench:
-    """One case, its identified base model, and refits of it with effects added."""
+    """One case, its identified base model, and fits of it with effects added."""
 
     def __init__(self, made: Made):
         self.made, self.model = made, made.model
 
     @cached_property
-    def free(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.model.flat.parameters if p.free)
-
-    @cached_property
-    def question(self) -> Question:
+    def search(self) -> Search:
+        """The fits of `discover`, with the noise told and the base within the bounds of its model."""
         flat = self.model.flat
-        fit, held_out = (recordings(flat, r, None, "record") for r in (self.made.fit, self.made.held_out))
-        return Question(fit, held_out, np.array([self.made.noise.get(s.name, np.nan) for s in flat.outputs]))
+        noise = np.array([self.made.noise.get(s.name, np.nan) for s in flat.outputs])
+        free = tuple(p.name for p in flat.parameters if p.free)
+        asked = Question(recordings(flat, self.made.fit, None, "record"), noise)
+        none, told = np.zeros_like(noise), np.ones(len(noise), bool)
+        table = Table(self.model, free, candidates(self.model), asked, none, told)
+        return Search(table, lambda function, jobs, _: [function(job) for job in jobs], EFFORT)
 
     @cached_property
-    def base(self) -> Refitted:
-        """The base model from its nominal values: through short windows, and where they lead nowhere, without."""
-        found = refit(RefitJob(self.model.flat, self.free, self.question, coarse=True))
-        if isinstance(found, str):
-            found = refit(RefitJob(self.model.flat, self.free, self.question))
-        if isinstance(found, str):
-            raise RuntimeError(found)
-        return found
+    def base(self) -> Concluded:
+        """The base from its nominal values, through windows, as `discover` identifies it."""
+        entry = self.search.identify()
+        return self._concluded(entry, entry.fitted)
 
-    @cached_property
-    def candidates(self) -> tuple[Candidate, ...]:
-        return candidates(self.model)
+    def fitted(self, chosen: Sequence[Candidate], starts: Sequence[Mapping[str, float]], states=()) -> Fitted | None:
+        """The base with effects added, everything free, from the cheapest start; None where it diverges."""
+        found = fit(self.search.job(self.search.table.entry(chosen), starts, states=states))
+        return found if isinstance(found, Fitted) else None
 
-    def refitted(self, chosen: Sequence[Candidate], follow: int = 2, base=None, own=()) -> Refitted | str:
-        """The base model with candidates added, everything free, from their probes (the best ``follow`` go on).
+    def concluded(self, chosen: Sequence[Candidate], found: Fitted) -> Concluded:
+        """What a fit leaves of the held-out recordings, too."""
+        return self._concluded(self.search.table.entry(chosen), found)
 
-        base: values of the base parameters to start from, in place of those of the base model fitted.
-        own: values of the candidates' parameters to start from besides.
-        """
-        model = self.model.plus([c.addition for c in chosen], sought=True)
-        free = tuple(dict.fromkeys([*self.free, *(name for c in chosen for name in c.free)]))
-        probes = product(*((*c.probes, dict(c.neutral)) for c in chosen))
-        points = [dict(own)] if own else []
-        points += [{k: v for probe in several for k, v in probe.items()} for several in probes]
-        starts = tuple({**(base or self.base.values), **point} for point in points[:STARTS])
-        return refit(RefitJob(model.flat, free, self.question, starts, follow=follow))
+    def _concluded(self, entry: Entry, found: Fitted) -> Concluded:
+        job = self.search.job(entry, [found.values], states=found.states, size=found.rmse)
+        held_out = recordings(self.model.flat, self.made.held_out, None, "record")
+        one = conclude(dataclasses.replace(job, question=dataclasses.replace(job.question, select=held_out)))
+        if isinstance(one, str):
+            raise RuntimeError(one)
+        return one
 
-    def rmse(self, found: Refitted) -> dict[str, float]:
-        """Held-out RMSE by recorded output, SI."""
+    def by_output(self, values: np.ndarray) -> dict[str, float]:
+        """Of the recorded outputs."""
         names = [s.name for s in self.model.flat.outputs]
-        left = pooled_rmse(found.residuals_select)
-        return {n: float(v) for n, v in zip(names, left, strict=True) if n in self.made.noise}
+        return {n: float(v) for n, v in zip(names, values, strict=True) if n in self.made.noise}
+
+    def rmse(self, found: Concluded) -> dict[str, float]:
+        """Held-out RMSE by recorded output, SI."""
+        return self.by_output(pooled_rmse(found.residuals_report))
 
 
 def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
-    """Held-out RMSE of the true structure refitted; None where the catalogue cannot express it.
+    """Held-out RMSE of the true structure fitted; None where the catalogue cannot express it.
 
-    It starts from the base model fitted and from the true base parameters, from probes and, where they can be compared,
-    from the true parameters of the effects: it is the best that can be, not a rival.
-    ``without``: the number of a hidden effect to leave out, to see whether it is needed.
+    It starts from the truth, as far as it can be compared, and from the fitted base with the effects at their probes:
+    it is the best that can be, not a rival. ``without``: the number of a hidden effect to leave out, to see whether it
+    is needed.
     """
     made, sets = bench.made, []
     if made.case.kind == "none":
@@ -87,16 +91,22 @@ def oracle(bench: Bench, without: int | None = None) -> dict[str, float] | None:
             continue
         if effect not in CATALOGUE:
             return None
-        fitting = [c for c in bench.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
+        fitting = [c for c in bench.search.table.candidates if c.id == effect and is_it(made, h, c.id, c.site.name)]
         if not fitting:
             return None
         sets.append([(c, at_truth(made, h, c)) for c in fitting])
-    found = []
-    for pairs, base in product(product(*sets), (None, made.truth)):
+    found, base = [], bench.base.fitted
+    for pairs in product(*sets):
+        chosen = [c for c, _ in pairs]
         own = {name: value for _, values in pairs for name, value in values.items()}
-        found.append(bench.refitted([c for c, _ in pairs], base=base, own=own))
-    found = [r for r in found if not isinstance(r, str)]
-    return bench.rmse(min(found, key=lambda r: r.likelihood)) if found else None
+        probes = list(product(*((*c.probes, dict(c.neutral)) for c in chosen)))[:STARTS]
+        points = [{k: v for probe in several for k, v in probe.items()} for several in probes]
+        true = [{**point, **made.truth, **own} for point in points]
+        for starts, states in ((true, ()), ([{**base.values, **p} for p in points], base.states)):
+            fitted = bench.fitted(chosen, starts, states)
+            found += [(chosen, fitted)] if fitted else []
+    left = [times_noise(bench.by_output(fitted.rmse), made.noise) for _, fitted in found]
+    return bench.rmse(bench.concluded(*found[int(np.argmin(left))])) if found else None
 
 
 def at_truth(made: Made, hidden: int, candidate: Candidate) -> dict[str, float]:
@@ -110,9 +120,3 @@ def at_truth(made: Made, hidden: int, candidate: Candidate) -> dict[str, float]:
         if isinstance(true, (int, float)) and math.isfinite(true):
             values[path] = float(true)
     return values
-
-
-def timed(work, *arguments):
-    """``(answer, seconds)``."""
-    began = time.perf_counter()
-    return work(*arguments), time.perf_counter() - began

@@ -11,13 +11,14 @@ import multiprocessing
 import os
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
-METHODS = ("discover", "explore", "plain", "bic", "sindy", "gp")
+METHODS = ("discover", "plain", "sindy", "gp")
+LIMIT = 300.0  # s of a search
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
 
@@ -33,8 +34,13 @@ class Here(Executor):
         return future
 
 
-def rows_of(name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None) -> list[dict]:
-    """Every row of one case; its own process, so that nothing it does is left behind. memory: a folder for fits."""
+def rows_of(
+    name: str, methods: Sequence[str], with_oracle: bool, memory: Path | None = None, settings: Mapping | None = None
+) -> list[dict]:
+    """Every row of one case; its own process, so that nothing it does is left behind.
+
+    memory : a folder for the fits of ``plain``. settings : of `discover`.
+    """
     from benchmarks.gap.cases import Case, Unreachable, make
 
     try:
@@ -43,10 +49,10 @@ def rows_of(name: str, methods: Sequence[str], with_oracle: bool, memory: Path |
         return [{"case": name, "method": method, "unreachable": str(reason)} for method in methods]
     except Exception as error:
         return [{"case": name, "method": m, "failed": f"{type(error).__name__}: {error}"} for m in methods]
-    return _judged(made, methods, with_oracle, memory)
+    return _judged(made, methods, with_oracle, memory, settings or {})
 
 
-def _judged(made, methods, with_oracle, memory) -> list[dict]:
+def _judged(made, methods, with_oracle, memory, settings) -> list[dict]:
     from benchmarks.gap.refits import Bench, oracle
     from benchmarks.gap.score import row_of
 
@@ -60,23 +66,20 @@ def _judged(made, methods, with_oracle, memory) -> list[dict]:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
         try:
-            rows.append(row_of(made, _answer(method, made, bench, memory), method=method, oracle=best, lacking=lacking))
+            answer = _answer(method, made, bench, memory, settings)
+            rows.append(row_of(made, answer, method=method, oracle=best, lacking=lacking))
         except Exception as error:
             rows.append({"case": made.case.name, "method": method, "failed": f"{type(error).__name__}: {error}"})
     return rows
 
 
-def _answer(method, made, bench, memory):
-    from benchmarks.gap.score import answer_of
-
+def _answer(method, made, bench, memory, settings):
     if method == "discover":
+        from benchmarks.gap.score import answer_of
         from hydrotwin.discovery.discover import discover
 
-        return answer_of(discover(made.model, made.fit, validate=made.held_out, executor=Here()))
-    if method == "explore":
-        from benchmarks.gap.explored import explored
-
-        return explored(made, Here())
+        found = discover(made.model, made.fit, validate=made.held_out, executor=Here(), **settings)
+        return answer_of(found, settings)
     if method == "plain":
         from benchmarks.gap.plain import plain
 
@@ -85,9 +88,9 @@ def _answer(method, made, bench, memory):
         from benchmarks.gap.sindy import sparse_regression
 
         return sparse_regression(bench)
-    from benchmarks.gap import baselines
+    from benchmarks.gap.baselines import gaussian_process
 
-    return {"bic": baselines.bic_alone, "gp": baselines.gaussian_process}[method](bench)
+    return gaussian_process(bench)
 
 
 def read_rows(path: Path) -> list[dict]:
@@ -162,7 +165,8 @@ def _finished(jobs, options):
     context = multiprocessing.get_context("spawn")
     for batch in [jobs[i : i + BATCH] for i in range(0, len(jobs), BATCH)]:
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            asked = not options.no_oracle, options.out / "fits"
+            settings = {"effort": options.effort, "time_limit": options.time_limit}
+            asked = not options.no_oracle, options.out / "fits", settings
             futures = [pool.submit(rows_of, name, left, *asked) for name, left in batch]
             for future in as_completed(futures):
                 yield future.result()
@@ -181,6 +185,7 @@ def _tell(row, number, count, elapsed):
 
 def _options(arguments):
     from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, machines_of
+    from hydrotwin.discovery.structures.search import EFFORTS
 
     p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
     p.add_argument("--grid", choices=GRIDS, default="narrow", help="wide: every style, five machines; further: 3 more")
@@ -193,6 +198,8 @@ def _options(arguments):
     p.add_argument("--seeds", choices=SEEDS, default="tuning")
     p.add_argument("--seed", type=int, help="only this one of them; with --quick the first, if not given")
     p.add_argument("--methods", nargs="+", choices=METHODS, default=["discover"])
+    p.add_argument("--effort", choices=EFFORTS, default="normal", help="of discover")
+    p.add_argument("--time-limit", type=float, default=LIMIT, help=f"seconds of discover on a case ({LIMIT:g})")
     p.add_argument("--processes", type=int, default=2)
     p.add_argument("--out", type=Path, default=Path("out/gap"))
     p.add_argument("--limit", type=int, help="the first so many: a fair sample")

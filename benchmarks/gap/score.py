@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 
@@ -116,7 +117,11 @@ class Named:
 
 @dataclass(frozen=True)
 class Answer:
-    """What a method says of a case. rmse_*: over the held-out recordings, by output, SI; None: predicts nothing."""
+    """What a method says of a case.
+
+    rmse_* : over the held-out recordings, by output, SI; None: predicts nothing. probabilities : of "nothing", of
+    structures ("effect at site + ...") and of "something else", where it states them.
+    """
 
     verdict: str
     named: tuple[Named, ...]
@@ -124,23 +129,38 @@ class Answer:
     rmse_after: Mapping[str, float] | None
     seconds: float
     notes: Mapping = field(default_factory=dict)
+    probabilities: Mapping[str, float] = field(default_factory=dict)
 
 
-def answer_of(discovery) -> Answer:
-    """A `Discovery` as an Answer."""
+def answer_of(discovery, settings: Mapping = MappingProxyType({})) -> Answer:
+    """A `Discovery` as an Answer; settings: those of the search, to be noted."""
     named = []
     for step in discovery.steps:
         parameters = tuple((p.name, p.value, p.low, p.high) for p in step.parameters)
         named.append(Named(step.effect, step.site, step.members, step.probability, parameters))
     judged = {o.output: o for o in discovery.outputs["validate"]}
+    ranked = discovery.steps[0].ranked if discovery.steps else discovery.last_ranked
     return Answer(
         discovery.verdict,
         tuple(named),
         {name: o.rmse_before for name, o in judged.items()},
         {name: o.rmse_after for name, o in judged.items()},
         discovery.seconds,
-        {"timings": dict(discovery.timings)},
+        {
+            **settings,
+            "reason": discovery.reason,
+            "untried": list(discovery.untried),
+            "screened": discovery.screened,
+            "fitted": discovery.fitted,
+            "candidates": [_looked_at(r) for r in ranked],
+        },
+        dict(discovery.probabilities),
     )
+
+
+def _looked_at(r) -> dict:
+    """What became of a candidate: the share that it promised to close, the nats that it left, its fate."""
+    return {"label": r.label, "share": r.share, "left": r.left, "probability": r.probability, "fate": r.fate}
 
 
 def is_it(made: Made, hidden: int, effect: str, site: str) -> bool:
@@ -202,6 +222,8 @@ def row_of(
             "parameters": _parameters(made, named),
             "stated": _stated(made, named),
             "brier": brier(_stated(made, named)),
+            "probabilities": dict(answer.probabilities),
+            "of_truth": _of_truth(made, answer),
             "seconds": answer.seconds,
             "notes": dict(answer.notes),
         }
@@ -262,6 +284,34 @@ def _stated(made: Made, named: Sequence[Named]) -> list[tuple[float, bool]]:
     hits = [any(is_it(made, h, n.effect, n.site) for h in range(len(made.hidden))) for n in named]
     known = made.case.kind != "out_of_library"
     return [(n.probability, hit and known) for n, hit in zip(named, hits, strict=True) if math.isfinite(n.probability)]
+
+
+def _of_truth(made: Made, answer: Answer) -> float | None:
+    """Probability that a method gives to what is hidden, and to nothing where the base left no gap; None: states none.
+
+    What no catalogue has is "something else". A label with another effect besides is not what is hidden.
+    """
+    if not answer.probabilities:
+        return None
+    known, quiet = made.case.kind != "out_of_library", _left(made, answer) < VISIBLE
+    found = 0.0
+    for label, probability in answer.probabilities.items():
+        if label == "nothing":
+            right = made.case.kind == "none" or quiet
+        elif label == "something else":
+            right = not known
+        else:
+            right = known and bool(made.hidden) and _all_hidden(made, label)
+        found += probability * right
+    return found
+
+
+def _all_hidden(made: Made, label: str) -> bool:
+    """Whether a structure, ``effect at site + ...``, is what is hidden, no more and no less."""
+    parts = [tuple(part.partition(" at ")[::2]) for part in label.split(" + ")]
+    return len(parts) == len(made.hidden) and all(
+        any(is_it(made, h, *part) for part in parts) for h in range(len(made.hidden))
+    )
 
 
 def brier(said: Sequence[tuple[float, bool]]) -> float | None:

@@ -12,6 +12,8 @@ from hydrotwin.models.effects import CATALOGUE
 from . import calibration
 from .score import VISIBLE
 
+LEAST = 0.01  # probability, in the log loss, of what is so improbable that it is not told
+
 
 @dataclass(frozen=True)
 class Figure:
@@ -62,6 +64,8 @@ def figures(rows: Sequence[Mapping]) -> list[Figure]:
         _quantile("parameter error, median", "<= 5 %", _column(parameters, "error"), 0.5, 0.05, most=True),
         _coverage(parameters),
         _mean("Brier score of named effects", _column(done, "brier")),
+        _mean("log loss of what is hidden, nats", [-np.log(max(r["of_truth"], LEAST)) for r in _stating(done)]),
+        _share("ended by its limit", "(%)", _stating(done), lambda r: bool(r["notes"].get("untried"))),
         _quantile("seconds, median", "", _column(done, "seconds"), 0.5),
         _quantile("seconds, 90th percentile", "", _column(done, "seconds"), 0.9),
     ]  # fmt: skip
@@ -119,6 +123,11 @@ def _abstained(r) -> bool:
 def _named_amiss(r) -> bool:
     """A name that does not even predict; one that leaves nothing may be wrong, but no recording says so."""
     return bool(r["named"]) and (r["after"] is None or r["after"] ** 2 - 1 >= VISIBLE**2)
+
+
+def _stating(rows):
+    """Those of methods that state probabilities of all they weighed."""
+    return [r for r in rows if r.get("of_truth") is not None]
 
 
 def _column(rows: Iterable[Mapping], key: str) -> list[float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
+from .answer.discovery import Discovery
 from .discover import discover
-from .discovery import Discovery
 
 __all__ = ["Discovery", "discover"]

@@ -10,14 +10,19 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from hydrotwin.identification.noise import quanta, solver_error
 from hydrotwin.identification.outliers import Strays
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.units import compatible
 
+from .evidence.deciding import DECIDING
+from .fits.job import Question
 from .recordings import Split
-from .search import Search
+from .structures.table import Table
 
 NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
 
@@ -43,7 +48,7 @@ class Asked:
     """What a search begins with.
 
     model : as it was given, with its own bounds; bounded: as it is searched. names : what is identified along.
-    search : how candidates are looked at. note : what the user should know before it begins.
+    note : what the user should know before it begins.
     """
 
     model: Model
@@ -52,8 +57,20 @@ class Asked:
     data: Split
     candidates: tuple[Candidate, ...]
     initial_states: str
-    search: type[Search] = Search
     note: str = ""
+
+    def table(self, step: float | None, told: Sequence[bool]) -> Table:
+        """The empty table of a search. step [s] of the runs, None: as they need; told: outputs with a given noise."""
+        flat, data = self.bounded.flat, self.data
+        usual = {p.name: p.value for p in self.model.flat.parameters if p.name in self.names}
+        question = Question(data.train, data.noise, initial_states=self.initial_states, step=step, usual=usual)
+        unseen = [o.name for o, n in zip(flat.outputs, question.counts, strict=True) if not n]
+        here = tuple(c for c in self.candidates if c.site.through not in unseen)  # no faults of sensors that are not
+        digits = quanta(data.train)
+        with np.errstate(invalid="ignore"):
+            rounding = np.where(digits > DECIDING.coarse * data.noise, digits / np.sqrt(12), 0.0)
+        coloured = np.fmax(solver_error(data.train), rounding)
+        return Table(self.bounded, self.names, here, question, coloured, np.array(told))
 
     def without(self, alone: Strays) -> Asked:
         """The same without samples that stand alone; where they stay, they are told."""

@@ -1,13 +1,14 @@
-"""What was assumed about the recordings is doubted before, and after, effects are looked for.
+"""What was assumed about the recordings is doubted before a name stands.
 
-Where the base, or what was named at last, leaves a gap that another input between samples or another start explains,
-the search begins anew with that: see `hydrotwin.identification.assumptions`. So it does without samples that stand
+Where the base, or what would be named, leaves a gap that another input between samples or another start explains, the
+search begins anew with that: see `hydrotwin.identification.assumptions`. So it does without samples that stand
 alone, where nothing but noise is left then: see `hydrotwin.identification.outliers`.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -22,16 +23,16 @@ from hydrotwin.identification.search import Effort
 from hydrotwin.identification.trials import FAR_MORE
 from hydrotwin.models.language.errors import SolveError
 
-from .decide import CLEARLY, MEASURABLE, has_gap
-from .refit import FIRST, RefitJob, residuals_of, weighed
-from .starts import given
-from .structure import Structure
+from .answer.standing import Standing, standing
+from .evidence.gaps import CLEARLY, LARGE, MEASURABLE, has_gap
+from .fits.job import Job, not_below, task_of
+from .fits.whole import FIRST, given, residuals_of
+from .structures.search import Search
+from .structures.table import Entry
 
 if TYPE_CHECKING:
-    from .answering import Found
     from .asked import Asked
     from .recordings import Split
-    from .search import Search
 
 STAGE = "what was assumed"
 THOROUGH = 100  # iterations of a fit without samples that stand alone: squares had led the base far away
@@ -39,65 +40,93 @@ BESIDE = 0.5  # of what named effects leave: what another input between samples 
 
 
 def fairly(
-    asked: Asked,
-    again: Callable[[object, str], Asked],
-    begin: Callable[[Asked], tuple[Search, Structure]],
-    search_on: Callable[[Search, Structure], Found],
-) -> tuple[Search, Asked, Found, tuple[Change, ...]]:
+    asked: Asked, again: Callable[[object, str], Asked], begin: Callable[[Asked], Search]
+) -> tuple[Search, Asked, tuple[Change, ...]]:
     """A search that does not rest on a wrong assumption, what it was asked at last, and the assumptions given up.
 
-    again : what is asked of another model under other initial states; begin : the search and its identified base;
-    search_on : what a search finds from there.
+    again : what is asked of another model under other initial states; begin : a search whose base is identified.
     """
     given_up: list[Change] = []
-    search, base = begin(asked)
-    strays = stray_samples(search, base, asked.data)
-    asked = asked.without(strays)
-    if strays.left_out:
-        given_up.append(Change(sentences=strays.sentences))
-        search, base = begin(asked)
-    for left in range(PATIENCE, -1, -1):
-        change = hint = questioned(search, base) if left else Change()
-        if not change.used:
-            found = search_on(search, base)
-            change = questioned(search, found.last) if left and found.steps else Change()
-        if not change.used:
-            asked = asked if found.steps else asked.telling(hint.sentences)
+    search = begin(asked)
+    moving = Change() if search.explained() else _questioned(search, search.table.entry())
+    if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
+        given_up.append(moving)
+        asked = again(asked.model, "free")
+        search = begin(asked)
+    strays = None
+    for left in range(PATIENCE - len(given_up), -1, -1):
+        search.go()
+        said = standing(search.table)
+        if not left or not _in_doubt(search, said):
+            break
+        if strays is None:
+            strays = _stray_samples(search, asked.data)
+            asked = asked.without(strays)
+            if strays.left_out:
+                given_up.append(Change(sentences=strays.sentences))
+                search = begin(asked)
+                continue
+        hint = _questioned(search, search.table.entry())
+        change = hint if hint.used or not said.kept.members else _questioned(search, said.kept)
+        if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
+            asked = asked if said.kept.members else asked.telling(hint.sentences)
             break
         given_up.append(change)
         model = asked.model.with_inputs(change.inputs) if change.inputs else asked.model
         asked = again(model, "free" if change.free_starts else asked.initial_states).without(strays)
-        search, base = begin(asked)
-    judges = stray_samples_of_judges(search, found.last, asked.data)
+        search = begin(asked)
+    judges = _stray_samples_of_judges(search, asked.data)
     if judges.left_out:
         given_up.append(Change(sentences=judges.sentences))
-    return search, asked.without(judges), found, tuple(given_up)
+    return search, asked.without(judges), tuple(given_up)
 
 
-def stray_samples(search: Search, base: Structure, data: Split) -> Strays:
+def _in_doubt(search: Search, said: Standing) -> bool:
+    """Whether an assumption may be what the gap comes from: not where an effect explains all of it otherwise.
+
+    What acts by a time alone is what an input between its samples would look like.
+    """
+    if not (search.complete and said.kept.members and search.explained()):
+        return search.complete
+    units = {p.name: p.unit for p in search.table.model(said.kept).flat.parameters}
+    return any(units[n] == "s" for c in said.kept.members for n in c.free)
+
+
+def _leaves(search: Search, entry: Entry, more: float) -> bool:
+    """Whether some output leaves ``more`` than the noise squared."""
+    with np.errstate(invalid="ignore"):
+        return bool(np.nanmax((entry.fitted.rmse / search.table.noise) ** 2) > more)
+
+
+def _stray_samples(search: Search, data: Split) -> Strays:
     """Samples of the recordings to learn from that stand alone, as the fit of the base sees them."""
-    if not search.leaves(base, MEASURABLE, search.sensors):
+    base = search.table.entry()
+    return _asked(search, base, question_samples, data.train) if _leaves(search, base, MEASURABLE) else Strays()
+
+
+def _stray_samples_of_judges(search: Search, data: Split) -> Strays:
+    """The same of those that judge, where the search has left nothing that an error of the noise does not explain."""
+    kept = standing(search.table).kept
+    if not data.report or _leaves(search, kept, LARGE):
         return Strays()
-    return _asked(search, base, question_samples, data.train)
+    return _asked(search, kept, judge_samples, data.report)
 
 
-def stray_samples_of_judges(search: Search, last: Structure, data: Split) -> Strays:
-    """The same of those that judge, where the search has left nothing but noise."""
-    if not data.report or search.leaves(last, MEASURABLE, search.sensors):
-        return Strays()
-    return _asked(search, last, judge_samples, data.report)
-
-
-def _asked(search: Search, structure: Structure, function: Callable[[RefitJob], Strays], others) -> Strays:
-    known = {r.name for r in search.question.fit}
+def _asked(search: Search, entry: Entry, function: Callable[[Job], Strays], others) -> Strays:
+    known = {r.name for r in search.table.question.fit}
     select = tuple(r for r in others if r.name not in known)
-    asked = dataclasses.replace(search.question, noise=search.sensors, select=select)
-    job = dataclasses.replace(search.refit_of(structure, coarse=True), question=asked)
-    (strays,) = search.run(function, [job], STAGE)
+    (strays,) = search.run(function, [_job(search, entry, select)], STAGE)
     return strays
 
 
-def question_samples(job: RefitJob) -> Strays:
+def _job(search: Search, entry: Entry, select=()) -> Job:
+    """A structure where its fit has ended, under the noise that all fits show."""
+    table, fitted = search.table, entry.fitted
+    job = search.job(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
+    return dataclasses.replace(job, question=dataclasses.replace(table.question, noise=table.noise, select=select))
+
+
+def question_samples(job: Job) -> Strays:
     """`spared` of a job's fit, where it ended, and of what selects then. Pure and picklable."""
     try:
         task, found = _ended(job)
@@ -110,7 +139,7 @@ def question_samples(job: RefitJob) -> Strays:
         return Strays()
 
 
-def judge_samples(job: RefitJob) -> Strays:
+def judge_samples(job: Job) -> Strays:
     """Of what selects alone, as a job's fit sees it. Pure and picklable; what judges is in no memory."""
     try:
         return outliers.with_others(*_ended(job), Strays(), job.question.select)
@@ -118,22 +147,20 @@ def judge_samples(job: RefitJob) -> Strays:
         return Strays()
 
 
-def questioned(search: Search, structure: Structure) -> Change:
+def _questioned(search: Search, entry: Entry) -> Change:
     """The assumption that explains what a structure leaves; none is used where nothing is left, or none does."""
-    if not search.leaves(structure, CLEARLY if structure.members else MEASURABLE, search.sensors):
+    if not _leaves(search, entry, CLEARLY if entry.members else MEASURABLE):
         return Change()
-    asked = dataclasses.replace(search.question, noise=search.sensors)
-    job = dataclasses.replace(search.refit_of(structure, coarse=True), question=asked)
-    (answer,) = search.run(question_beside if structure.members else question, [job], STAGE)
+    (answer,) = search.run(question_beside if entry.members else question, [_job(search, entry)], STAGE)
     return answer
 
 
-def question_beside(job: RefitJob) -> Change:
+def question_beside(job: Job) -> Change:
     """The same beside effects whose laws are not quite the machine's: a half of what they leave is enough."""
     return question(job, enough=BESIDE)
 
 
-def question(job: RefitJob, enough: float = FAR_MORE) -> Change:
+def question(job: Job, enough: float = FAR_MORE) -> Change:
     """`doubted` of a job's first start, where a fit has ended. Pure and picklable."""
     try:
         task, found = _ended(job)
@@ -146,9 +173,9 @@ def _at_noise(task: Task, found: Minimum) -> bool:
     return not has_gap(residuals_of(task, found), task.noise).any()
 
 
-def _ended(job: RefitJob) -> tuple[Task, Minimum]:
-    """The task of a job and the minimum beside its first start."""
-    task = weighed(job, job.question.noise if job.size is None else np.fmax(job.size, job.question.noise))
+def _ended(job: Job) -> tuple[Task, Minimum]:
+    """The task of a job and the minimum beside its start; every start state may be asked for."""
+    task = task_of(job, job.starts[0], not_below(job.question.noise, job.size), [s.name for s in job.flat.states])
     shooting, z = whole_runs(task)
     return task, minimise(shooting, task.free.scaled(task.free.start), given(shooting, z, job.states), **FIRST)
 

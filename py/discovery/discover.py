@@ -7,35 +7,34 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 
+import numpy as np
+
 from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.identification.outliers import Strays
 from hydrotwin.models.effects import candidates as fitting_candidates
-from hydrotwin.models.language.errors import DeclarationError, SolveError
-from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.model import Model
 from hydrotwin.records.between import settled
 
-from .answering import Found, answer
+from .answer.answering import answer
+from .answer.discovery import Discovery
+from .answer.so_far import SoFar
+from .around.foreign import around
+from .around.surroundings import SurroundedFmu
 from .asked import Asked, Wanted, bounded, free_names
 from .assumed import fairly, judge_samples, with_assumptions
-from .base import identified
-from .confirm import confirmed
-from .discovery import Discovery
-from .executor import Starts, cores_of, executor_for
-from .foreign import around
-from .forward import begun, searched
-from .progress import reporting
+from .evidence.score import Spectrum
+from .fits.job import Fitted, Look
+from .fits.whole import conclude
 from .recordings import split
-from .refit import Led, Question, Refitted, conclude
-from .resume import recalled
-from .search import Search
-from .structure import Structure
-from .surroundings import SurroundedFmu
-from .together import explained_together
+from .structures.search import EFFORTS, Search
+from .work.executor import Starts, cores_of, executor_for
+from .work.memory import recalled
+from .work.progress import reporting
 
 MOST_EFFECTS = 3
-KEPT = (Refitted, Led, Change, Strays)  # answers that an interrupted search need not find again
+KEPT = (Fitted, Look, Spectrum, Change, Strays)  # answers that an interrupted search need not find again
 
 
 def discover(
@@ -55,12 +54,15 @@ def discover(
     progress: bool | Callable | None = None,
     memory=None,
     interpolation: Mapping[str, str] | None = None,
+    effort: str = "normal",
+    time_limit: float | None = None,
+    so_far: Callable[[Discovery], None] | None = None,
 ) -> Discovery:
     """Name the physical effects that a model lacks, from recordings of the machine.
 
-    The model is identified on ``records``; every effect of the catalogue that fits somewhere in it is screened, the
-    promising ones are refitted together with the base parameters, and one is named only when it is better by far on the
-    recordings it was fitted to, better on those held out, and closes a worthwhile part of the gap. ``validate`` chooses
+    Every effect of the catalogue at every place it fits, alone, in pairs and more, is led from the start values of the
+    model through short windows to whole recordings, those that promise most first. All that were fitted are compared by
+    one score; the answer is the posterior over nothing, each of them, and something else. ``validate`` chooses
     nothing: with other recordings there, or none, the effects, their classes, order and values are the same to the bit.
     It may lower how sure that is, and turn an answer into "unknown".
 
@@ -73,10 +75,13 @@ def discover(
         max_effects: most effects to add.
         initial_states: as in `identify`; "free" when a start state is unknown.
         noise: sensor noise by output, SI, in place of the estimate.
-        executor: where refits run, see `executor_for`.
+        executor: where fits run, see `executor_for`.
         progress: True for a bar, or a function ``(stage, done, total, note)``.
-        memory: a `Memory` of finished refits, to go on after an interruption; ``seconds`` counts all parts.
+        memory: a `Memory` of finished fits, to go on after an interruption; ``seconds`` counts all parts.
         interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
+        effort: "quick", "normal" or "thorough": how many structures are fitted, and how long each may take.
+        time_limit: seconds [s] after which the best so far is the answer; the last fits still come to their end.
+        so_far: called with the answer as it stands, after 45 s and again every minute at most; changes nothing.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model
     diverges from every start).
@@ -84,41 +89,39 @@ def discover(
     began = time.perf_counter()
     if max_effects < 1:
         raise DeclarationError(f"gap: max_effects must be at least 1 (got {max_effects}).")
+    if effort not in EFFORTS:
+        raise DeclarationError(f"gap: no effort '{effort}'. {nearest(effort, list(EFFORTS))}")
     if memory is not None:
         memory.begin()
     wanted = Wanted(records, validate, free, effects, exclude, initial_states, outputs, noise, step, interpolation)
     is_fmu = isinstance(model, SurroundedFmu) or getattr(model, "kind", "") == "fmu"
     ask = around if is_fmu else inside
     asked = ask(model, wanted)
+    until = time.monotonic() + (np.inf if time_limit is None else time_limit)
+
+    def complete(said: Discovery) -> Discovery:
+        earlier = 0.0 if memory is None else memory.earlier
+        given = {"train": len(records), "validate": len(validate)}
+        return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
+
+    telling = SoFar(so_far, complete) if so_far else None
     with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
         run = _runner(pool, report, memory, 1 if is_fmu else cores_of(pool))
+        report("identify the base", 0, 1, asked.note)
 
         def again(model, initial_states: str) -> Asked:
             return ask(model, dataclasses.replace(wanted, initial_states=initial_states))
 
-        def begin(asked: Asked) -> tuple[Search, Structure]:
-            return _begin(asked, wanted, run, report)
+        def begin(asked: Asked) -> Search:
+            told = [o.name in (noise or {}) for o in asked.model.flat.outputs]
+            search = Search(asked.table(step, told), run, EFFORTS[effort], max_effects, until)
+            search.pause = telling and telling.of(asked.data, asked.model)
+            search.identify()
+            return search
 
-        def search_on(search: Search, base: Structure) -> Found:
-            return searched(search, begun(search, base), max_effects)
-
-        search, asked, found, given_up = fairly(asked, again, begin, search_on)
-        search, found = explained_together(search, asked.data, found, max_effects)
-        said = with_assumptions(answer(search, asked.data, confirmed(search, found), asked.model), given_up)
-    earlier = 0.0 if memory is None else memory.earlier
-    given = {"train": len(records), "validate": len(validate)}
-    return dataclasses.replace(said, given=given, seconds=time.perf_counter() - began + earlier)
-
-
-def _begin(asked: Asked, wanted: Wanted, run: Callable, report: Callable) -> tuple[Search, Structure]:
-    """The search and its identified base."""
-    data, outputs = asked.data, asked.model.flat.outputs
-    usual = usual_of(asked.model.flat, asked.names)
-    question = Question(data.fit, data.select, data.noise, asked.initial_states, wanted.step, usual)
-    told = tuple(o.name in (wanted.noise or {}) for o in outputs)
-    report("identify the base", 0, 1, asked.note)
-    search = asked.search(asked.bounded, asked.names, asked.candidates, question, run, report, told)
-    return search, Structure((), _or_refused(identified(search, search.models_ahead())))
+        search, asked, given_up = fairly(asked, again, begin)
+        said = with_assumptions(answer(search, asked.data, asked.model), given_up)
+    return complete(said)
 
 
 def inside(model: Model, wanted: Wanted) -> Asked:
@@ -135,17 +138,6 @@ def inside(model: Model, wanted: Wanted) -> Asked:
     within = bounded(model, names)
     fitting = fitting_candidates(within, wanted.effects, wanted.exclude)
     return Asked(model, within, names, data, fitting, "free" if lone else wanted.initial_states)
-
-
-def usual_of(flat: FlatModel, names: Sequence[str]) -> dict[str, float]:
-    """The values of these parameters that a model comes with."""
-    return {p.name: p.value for p in flat.parameters if p.name in names}
-
-
-def _or_refused(found: Refitted | str) -> Refitted:
-    if isinstance(found, str):
-        raise SolveError(f"gap: the base model cannot be identified ({found}). Correct its start values first.")
-    return found
 
 
 def _runner(pool, report, memory, cores: int = 1):
@@ -177,10 +169,8 @@ def _portable(job, threads: int):
     flat, order = job.flat, [s.name for s in job.flat.states]
     measured = {tuple(measured_start(flat, r)) for r in (*job.question.fit, *job.question.select)}
     together = set.intersection(*(set(names) for names in measured))
-    known = getattr(job, "fitted", None)
     wanted = {*measured, tuple(n for n in order if n in together), tuple(order)}
-    if known is not None:
-        wanted |= {tuple(n for n in order if n in states) for states in known.states}
+    wanted |= {tuple(n for n in order if n in states) for states in job.states}
     starts = Starts({names: flat.start_given(names) for names in wanted})
     shared = {"threads": threads} if hasattr(job, "threads") else {}
     return dataclasses.replace(job, flat=dataclasses.replace(flat, initialisation=starts), **shared)

@@ -17,7 +17,7 @@ _WHERE = {
     "Block": "simulation",
     "Comparison": "comparison",
     "Component": "models.language",
-    "Discovery": "discovery.discovery",
+    "Discovery": "discovery.answer.discovery",
     "Ensemble": "simulation",
     "Fit": "identification",
     "HydrotwinError": "models.language",

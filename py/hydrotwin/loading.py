@@ -131,7 +131,7 @@ def surroundable(spec: str):
     """The model that ``spec`` names; an FMU as one that effects can be added to, before its inputs and behind it."""
     thing = load(spec)
     if getattr(thing, "kind", "") == "fmu" and not isinstance(thing, Model):
-        from hydrotwin.discovery.surroundings import surrounded
+        from hydrotwin.discovery.around.surroundings import surrounded
 
         return surrounded(thing)
     return thing

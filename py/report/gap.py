@@ -7,8 +7,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from hydrotwin.discovery.discovery import Discovery, Step
-from hydrotwin.discovery.words import certainty, joined, lowered, percent, placed
+from hydrotwin.discovery.answer.discovery import Discovery, Step
+from hydrotwin.discovery.answer.words import certainty, joined, lowered, percent, placed
 from hydrotwin.records.between import between
 
 from .fit import parameter_rows, parameter_table
@@ -26,6 +26,7 @@ from .gap_figures import (
     waterfall_figure,
 )
 from .gap_moved import moved_notes
+from .gap_sure import sure_section, untried_sentences
 from .gap_tables import (
     candidate_tables,
     effect_table,
@@ -42,7 +43,6 @@ from .gap_tables import (
 )
 from .gap_text import capital, sentence
 from .gap_words import (
-    chose,
     class_sentence,
     display_units,
     experiment_sentence,
@@ -75,6 +75,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         _where(discovery, shown),
         _candidates(discovery),
         _effects(discovery),
+        sure_section(discovery),
         _plots(discovery, shown),
         _waterfall(discovery),
         _shifts(discovery),
@@ -94,7 +95,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
         picture=picture(discovery, shown),
         results=results(discovery),
         facts=facts(discovery, shown),
-        notices=notices(discovery, shown),
+        notices=(*untried_sentences(discovery), *notices(discovery, shown)),
         headline=headline(discovery, shown),
         sections=tuple(s for s in made if s.parts),
         data=gap_data(discovery) | extra,
@@ -133,12 +134,10 @@ def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 
 
 def _candidates(discovery: Discovery) -> Section:
-    kept = chose(discovery)
-    chosen_by = "the recordings for choosing, which are not fitted to" if kept else "the same, all there are"
     lead = (
-        "Every effect of the catalogue at every site it fits. Screen: the share of the squared gap that the "
-        "sensitivities promise. The best are fitted together with the base parameters: BIC gain on the recordings of "
-        f"that fit, paired t and gap closed on {chosen_by}."
+        "Every effect of the catalogue at every place it fits. Promise: the part of the gap that short windows promise "
+        "it would close, – where nobody looked. What promises most is fitted to whole recordings together with the "
+        "base parameters. Gap closed is the share of the squared gap on the recordings of the fit."
     )
     parts: list = []
     for k, step in enumerate(discovery.steps, 1):
@@ -202,14 +201,10 @@ def _plots(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 def _waterfall(discovery: Discovery) -> Section:
     parts = (waterfall_figure(discovery), waterfall_table(discovery)) if len(discovery.waterfall) > 1 else ()
     lead = (
-        f"The root of the mean squared error over noise of all outputs on {_judges_of_the_search(discovery)}, as the "
+        "The root of the mean squared error over noise of all outputs on the recordings of the fit, as the "
         "search left it: 1 is the noise of the sensors. Gap closed is the share of the squared gap."
     )
     return Section("waterfall", "What each effect closes", parts, lead)
-
-
-def _judges_of_the_search(discovery: Discovery) -> str:
-    return "the recordings for choosing" if chose(discovery) else "the recordings of the fit"
 
 
 def _shifts(discovery: Discovery) -> Section:
@@ -252,7 +247,7 @@ def _unknown(discovery: Discovery) -> Section:
     rows = discovery.unknown
     told = tuple(capital(sentence(u.sentence)) for u in rows if u.sentence)
     lead = "What is left, described by what was recorded. It has no physical name: take it as a hint where to look."
-    parts = (*((Note(told),) if told else ()), *((unknown_table(rows, chose(discovery)),) if rows else ()))
+    parts = (*((Note(told),) if told else ()), *((unknown_table(rows),) if rows else ()))
     if discovery.verdict == "unknown" and not rows:
         near = tried_last(discovery)
         last = f"None of the {len(near)} candidates of the last look explains what is left"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict
 
-from hydrotwin.discovery.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
+from hydrotwin.discovery.answer.discovery import Discovery, EffectParameter, Experiment, OutputGap, Ranked, Step
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records.between import between
 from hydrotwin.simulation.control import Accuracy
@@ -29,6 +29,8 @@ def gap_data(discovery: Discovery) -> dict:
         "train": _outputs(discovery.outputs.get("train", ())),
         "validate": _outputs(discovery.outputs.get("validate", ())),
         "separating_experiment": _experiment(discovery.experiment),
+        "probabilities": dict(discovery.probabilities),
+        "untried": list(discovery.untried),
         "screened": discovery.screened,
         "fitted": discovery.fitted,
         "given": dict(discovery.given),

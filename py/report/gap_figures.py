@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from hydrotwin.discovery.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
-from hydrotwin.discovery.words import percent, placed
+from hydrotwin.discovery.answer.discovery import Discovery, Experiment, Overlay, Ranked, Region, Shift
+from hydrotwin.discovery.answer.words import percent, placed
 
 from .figure import MEASURED, PALETTE, Figure, FigureGroup, layout, line
 from .format import difference_to_shown, number_text, shown_unit, to_shown
@@ -17,7 +17,7 @@ from .gap_text import capital, largest, unit_label
 from .gap_words import AT_NOISE, ROLES
 
 BEFORE, AFTER = PALETTE[1], PALETTE[0]
-FAINT = "#c3c9cf"
+FAINT, AS_WELL = "#c3c9cf", "#56B4E9"  # turned down; explains the recordings as well
 BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
 BUDGET = 1.6e6  # bytes of curves in one page
 MOST, FEWEST = 2000, 250  # points of one curve
@@ -152,7 +152,7 @@ def _times_noise(discovery: Discovery, o: Overlay, output: str) -> float:
 
 def overlay_plan(discovery: Discovery) -> tuple[int, tuple[Overlay, ...]]:
     """Points per curve and the recordings drawn, those never used first, such that all curves fit into BUDGET."""
-    order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
+    order = {"report": 0, "validate": 0, "fit": 1, "train": 1}
     overlays = sorted(discovery.overlays, key=lambda o: order.get(o.role, 3))
     curves = 6 if discovery.steps else 4
     each = max(1, curves * max((len(o.measured) for o in overlays), default=1))
@@ -197,7 +197,7 @@ def waterfall_figure(discovery: Discovery) -> Figure:
     labels = [first.label, *(r.label for r in later), "what is left"]
     base = [0.0, *left[1:], 0.0]
     size = [left[0], *(a - b for a, b in pairwise(left)), left[-1]]
-    colours = [BEFORE, *("#56B4E9" for _ in later), AFTER]
+    colours = [BEFORE, *(AS_WELL for _ in later), AFTER]
     words = [_size(left[0]), *(f"{'−' if s >= 0 else '+'}{_size(abs(s))}" for s in size[1:-1]), _size(left[-1])]
     bars = {
         "type": "bar",
@@ -268,33 +268,47 @@ def experiment_figure(experiment: Experiment) -> Figure:
 
 
 def candidate_figure(ranked: tuple[Ranked, ...], id: str) -> Figure | None:
-    """Gap closed by each refitted candidate; what was named or could be as well is coloured. None without any."""
-    rows = [r for r in ranked if math.isfinite(r.gap_closed)][:BARS][::-1]
+    """Gap closed by each fitted candidate; what was named or could be as well is coloured. None without any."""
+    rows = [r for r in ranked if math.isfinite(r.gap_closed)][:BARS]
     if not rows:
         return None
-    colour = {"named": AFTER, "in class": "#56B4E9"}
-    places = list(range(len(rows)))
+    colour = {"named": AFTER, "in class": AS_WELL}
+    sizes, words = [max(r.gap_closed, -0.2) for r in rows], [percent(r.gap_closed) for r in rows]
+    labels, colours = [capital(placed(r)) for r in rows], [colour.get(r.fate, FAINT) for r in rows]
+    caption = "Of the fits of the search. Dark: named. Light blue: explains the recordings as well. Grey: turned down."
+    return lying_bars(id, "gap closed [%]", labels, sizes, words, colours, caption)
+
+
+def lying_bars(
+    id: str,
+    title: str,
+    labels: Sequence[str],
+    shares: Sequence[float],
+    words: Sequence[str],
+    colours: Sequence[str],
+    caption: str,
+) -> Figure:
+    """Shares as bars from left to right, the first at the top, each under its label."""
+    places = list(range(len(labels)))
     bars = {
         "type": "bar",
         "orientation": "h",
         "y": places,
-        "x": [100.0 * max(r.gap_closed, -0.2) for r in rows],
+        "x": [100.0 * s for s in shares][::-1],
         "width": 0.42,
-        "marker": {"color": [colour.get(r.fate, FAINT) for r in rows]},
-        "text": [percent(r.gap_closed) for r in rows],
+        "marker": {"color": list(colours)[::-1]},
+        "text": list(words)[::-1],
         "textposition": "outside",
         "cliponaxis": False,
         "hovertemplate": "%{text}<extra></extra>",
         "showlegend": False,
     }
-    plan = layout("gap closed [%]", [""], height=100 + 46 * len(rows))
-    plan |= {"hovermode": "closest", "annotations": [_over_bar(capital(placed(r)), k) for k, r in enumerate(rows)]}
+    plan = layout(title, [""], height=100 + 46 * len(labels))
+    plan |= {"hovermode": "closest", "annotations": [_over_bar(t, k) for k, t in enumerate(labels[::-1])]}
     plan["margin"] = plan["margin"] | {"l": 20, "t": 16}
     plan["xaxis"] |= {"range": [min(0.0, *bars["x"], 0.0) * 1.25, max(*bars["x"], 10.0) * 1.25]}
     plan["yaxis"] |= {"showticklabels": False, "showgrid": False, "zeroline": False, "ticks": ""}
-    plan["yaxis"] |= {"range": [-0.6, len(rows) - 0.2]}
-    caption = "On the recordings that chose, of the fits of the search. "
-    caption += "Dark: named. Light blue: explains them as well. Grey: turned down."
+    plan["yaxis"] |= {"range": [-0.6, len(labels) - 0.2]}
     return Figure(id, "", {"data": [bars], "layout": plan}, caption=caption)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hydrotwin.discovery.discovery import Discovery, Shift
+from hydrotwin.discovery.answer.discovery import Discovery, Shift
 
 from .format import number_text, shown_unit, to_shown, with_unit
 from .gap_figures import moved

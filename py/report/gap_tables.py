@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
-from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
-from hydrotwin.discovery.words import certainty, joined, percent
+from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
+from hydrotwin.discovery.answer.words import certainty, joined, percent
 
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
@@ -18,6 +18,7 @@ from .tables import Cell, Column, Table, numbers, table, texts, warned
 
 FULL = 12  # candidates shown before the rest is folded
 NO_GAP = "no gap"
+LEFT = "Left: what a fit leaves of whole recordings beyond noise, in nats; 0: nothing but noise is left."
 SWATCH = {"named": PALETTE[0], "in class": PALETTE[5]}
 
 
@@ -73,6 +74,11 @@ def closed_column(values: Sequence[float], none: str = NO_GAP) -> Column:
     return Column("gap_closed", "Gap closed", tuple(cells), numeric=True)
 
 
+def left_of_recordings(values: Sequence[float]) -> Column:
+    """Nats that fits leave of whole recordings: 0 where nothing but noise is left."""
+    return numbers("left", "Left", values, common=False)
+
+
 def location_table(discovery: Discovery) -> Table:
     """Where each output disagrees before anything is added, worst first."""
     rows = sorted(discovery.locations, key=lambda place: -place.times_noise)
@@ -88,7 +94,7 @@ def location_table(discovery: Discovery) -> Table:
 
 def candidate_tables(ranked: Sequence[Ranked], id: str, title: str) -> list[Table]:
     """The candidates of one look in their order: those that were fitted open, the rest folded."""
-    fitted = [r for r in ranked if math.isfinite(r.bic_gain) or r.fate in ("named", "in class")]
+    fitted = [r for r in ranked if math.isfinite(r.left) or r.fate in ("named", "in class")]
     first = fitted or list(ranked[:FULL])
     rest = [r for r in ranked if r not in first]
     found = [_candidates(first, id, title, False)] if first else []
@@ -106,12 +112,11 @@ def _candidates(rows: Sequence[Ranked], id: str, title: str, folded: bool) -> Ta
             [SWATCH.get(r.fate, "") for r in rows],
         ),
         texts("site", "Where", [r.site for r in rows]),
-        _percents("share", "Screen", [r.share for r in rows]),
+        _percents("share", "Promise", [r.share for r in rows]),
     ]
     if not folded:
         columns += [
-            numbers("bic_gain", "BIC gain", [r.bic_gain for r in rows], common=False),
-            numbers("paired_t", "Paired t", [r.paired_t for r in rows], common=False, digits=2),
+            left_of_recordings([r.left for r in rows]),
             closed_column([r.gap_closed for r in rows], NONE),
             _percents("probability", "Probability", [r.probability for r in rows], certainty),
         ]
@@ -119,7 +124,7 @@ def _candidates(rows: Sequence[Ranked], id: str, title: str, folded: bool) -> Ta
         texts("fate", "Fate", [r.fate for r in rows]),
         texts("reason", "Why", [capital(sentence(r.reason)) for r in rows]),
     ]
-    return table(id, title, columns, folded=folded)
+    return table(id, title, columns, "" if folded else LEFT, folded)
 
 
 def effect_table(step: Step, id: str) -> Table:
@@ -156,10 +161,10 @@ def member_table(step: Step, id: str) -> Table:
         texts("site", "Where", [site for _, site in step.members]),
         _percents("probability", "Probability", [r.probability if r else math.nan for r in rows], certainty),
         closed_column([r.gap_closed if r else math.nan for r in rows], NONE),
-        numbers("bic_gain", "BIC gain", [r.bic_gain if r else None for r in rows], common=False),
+        left_of_recordings([r.left if r else math.nan for r in rows]),
         texts("values", "Its parameters would be", [_values(r) if r else NONE for r in rows]),
     ]
-    return table(id, "What explains the recordings as well", columns)
+    return table(id, "What explains the recordings as well", columns, LEFT)
 
 
 def _values(row: Ranked) -> str:
@@ -213,7 +218,7 @@ def shift_table(discovery: Discovery) -> Table:
 
 def recording_tables(discovery: Discovery, shown: Mapping[str, str]) -> list[Table]:
     """For each output the recordings, those never used first."""
-    order = {"report": 0, "validate": 0, "select": 1, "fit": 2, "train": 2}
+    order = {"report": 0, "validate": 0, "fit": 1, "train": 1}
     recordings = sorted(discovery.recordings, key=lambda r: order.get(r.role, 3))
     outputs = dict.fromkeys(o.output for r in recordings for o in r.outputs)
     return [_by_recording(output, recordings, shown, bool(discovery.steps)) for output in outputs]
@@ -243,16 +248,15 @@ def _by_recording(output: str, recordings: Sequence[RecordingGap], shown: Mappin
     return table(f"recordings_{output}", output, columns)
 
 
-def unknown_table(rows: Sequence[Unknown], chose: bool = True) -> Table:
-    """What was left without a name: what it follows, how much of it that explains, where some recordings ``chose``."""
+def unknown_table(rows: Sequence[Unknown]) -> Table:
+    """What was left without a name: what it follows, and how much of it that explains."""
     columns = [
         texts("output", "Output", [u.output for u in rows]),
         texts("inputs", "Described by", [joined(u.inputs) for u in rows]),
         _percents("explained", "Explains of it", [u.explained for u in rows]),
         texts("formula", "Formula", [u.formula for u in rows]),
     ]
-    where = "the recordings for choosing" if chose else "the second half of each recording"
-    note = f"Shares of the squared residual on {where}; formulas in SI."
+    note = "Shares of the squared residual on recordings that the formula was not made from; formulas in SI."
     return table("unknown", "", _told(columns), note)
 
 

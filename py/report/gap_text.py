@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hydrotwin.discovery.discovery import EffectParameter
+from hydrotwin.discovery.answer.discovery import EffectParameter
 
 from .format import NONE, number_text, pretty_unit, shown_unit, to_shown, with_unit
 

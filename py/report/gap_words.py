@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from hydrotwin.discovery.discovery import Discovery, OutputGap, Ranked, Step
-from hydrotwin.discovery.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
+from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, Step
+from hydrotwin.discovery.answer.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
 from .gap_text import (
@@ -72,10 +72,10 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     """What speaks against the answer: a recording that got worse, values that are not plausible, bounds."""
     found = []
     judged = (o for r in discovery.recordings if r.role == "report" for o in r.outputs)
-    if discovery.steps and not chose(discovery) and not any(math.isfinite(o.gap_closed) for o in judged):
+    if discovery.steps and not any(math.isfinite(o.gap_closed) for o in judged):
         found.append(
-            "No recording confirms this: what some show the others do not, so all were fitted to. Record another run "
-            "that moves like them."
+            "No recording confirms this: none that took no part shows the gap. Record another run that moves like "
+            "those, and give it with --validate."
         )
     for r in discovery.recordings if discovery.steps else ():
         worse = [f"{o.output} (RMSE {_change(o, shown)})" for o in r.outputs if got_worse(o)]
@@ -99,12 +99,7 @@ def notices(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def chose(discovery: Discovery) -> bool:
-    """Whether some recordings were kept from the fits, to choose by."""
-    return any(r.role == "select" for r in discovery.recordings)
-
-
-ROLES = {"fit": "fitted", "select": "for choosing", "report": "never used", "train": "fitted", "validate": "never used"}
+ROLES = {"fit": "fitted", "report": "never used", "train": "fitted", "validate": "never used"}
 
 
 def step_sentence(step: Step) -> str:
@@ -213,11 +208,13 @@ def tried_sentence(discovery: Discovery) -> str:
     tried = tried_last(discovery)
     if not tried:
         return ""
-    refitted = [r for r in tried if math.isfinite(r.bic_gain)]
-    words = f"{discovery.screened} candidates were screened and {discovery.fitted} of them fitted"
-    if discovery.verdict == "none" or not refitted:
+    fitted = [r for r in tried if math.isfinite(r.left)]
+    words = f"{discovery.screened} candidates were looked at and {discovery.fitted} of them fitted"
+    if discovery.verdict == "none":
         return f"{words}; none is needed."
-    best = max(refitted, key=lambda r: r.gap_closed if math.isfinite(r.gap_closed) else -math.inf)
+    if not fitted:
+        return f"{words}; none is named."
+    best = min(fitted, key=lambda r: r.left)
     reason = f" ({lowered(best.reason).rstrip('.')})" if best.reason else ""
     return f"{words}; none is named. The nearest, {lowered(placed(best))}, was turned down{reason}."
 

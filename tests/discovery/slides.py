@@ -5,14 +5,18 @@ Held forces: between two samples the motion is a sum of exponentials; where the 
 
 from __future__ import annotations
 
+import time as clock
+from concurrent.futures import Future
+
 import numpy as np
 
-from hydrotwin.discovery.decide import Evidence
-from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.answer.standing import Standing, standing
+from hydrotwin.discovery.asked import Wanted
+from hydrotwin.discovery.discover import discover, inside
+from hydrotwin.discovery.fits.job import Fitted, Job, Question
+from hydrotwin.discovery.fits.whole import fit
 from hydrotwin.discovery.recordings import split
-from hydrotwin.discovery.refit import Question, RefitJob, refit
-from hydrotwin.discovery.search import Search
-from hydrotwin.discovery.structure import Structure
+from hydrotwin.discovery.structures.search import EFFORTS, Search
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Component, Flange, Input, Model, Output, Parameter, State, connect, der
@@ -21,6 +25,7 @@ from hydrotwin.records import Record
 PERIOD = 0.02  # s
 MASS, DAMPING = 50.0, 200.0  # kg, N.s/m
 NOISE, RATE_NOISE = 2e-3, 0.02  # m/s, rad/s
+STEP = 5e-3  # s, of the runs of a search
 START = {"mass.mass": 65.0, "mass.damping": 150.0}  # what the model begins with
 
 
@@ -172,51 +177,53 @@ def slide() -> Model:
 
 
 def question(runs: list[Record], model: Model | None = None, noise: dict[str, float] | None = None) -> Question:
-    """Roles of the recordings as the search sees them, the noise known."""
+    """What is fitted to these recordings, the noise known."""
     known = noise or ({"rate": RATE_NOISE} if model else {"speed": NOISE})
     data = split((model or slide()).flat, runs, [], noise=known)
-    return Question(data.fit, data.select, data.noise)
+    return Question(data.train, data.noise, step=STEP)
 
 
-def searching(asked: Question, effects, model: Model | None = None, free=("mass.mass", "mass.damping")):
-    """A search among some effects, its jobs done at once, and the identified base."""
-    model = model or slide()
-    base = refit(RefitJob(model.flat, tuple(free), asked, coarse=True))
-    run = lambda function, jobs, stage: [function(job) for job in jobs]  # noqa: E731
-    return Search(model, tuple(free), candidates(model, effects), asked, run, lambda *said: None), base
+def fitted(asked: Question, effect: str | None = None, **more) -> Fitted | str:
+    """The slide, with an effect or without, fitted to whole recordings."""
+    flat, free, _ = started(effect) if effect else (slide().flat, tuple(START), "")
+    return fit(Job(flat, free, asked, **more))
 
 
-def one(search, name):
-    return next(c for c in search.candidates if c.id == name)
+# -- a search --------------------------------------------------------------------------------------------------------
+def begun(runs, effects, model=None, effort="normal", most=3, until=np.inf, validate=(), **more) -> Search:
+    """The search alone, its jobs done at once in this thread; ``more`` as in `discover`."""
+    noise = more.get("noise", {"speed": NOISE})
+    plain = {"free": None, "exclude": (), "initial_states": "auto", "outputs": None, "interpolation": None, **more}
+    wanted = Wanted(runs, validate, effects=effects, step=STEP, **{**plain, "noise": noise})
+    asked = inside(model or slide(), wanted)
+    told = [o.name in (noise or {}) for o in asked.model.flat.outputs]
+
+    def run(function, jobs, stage):
+        return [function(job) for job in jobs]
+
+    return Search(asked.table(STEP, told), run, EFFORTS[effort], most, until)
 
 
-def grown(search, now: Structure, *names: str, **values: float) -> Structure:
-    """``now`` with effects added and fitted, from ``values`` by effect."""
-    members = tuple(one(search, name) for name in names)
-    start = {c.free[0]: values.get(c.id, c.probes[0].get(c.free[0], 0.0)) for c in members}
-    return search.refitted(now, [(members, [start])])[0].structure
+def searched(runs, effects, time_limit: float | None = None, **more) -> tuple[Search, Standing]:
+    """The same when it has come to its end, and what it says."""
+    until = np.inf if time_limit is None else clock.monotonic() + time_limit
+    search = begun(runs, effects, until=until, **more)
+    search.go()
+    return search, standing(search.table)
 
 
-# -- the simple before the refined -----------------------------------------------------------------------------------
 def found(runs, effects, executor=None, model=None, **more):
     """What is missing in the slide, looked for in this thread unless told otherwise."""
-    return discover(model or slide(), runs, effects=effects, executor=executor or Inline(), step=5e-3, **more)
+    return discover(model or slide(), runs, effects=effects, executor=executor or Inline(), step=STEP, **more)
 
 
 class Inline:
     """An executor that does the work at once, here."""
 
     def submit(self, function, *words):
-        from concurrent.futures import Future
-
         done = Future()
         try:
             done.set_result(function(*words))
         except BaseException as error:
             done.set_exception(error)
         return done
-
-
-def better(bic: float = 100.0, t: float = 10.0, closed: float = 0.9) -> Evidence:
-    """Evidence that passes unless told otherwise."""
-    return Evidence(bic, t, closed)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery import assumed
-from hydrotwin.discovery.decide import has_gap
 from hydrotwin.discovery.discover import discover
+from hydrotwin.discovery.evidence.gaps import has_gap
 from hydrotwin.identification.assumptions import PATIENCE, Change
 from hydrotwin.identification.outliers import Strays
 from hydrotwin.report.gap_data import gap_data
@@ -114,11 +114,13 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
 
     def begin(asked):
         begun.append(asked.initial_states)
-        return None, None
+        table = SimpleNamespace(entry=lambda: None)
+        return SimpleNamespace(go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table)
 
-    monkeypatch.setattr(assumed, "questioned", lambda search, structure: Change(free_starts=True))
-    for none in ("stray_samples", "stray_samples_of_judges"):
-        monkeypatch.setattr(assumed, none, lambda search, structure, data: Strays())
-    found = SimpleNamespace(steps=(), last=None)
-    *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin, lambda search, base: found)
+    kept = SimpleNamespace(members=())
+    monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept))
+    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: Change(free_starts=True))
+    for none in ("_stray_samples", "_stray_samples_of_judges"):
+        monkeypatch.setattr(assumed, none, lambda search, data: Strays())
+    *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
     assert len(given_up) == PATIENCE and begun == ["auto", *["free"] * PATIENCE]

@@ -10,10 +10,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hydrotwin.discovery import answering, discover, refit
-from hydrotwin.discovery.answering import SOUND
-from hydrotwin.discovery.discovery import FATES
-from hydrotwin.discovery.resume import Memory
+from hydrotwin.discovery import discover
+from hydrotwin.discovery.answer import answering
+from hydrotwin.discovery.answer.discovery import FATES
+from hydrotwin.discovery.answer.view import View
+from hydrotwin.discovery.evidence.deciding import DECIDING
+from hydrotwin.discovery.fits import whole
+from hydrotwin.discovery.work.memory import Memory
 from hydrotwin.models.components.mechanical import Freewheel
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Input, Model, connect, der
@@ -36,9 +39,12 @@ from tests.discovery.slides import (
     slide,
 )  # fmt: skip
 
+SOUND = 1 - DECIDING.something_else
+
 LIBRARY = [
     "coulomb_friction", "dead_time", "null_bias", "drift", "command_deadband", "command_saturation", "actuator_lag",
 ]  # fmt: skip
+FEW = ["null_bias", "dead_time", "command_deadband"]
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +58,7 @@ def test_dry_friction_is_named_at_its_place_with_its_size(rubbing):
     assert rubbing.verdict == "named"
     (step,) = rubbing.steps
     assert (step.effect, step.site) == ("coulomb_friction", "mass.flange")
-    assert 0.94 < step.probability <= SOUND and not step.is_class and step.gap_closed > 0.98
+    assert 0.94 < step.probability <= SOUND + 1e-9 and not step.is_class and step.gap_closed > 0.98
     (force,) = step.parameters
     assert force.value == pytest.approx(30.0, rel=0.01) and force.unit == "N"
     assert force.low < force.value < force.high < 1.05 * force.value and force.sigma < 0.01 * force.value
@@ -85,7 +91,7 @@ def test_the_gap_shrinks_to_the_noise_on_a_recording_that_was_never_used(rubbing
     (gap,) = rubbing.outputs["validate"]
     assert gap.rmse_before > 10 * NOISE and gap.rmse_after < 1.15 * NOISE
     assert gap.gap_closed == pytest.approx(1.0, abs=0.01)
-    assert [r.role for r in rubbing.recordings] == ["fit", "select", "fit", "report"]
+    assert [r.role for r in rubbing.recordings] == ["fit", "fit", "fit", "report"]
     assert [rung.label for rung in rubbing.waterfall] == ["identified base", "coulomb_friction at mass.flange"]
     assert rubbing.waterfall[0].times_noise > 10 > 1.2 > rubbing.waterfall[1].times_noise
 
@@ -153,7 +159,7 @@ def test_the_same_effect_at_another_place_has_an_interval_too():
 
 
 def test_a_rival_whose_final_fit_diverges_is_told_without_interval(monkeypatch):
-    fit, number = refit.conclude, iter(range(9))
+    fit, number = whole.conclude, iter(range(9))
     monkeypatch.setattr(answering, "conclude", lambda job: fit(job) if next(number) < 2 else "it diverges")
     drive = Model(Drive(), settings={"gain": {"free": False}})
     answer = discover(drive, drive_records(4), effects=["command_gain", "sensor_scale"], executor=Inline(), step=5e-3)
@@ -189,7 +195,7 @@ def test_nothing_is_named_where_nothing_is_missing(first):
 
 
 def test_a_pulse_at_seven_seconds_is_unknown_and_described_in_time():
-    d = found(records(3, pulse=150.0), LIBRARY, validate=[record(9, pulse=150.0)])
+    d = found(records(3, pulse=150.0), FEW, validate=[record(9, pulse=150.0)])
     assert d.verdict == "unknown" and d.steps == () and d.model.additions == ()
     assert any("time" in row.inputs for row in d.unknown)
     over = [r for r in d.regions if r.over == "time"]
@@ -198,9 +204,8 @@ def test_a_pulse_at_seven_seconds_is_unknown_and_described_in_time():
 
 
 def test_what_is_unknown_is_described_without_a_validation_recording_whatever_their_lengths():
-    """The second of three chooses; what it left is judged beside what it measured, not beside the first's."""
     runs = [record(k, pulse=150.0, seconds=s) for k, s in enumerate((15.0, 12.0, 13.0))]
-    d = found(runs, LIBRARY)
+    d = found(runs, FEW)
     assert d.verdict == "unknown"
     assert any("time" in row.inputs and row.explained > 0.5 for row in d.unknown)
 
@@ -209,10 +214,9 @@ def test_files_of_one_name_in_several_folders_are_different_recordings():
     runs = [dataclasses.replace(r, name="run") for r in records(3, dry=60.0)]
     d = found(runs, LIBRARY, validate=[dataclasses.replace(record(5, dry=60.0), name="run")])
     assert [(r.record, r.role) for r in d.recordings] == [
-        ("run", "fit"), ("run (2)", "select"), ("run (3)", "fit"), ("run (4)", "report"),
+        ("run", "fit"), ("run (2)", "fit"), ("run (3)", "fit"), ("run (4)", "report"),
     ]  # fmt: skip
     assert [s.effect for s in d.steps] == ["coulomb_friction"]
-    assert not any("none was kept to choose by" in f for f in d.findings)
 
 
 @pytest.mark.proof
@@ -272,8 +276,10 @@ class Kept(Memory):
 def test_an_interrupted_search_goes_on_from_its_memory_and_says_the_same(rubbing, tmp_path):
     runs, judged = records(3, dry=30.0), [record(9, dry=30.0)]
 
+    number = iter(range(99))
+
     def interrupting(stage, done, total, note=""):
-        if stage == "refit" and done == 2:
+        if stage == "search" and done == total and next(number) == 3:
             raise KeyboardInterrupt
 
     began = time.perf_counter()
@@ -281,7 +287,7 @@ def test_an_interrupted_search_goes_on_from_its_memory_and_says_the_same(rubbing
         found(runs, LIBRARY, validate=judged, memory=Kept(tmp_path), progress=interrupting)
     first = time.perf_counter() - began
     kept = len(Kept(tmp_path))
-    assert kept >= 3
+    assert kept >= 2
     whole, rest = Counting(), Counting()
     found(runs, LIBRARY, validate=judged, executor=whole)
     began = time.perf_counter()
@@ -303,8 +309,7 @@ def test_progress_tells_every_stage_in_order():
     told = []
     found(records(3, dry=30.0), ["coulomb_friction", "null_bias"], progress=lambda *said: told.append(said))
     stages = list(dict.fromkeys(stage for stage, *_ in told))
-    assert stages[:3] == ["identify the base", "what was assumed", "screen"]
-    assert {"refit", "look back", "final fit"} <= set(stages)
+    assert stages == ["identify the base", "search", "what was assumed", "final fit"]
     assert all(0 <= done <= total for _, done, total, _ in told if total)
 
 
@@ -312,7 +317,8 @@ def test_progress_tells_every_stage_in_order():
 @pytest.fixture(scope="module")
 def excluded():
     """Dry friction, which the search is not allowed to try."""
-    return found(records(3, dry=30.0), LIBRARY, exclude=["coulomb_friction"], validate=[record(9, dry=30.0)])
+    judged = [record(9, dry=30.0)]
+    return found(records(3, dry=30.0), [*FEW, "coulomb_friction"], exclude=["coulomb_friction"], validate=judged)
 
 
 def test_excluded_effects_are_not_tried(excluded):
@@ -366,7 +372,7 @@ def test_one_recording_is_enough_for_a_clear_effect():
 def test_a_recording_on_which_the_base_diverges_keeps_its_row():
     residual = np.full((5, 1), np.inf)
     flat = slide().flat
-    data = SimpleNamespace(noise=np.array([NOISE]), train=(), select=(), fit=(), report=("run",))
-    sides = [SimpleNamespace(residuals_report=(r,), refitted=None) for r in (residual, np.full((5, 1), NOISE))]
-    (gap,) = answering.View(flat, data, *sides)._gaps(*(answering.pooled_rmse(s.residuals_report) for s in sides))
+    data = SimpleNamespace(noise=np.array([NOISE]), train=(), report=("run",))
+    sides = [SimpleNamespace(residuals_report=(r,)) for r in (residual, np.full((5, 1), NOISE))]
+    (gap,) = View(flat, data, *sides).pooled("report")
     assert (gap.output, gap.rmse_before, gap.rmse_after) == ("speed", np.inf, pytest.approx(NOISE))

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.executor import cores_of, executor_for, mapped, portable
+from hydrotwin.discovery.work.executor import cores_of, executor_for, mapped, portable
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
@@ -85,7 +85,7 @@ def test_an_executor_of_ones_own_is_used_and_left_open(jobs, here):
 
 
 def test_the_command_line_which_opens_the_executor_itself_shares_cores_as_well(monkeypatch):
-    monkeypatch.setattr("hydrotwin.discovery.executor.processors", lambda: 5)
+    monkeypatch.setattr("hydrotwin.discovery.work.executor.processors", lambda: 5)
     for spec in ("threads", "processes", None):
         with executor_for(spec, workers=1) as executor:
             assert cores_of(executor) == 5
@@ -167,7 +167,7 @@ def test_a_worker_has_one_blas_thread_and_the_parent_keeps_its_own(monkeypatch):
 
 
 SCRIPT = """
-from hydrotwin.discovery.executor import executor_for, mapped
+from hydrotwin.discovery.work.executor import executor_for, mapped
 with executor_for("processes", workers=1) as executor:
     print(list(mapped(executor, abs, [-1, -2])))
 """
@@ -185,7 +185,7 @@ def test_a_script_without_a_main_guard_may_use_processes(way, tmp_path):
 
 INTERRUPTED = """
 import os, signal, sys, threading, time
-from hydrotwin.discovery.executor import executor_for, mapped
+from hydrotwin.discovery.work.executor import executor_for, mapped
 jobs = [60.0] * 4
 try:
     with executor_for("processes", workers=2) as executor:
@@ -218,7 +218,7 @@ def test_ctrl_c_stops_running_jobs_at_once_and_leaves_no_process_and_no_word_of_
 )
 def test_an_executor_that_is_not_there_is_refused_in_a_sentence(spec, kind, says, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("hydrotwin.discovery.executor.PATIENCE", 1.0)
+    monkeypatch.setattr("hydrotwin.discovery.work.executor.PATIENCE", 1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(kind, match=says), executor_for(spec):

@@ -10,8 +10,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.experiment import DIVERGED, _absorbed, _Member, _rms, candidates, next_experiment, seen_limits
-from hydrotwin.discovery.refit import Question, RefitJob, refit
+from hydrotwin.discovery.diagnosis.experiment import (
+    DIVERGED,
+    _absorbed,
+    _Member,
+    _rms,
+    candidates,
+    next_experiment,
+    seen_limits,
+)
+from hydrotwin.discovery.fits.job import Job, Question
+from hydrotwin.discovery.fits.whole import conclude, fit
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
 from hydrotwin.simulation import prepare
@@ -71,12 +80,12 @@ def split():
         y, _ = prepare(truth).run(time, u, truth.parameter_vector(), np.zeros(1))
         noisy = y + NOISE * np.random.default_rng(seed).standard_normal(y.shape)
         recordings.append(Recording(f"run_{seed}", None, time, u, noisy))
-    question = Question(tuple(recordings), (), np.array([NOISE]))
+    question = Question(tuple(recordings), np.array([NOISE]))
     members = []
     for name, law, start in (("command_deadband", deadband, 0.2), ("displacement_error", smaller, 0.2)):
         flat = lag(name, law, start)
         free = ("gain", "time", "width") if law is deadband else ("time", "width")
-        fitted = refit(RefitJob(flat, free, question))
+        fitted = fit(Job(flat, free, question))
         members.append((name, flat, fitted.values, fitted.states))
     return SimpleNamespace(members=members, recordings=recordings, question=question, inputs=truth.inputs)
 
@@ -125,10 +134,12 @@ def test_the_wrong_member_fails_as_predicted_when_the_experiment_is_made(split):
     y, _ = prepare(truth).run(found.time, u, truth.parameter_vector(), np.zeros(1))
     measured = y + NOISE * np.random.default_rng(9).standard_normal(y.shape)
     more = Recording("new", None, found.time, u, measured)
-    question = Question((*split.recordings, more), (), np.array([NOISE]))
+    question = Question((*split.recordings, more), np.array([NOISE]))
     left = {}
     for name, flat, values, _ in split.members:
-        left[name] = refit(RefitJob(flat, tuple(values), question, starts=(values,))).residuals_fit[-1] / NOISE
+        known = fit(Job(flat, tuple(values), question, starts=(values,)))
+        job = Job(flat, tuple(values), question, (known.values,), known.states, known.rmse)
+        left[name] = conclude(job).residuals_fit[-1] / NOISE
     assert np.sqrt(np.mean(left["command_deadband"] ** 2)) < 1.1
     wrong = np.sqrt(np.mean(left["displacement_error"] ** 2) - 1.0)
     assert wrong > 0.7 * found.separation  # predicted for the member that comes nearer to the other

@@ -8,7 +8,7 @@ import time as clock
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.locate import amount, locations
+from hydrotwin.discovery.diagnosis.locate import amount, locations
 from hydrotwin.identification.problem import Recording
 
 from .test_regions import MACHINE, NOISE, POSITION, PRESSURE, SPEED, only, scene

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydrotwin.discovery.regions import (
+from hydrotwin.discovery.diagnosis.regions import (
     Quantity,
     autocorrelation,
     bin_edges,

@@ -11,8 +11,8 @@ import time
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.executor import executor_for, portable
-from hydrotwin.discovery.resume import Memory, key_of, packed, recalled, unpacked
+from hydrotwin.discovery.work.executor import executor_for, portable
+from hydrotwin.discovery.work.memory import Memory, key_of, packed, recalled, unpacked
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError
 
@@ -103,7 +103,7 @@ def test_the_same_job_has_the_same_key_built_twice_and_packed():
 
 def test_a_model_packed_for_one_job_alone_has_a_key_too():
     flat = cehA.model().flat
-    from hydrotwin.discovery.executor import Starts
+    from hydrotwin.discovery.work.executor import Starts
 
     alone = dataclasses.replace(flat, initialisation=Starts({("arm.angle",): flat.start_given(("arm.angle",))}))
     assert key_of(alone) != key_of(flat)

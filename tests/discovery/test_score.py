@@ -71,3 +71,46 @@ def test_a_fit_that_leaves_less_than_the_noise_tells_the_noise_unless_the_user_d
     assert sharper(NOISE, seen, ~told, least).tolist() == NOISE.tolist()
     assert sharper(NOISE, seen, told, np.array([0.08, 0.0]))[0] == 0.08
     assert sharper(NOISE, [], told, least) is NOISE
+
+
+# -- by hand -----------------------------------------------------------------------------------------------------------
+def test_the_floor_is_noise_with_its_chance_rounding_that_grows_with_scale_and_a_fiftieth_of_the_base():
+    counts, base = np.array([[200.0], [100.0], [8.0]]), np.array([[0.0], [0.25], [4.0]])
+    found = Floor(np.array([0.1]), np.array([0.03]), base).variance(counts)
+    noise = [0.01 * (1.05 + 3 * np.sqrt(2 / n)) for n in (200, 100, 8)]
+    rounding = [0.0009, 0.0018, 0.0036]
+    law = [0.0, 0.25 * 0.0004, 4.0 * 0.0004]
+    assert found[:, 0] == pytest.approx([a + b + c for a, b, c in zip(noise, rounding, law, strict=True)])
+
+
+def test_every_scale_counts_half_its_values_times_the_logarithm_of_how_far_it_stands_out():
+    counts = np.array([[200.0], [8.0]])
+    floor = Floor(np.array([0.1]), np.zeros(1))
+    allowed = floor.variance(counts)[:, 0]
+    left = Spectrum(np.array([[0.5 * allowed[0] * 200], [7.0 * allowed[1] * 8]]), counts)
+    assert score(left, floor) == pytest.approx(4 * np.log(7.0)), "what lies below its floor makes up for nothing"
+
+
+def test_the_same_bias_is_worth_few_values_however_long_it_lasts():
+    """One coefficient holds it: a hundred times the samples are a hundred times the square, and no more values."""
+    short, long = (score(spectrum([NOISE * np.ones((n, 2))]), floor()) for n in (64, 6400))
+    assert 0 < long - short < 2 * 6 * np.log(100)
+
+
+def test_an_output_without_a_noise_or_without_a_value_has_no_say():
+    left = spectrum([white() * 5])
+    known = Floor(np.array([0.1, np.nan]), np.zeros(2))
+    assert by_output(left, known)[1] == 0.0 < by_output(left, known)[0]
+    runs = white() * 5
+    runs[:, 1] = np.nan
+    empty = spectrum([runs])
+    assert by_output(empty, floor())[1] == 0.0 and np.isnan(empty.rmse[1])
+
+
+def test_a_fit_that_diverged_and_an_unknown_noise_sharpen_nothing():
+    good, lost = spectrum([white() * 0.5]), spectrum([np.full((100, 2), np.inf)])
+    told, least = np.array([False, False]), np.zeros(2)
+    assert sharper(NOISE, [lost], told, least) is NOISE
+    assert sharper(NOISE, [lost, good], told, least) == pytest.approx(0.5 * NOISE, rel=0.06)
+    assert np.isnan(sharper(np.array([0.1, np.nan]), [good], told, least)[1])
+    assert sharper(NOISE, [spectrum([3 * white()])], told, least).tolist() == NOISE.tolist(), "never louder"

@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.regions import Carrier
-from hydrotwin.discovery.unknown import describe_unknown, strongest
+from hydrotwin.discovery.diagnosis.regions import Carrier
+from hydrotwin.discovery.diagnosis.unknown import describe_unknown, strongest
 
 from .test_regions import MACHINE, NOISE, POSITION, PRESSURE, SPEED, only, scene
 

@@ -10,19 +10,20 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hydrotwin.discovery import refit
 from hydrotwin.discovery.discover import discover
-from hydrotwin.discovery.resume import Memory
-from hydrotwin.discovery.verdict import DOUBTED
+from hydrotwin.discovery.fits import job, whole
+from hydrotwin.discovery.work.memory import Memory
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.models.language import Model
 from hydrotwin.records import Record
 from hydrotwin.report.gap_data import gap_data
 from tests.discovery.slides import (
     NOISE,
+    START,
     Inline,
     TwoSensors,
     drive_records,
+    fitted,
     found,
     question,
     record,
@@ -30,7 +31,8 @@ from tests.discovery.slides import (
     slide,
 )
 
-EFFECTS = ("coulomb_friction", "dead_time", "null_bias", "stribeck_friction")
+DOUBTED = "the recordings that judge are explained better without it"
+EFFECTS = ("coulomb_friction", "dead_time", "stribeck_friction")
 DRY, LATE = 50.0, 1  # N, samples
 JUDGED = ("probability", "role", "validate", "findings", "recordings", "provenance", "seconds", "verdict", "answer")
 
@@ -74,7 +76,8 @@ VALIDATION = {
 
 
 CASES = [("two effects", judging) for judging in VALIDATION]
-CASES += [("a pulse that no effect explains", "another machine"), ("nothing missing", "one far outside")]
+CASES += [("nothing missing", "one far outside")]
+CASES += [pytest.param("a pulse that no effect explains", "another machine", marks=pytest.mark.proof)]
 
 
 class Kept(Memory):
@@ -119,12 +122,15 @@ def test_whatever_validates_what_is_learned_is_the_same_to_the_bit(alone, hidden
 
 def test_a_start_that_only_validation_measures_does_not_reach_the_equations_of_the_fit(monkeypatch):
     """They would be compiled for one more free start, and need not round alike."""
-    known, prepared = {"speed": NOISE}, []
-    asked = question([late_to_begin(r) for r in records(3)], noise=known)
-    asked = dataclasses.replace(asked, select=question(records(3, first=7), noise=known).select)
-    compiled = refit.prepare
-    monkeypatch.setattr(refit, "prepare", lambda *a, **w: prepared.append(w["free_states"]) or compiled(*a, **w))
-    concluded = refit.conclude(refit.RefitJob(slide().flat, ("mass.mass", "mass.damping"), asked))
+    prepared, asked = [], question([late_to_begin(r) for r in records(3)])
+    asked = dataclasses.replace(asked, select=question(records(1, first=7), noise={"speed": NOISE}).fit[:1])
+    compiled = job.prepare
+    for module in (job, whole):
+        monkeypatch.setattr(module, "prepare", lambda *a, **w: prepared.append(w["free_states"]) or compiled(*a, **w))
+    known = fitted(asked)
+    prepared.clear()
+    last = job.Job(slide().flat, tuple(START), asked, (known.values,), known.states, known.rmse)
+    concluded = whole.conclude(last)
     assert prepared == [[], ["mass.speed"]]
     assert len(concluded.residuals_report) == 1 and np.isfinite(concluded.residuals_report[0]).all()
 
@@ -139,7 +145,7 @@ def test_an_effect_that_validation_speaks_against_stays_less_probable_and_with_a
         assert after["coulomb_friction"] > 0.9 * before["coulomb_friction"]
         notes = [f for f in answer.findings if DOUBTED in f]
         assert [n.partition(" is named")[0] for n in notes] == ["gap: dead_time at force"] * (not late)
-        assert (after["dead_time"] < 0.1 * before["dead_time"]) == (not late)
+        assert (after["dead_time"] < 0.5 * before["dead_time"]) == (not late)
 
 
 # -- around an FMU -----------------------------------------------------------------------------------------------------
@@ -152,28 +158,32 @@ def around(tmp_path_factory):
     return fmu, drives_around(fmu, memory), memory
 
 
-def drives(count, first, late=3, shift=0.8):
+def drives(count, first, late=3, scale=1.1):
     def later(u):
         return np.concatenate([np.full(late, u[0]), u[: len(u) - late]])
 
-    return drive_records(count, first, command=later, other=lambda w, time: w + shift)
+    return drive_records(count, first, command=later, other=lambda w, time: scale * w)
 
 
 def drives_around(fmu, memory, validate=()):
-    asked = {"effects": ["dead_time", "sensor_bias"], "executor": Inline(), "memory": memory}
+    asked = {"effects": ["dead_time", "sensor_scale"], "executor": Inline(), "memory": memory}
     return discover(fmu, drives(3, 0), validate=validate, **asked)
 
 
 @pytest.mark.parametrize(
     ("judging", "doubts"),
-    [(drives(1, 7), []), (drives(1, 7, shift=0.3), ["sensor_bias at other"]), (drives(1, 7, late=9, shift=-5.0), None)],
+    [
+        (drives(1, 7), []),
+        (drives(1, 7, scale=1.03), ["sensor_scale at other"]),
+        (drives(1, 7, late=9, scale=0.5), None),
+    ],
 )
 def test_around_an_fmu_what_validates_chooses_as_little(around, judging, doubts):
     fmu, first, memory = around
     fits = len(memory)
     answer = drives_around(fmu, memory, judging)
     assert len(memory) == fits > 3
-    assert {(s.effect, s.site) for s in first.steps} == {("dead_time", "command"), ("sensor_bias", "other")}
+    assert {(s.effect, s.site) for s in first.steps} == {("dead_time", "command"), ("sensor_scale", "other")}
     if doubts is None:
         assert (answer.verdict, answer.steps) == ("unknown", ())
         return

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.discovery.resume import Memory, key_of
+from hydrotwin.discovery.work.memory import Memory, key_of
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import CATALOGUE, add_effect, candidates
 from hydrotwin.models.language.errors import DataError, SolveError

@@ -32,6 +32,7 @@ def test_the_catalogue_and_the_gap_workflow_are_found_at_the_face():
     friction = ht.add_effect(load("cehA"), "coulomb_friction")
     assert "coulomb_friction at arm.pin" not in {c.label for c in ht.candidates(friction)}
     assert {"discover", "Discovery", "write_gap_report", "effects"} <= set(dir(ht))
+    assert all(hasattr(ht, name) for name in ht.__all__)
 
 
 def test_a_users_file_may_import_what_lies_beside_it_and_leaves_no_trace(tmp_path):

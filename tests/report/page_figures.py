@@ -56,19 +56,20 @@ def gap_figures(data: dict) -> dict[str, list[dict]]:
     for look in looks:
         rows = [c for c in data["candidates"] if c["step"] == look]
         name = f"candidates_{look if look <= len(data['steps']) else 'last'}"
-        fitted = [c for c in rows if c["bic_gain"] is not None or c["fate"] in ("named", "in class")]
+        fitted = [c for c in rows if c["left"] is not None or c["fate"] in ("named", "in class")]
         tables[name] = fitted or rows[:12]
         tables[f"{name}_rest"] = [c for c in rows if c not in tables[name]]
     for k, step in enumerate(data["steps"], 1):
         tables[f"effect_{k}"] = list(step["parameters"].values())
         known = {(c["effect"], c["site"]): c for c in data["candidates"] if c["step"] == k}
         tables[f"members_{k}"] = [known[m["effect"], m["site"]] for m in step["members"]]
+    tables["sure"] = _odds(data["probabilities"])
     left = [r["times_noise"] ** 2 - 1 for r in data["waterfall"]]
     closed = [None, *((a - b) / left[0] for a, b in pairwise(left))][: len(left)]
     tables["waterfall"] = [{**r, "gap_closed": c} for r, c in zip(data["waterfall"], closed, strict=True)]
     tables["shifts"] = [_shift(s) for s in data["shifts"]]
     tables["fit_after"] = _parameters(data["parameters"])
-    order = {"report": 0, "select": 1, "fit": 2}
+    order = {"report": 0, "fit": 1}
     recordings = sorted(data["recordings"], key=lambda r: order[r["role"]])
     for output in dict.fromkeys(o for r in recordings for o in r["outputs"]):
         of = [r["outputs"][output] for r in recordings if output in r["outputs"]]
@@ -82,6 +83,14 @@ def gap_figures(data: dict) -> dict[str, list[dict]]:
 
 def _worst(row: dict) -> float:
     return -row["times_noise"]
+
+
+def _odds(odds: dict[str, float]) -> list[dict]:
+    """The most likely first, what is spread over many, something else last."""
+    known = sorted((p for name, p in odds.items() if name != "something else"), reverse=True)
+    rest = 1 - sum(odds.values())
+    rows = [*known, *([rest] if rest >= 0.005 else []), *([odds["something else"]] if odds else [])]
+    return [{"probability": p} for p in rows]
 
 
 def _output(row: dict) -> dict:

@@ -141,7 +141,7 @@ def test_a_gap_page_counts_the_recordings_that_were_given_and_the_candidates_tha
     (eyebrow,) = [line for line in text.splitlines() if line.startswith("Gap of ")]
     assert f" · {given} recording{'s' * (given > 1)} · {data['screened']} candidates · " in eyebrow
     assert shows(eyebrow.split(" · ")[3].removesuffix(" s"), data["seconds"])
-    fitted = {c["effect"] for c in data["candidates"] if c["bic_gain"] is not None}
+    fitted = {c["effect"] for c in data["candidates"] if c["left"] is not None}
     assert len(fitted) <= data["fitted"] <= data["screened"]
 
 
@@ -166,8 +166,8 @@ def test_figures_of_one_thing_in_several_places_of_gap_json_agree(searched):
 
 def test_the_words_say_on_which_recordings_a_figure_was_taken(searched, lone):
     _, (data, text) = searched
-    assert {r["role"] for r in data["recordings"]} == {"fit", "select", "report"}
-    assert "of all outputs on the recordings for choosing, as the search left it" in text
+    assert {r["role"] for r in data["recordings"]} == {"fit", "report"}
+    assert "of all outputs on the recordings of the fit, as the search left it" in text
     assert "unseen recordings" not in text
     assert "Those of the effects above also allow for the form of the law." in text
 

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.discovery import OutputGap, Rung
-from hydrotwin.discovery.words import percent, placed
+from hydrotwin.discovery.answer.discovery import OutputGap, Rung
+from hydrotwin.discovery.answer.words import percent, placed
 from hydrotwin.report import Table, gap_data, gap_page, gap_text
 from hydrotwin.report.gap import _title
 from hydrotwin.report.gap_figures import overlay_groups, picture, region_groups, shift_figure, waterfall_figure
@@ -38,6 +38,7 @@ from tests.report.gap_discoveries import (
 from tests.report.test_pieces import unpacked
 
 CONTRACT = {"model", "verdict", "steps", "noise", "train", "validate", "separating_experiment", "seconds"}
+CONTRACT |= {"probabilities", "untried"}
 STEP = {"effect", "site", "class", "probability", "parameters", "gap_closed"}
 
 
@@ -75,7 +76,9 @@ def test_what_does_not_exist_is_null_in_gap_json():
     data = gap_data(named())
     assert data["validate"]["motor_speed"]["gap_closed"] is None
     (dropped,) = [c for c in data["candidates"] if c["effect"] == "backlash"]
-    assert (dropped["bic_gain"], dropped["fate"], dropped["step"]) == (None, "not refitted", 1)
+    assert (dropped["share"], dropped["left"], dropped["gap_closed"]) == (None, None, None)
+    assert (dropped["fate"], dropped["step"]) == ("not fitted", 1)
+    assert not {"bic_gain", "paired_t"} & dropped.keys()
     json.dumps(data, allow_nan=False)
 
 
@@ -101,7 +104,7 @@ def test_the_page_needs_nothing_from_elsewhere_and_stays_small(case, tmp_path):
 def test_sections_of_a_named_effect_come_in_the_order_of_the_work():
     ids = [s.id for s in gap_page(named(), command="", date=DATE).sections]
     assert ids == [
-        *("where", "candidates", "effects", "plots", "waterfall", "shifts", "apart", "recordings"),
+        *("where", "candidates", "effects", "sure", "plots", "waterfall", "shifts", "apart", "recordings"),
         *("not-testable", "noise", "provenance"),
     ]
     assert {"unknown", "findings"} <= {s.id for s in gap_page(unknown(), command="", date=DATE).sections}
@@ -142,7 +145,7 @@ def test_overlays_put_unseen_recordings_first_and_the_error_below():
     found = named()
     group = overlay_groups(found, display_units(found))[0]
     assert [(f.row, f.label) for f in group.figures] == [
-        *(("never used", "run_4"), ("never used", "slow_5"), ("for choosing", "run_3")),
+        *(("never used", "run_4"), ("never used", "slow_5")),
     ]
     measured, _, after, _, error, _ = group.figures[0].spec["data"]
     gap = np.asarray(unpacked(error["y"]))
@@ -187,11 +190,14 @@ def test_many_long_recordings_keep_the_page_small():
 def test_candidates_are_ranked_with_evidence_fate_and_reason():
     first, rest = candidate_tables(named().steps[0].ranked, "candidates_1", "First look")
     rows = {row[0].text: [c.text for c in row] for row in first.rows}
-    assert rows["Coulomb friction"][1:8] == [
-        *("cylinder.rod", "83\u00a0%", "5210", "14", "99\u00a0%", "98\u00a0%", "named"),
+    assert [c.title for c in first.columns][2:5] == ["Promise", "Left", "Gap closed"]
+    assert rows["Coulomb friction"][1:7] == [
+        *("cylinder.rod", "83\u00a0%", "12.4", "99\u00a0%", "98\u00a0%", "named"),
     ]
-    assert rows["Stribeck friction"][-1] == "Refines Coulomb friction by 4 BIC: not worth its name."
-    assert rest.folded
+    assert rows["Stribeck friction"][-1] == "Leaves more than what is told, or no less for more parameters."
+    assert "0: nothing but noise is left" in first.note
+    assert rest.folded and not rest.note
+    assert [row[2].text for row in rest.rows if row[0].text == "Play"] == ["–"], "where nobody looked"
     assert len(rest.rows) == 3
 
 
@@ -219,7 +225,7 @@ def test_a_recording_that_got_worse_is_marked_in_its_table():
     table = next(t for t in page.tables if t.id == "recordings_arm_angle")
     marked = [row[0].text for row in table.rows if row[3].tone == "warning"]
     assert marked == ["slow_5"]
-    assert [row[1].text for row in table.rows] == ["never used"] * 2 + ["for choosing"] + ["fitted"] * 2
+    assert [row[1].text for row in table.rows] == ["never used"] * 2 + ["fitted"] * 3
 
 
 def test_intervals_get_the_digits_that_they_give_sense_to():

@@ -103,7 +103,7 @@ def test_no_gap_is_told_plainly_and_promises_no_more_than_the_recordings_can_hol
     text = first_screen(none())
     assert "No effect is missing: the model agrees with the recordings to within the noise of the sensors." in text
     assert "at most 1.01 times it, on arm_angle" in text
-    assert "74 candidates were screened and 2 of them fitted; none is needed." in text
+    assert "74 candidates were looked at and 2 of them fitted; none is needed." in text
     assert "These recordings cannot judge entrained air at cylinder.cap" in text
     assert "closes" not in text
 
@@ -145,20 +145,16 @@ def test_a_recording_that_gets_worse_a_wild_value_and_a_bound_are_notices():
 
 
 def test_an_answer_that_no_recording_confirms_says_so_on_the_first_screen():
-    roles = {"select": "fit"}
-    fitted = tuple(replace(r, role=roles.get(r.role, r.role)) for r in named().recordings)
-    page = gap_page(replace(named(), recordings=fitted), command="", date=DATE)
+    page = gap_page(named(), command="", date=DATE)
     assert page.notices == (), "those that judge show the gap, and that it is closed"
     (lead,) = (s.lead for s in page.sections if s.id == "candidates")
-    assert "for choosing" not in lead and "the same, all there are" in lead
+    assert "on the recordings of the fit." in lead
     still = tuple(
         replace(r, outputs=tuple(replace(o, gap_closed=float("nan")) for o in r.outputs)) if r.role == "report" else r
-        for r in fitted
+        for r in named().recordings
     )
     (notice,) = gap_page(replace(named(), recordings=still), command="", date=DATE).notices
     assert notice.startswith("No recording confirms this")
-    chosen = tuple(replace(r, role="select") if r.record == "run_3" else r for r in still)
-    assert gap_page(replace(named(), recordings=chosen), command="", date=DATE).notices == ()
 
 
 def test_the_typical_range_of_a_size_with_a_sign_is_that_of_the_size():

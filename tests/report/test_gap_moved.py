@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydrotwin.discovery.discovery import Shift
+from hydrotwin.discovery.answer.discovery import Shift
 from hydrotwin.report import Note, gap_page
 from hydrotwin.report.gap_moved import moved_notes, moved_sentences
 from tests.report.gap_discoveries import DATE, NAN, named, two_effects

@@ -5,7 +5,8 @@
 m effects cost one name each out of N candidates, k parameters half the logarithm of n measured values each (BIC). No
 law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
 units of T. With the prior probability r the law of what is missing is only roughly the catalogue's, and S_rough allows
-for that. Something else would leave nothing, at the price of the best structure, and has a small prior.
+for that. Something else would leave nothing, at the price of the best structure, and has a small prior. Beside it the
+law of an effect is seen through what else is missing, so there structures are compared by exp(-S_beside / T).
 Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
 """
 
@@ -36,10 +37,14 @@ class Prices:
 
 @dataclass(frozen=True)
 class Posterior:
-    """Probabilities of structures by key (labels of their effects), the empty one nothing; ``else_`` something else."""
+    """Probabilities of structures by key (labels of their effects), the empty one nothing; ``else_`` something else.
+
+    beside : logarithms of the weights of structures with effects beside something else, as far as they compare.
+    """
 
     structures: Mapping[Key, float]
     else_: float
+    beside: Mapping[Key, float]
 
     @property
     def best(self) -> Key:
@@ -67,11 +72,15 @@ def temperature(base: float) -> float:
 
 
 def posterior(
-    scores: Mapping[Key, float], rough: Mapping[Key, float], parameters: Mapping[Key, int], prices: Prices
+    scores: Mapping[Key, float],
+    rough: Mapping[Key, float],
+    beside: Mapping[Key, float],
+    parameters: Mapping[Key, int],
+    prices: Prices,
 ) -> Posterior:
-    """Of scores S and S_rough by key; those of the base, the empty key, must be among them."""
-    T = temperature(scores[NOTHING])
+    """Of scores S, S_rough and S_beside by key; those of the base, the empty key, must be among them."""
     keys = [k for k in scores if np.isfinite(scores[k])] or [NOTHING]
+    T = temperature(scores[NOTHING])
     costs = {k: prices.of(len(k), parameters[k]) for k in keys}
     r = DECIDING.rarely
     logs = {k: np.logaddexp(np.log(1 - r) - scores[k] / T, np.log(r) - rough[k] / T) - costs[k] for k in keys}
@@ -81,4 +90,5 @@ def posterior(
     values = np.array([*(known + logs[k] for k in keys), else_])
     weights = np.exp(values - values.max())
     weights /= weights.sum()
-    return Posterior(dict(zip(keys, weights[:-1].tolist(), strict=True)), float(weights[-1]))
+    partly = {k: -beside[k] / T - costs[k] for k in effects}
+    return Posterior(dict(zip(keys, weights[:-1].tolist(), strict=True)), float(weights[-1]), partly)

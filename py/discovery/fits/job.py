@@ -21,6 +21,7 @@ from hydrotwin.simulation import prepare
 from ..evidence.score import Spectrum
 
 KNOWN_TO = np.log(2.0)  # one sigma of what a model came with, of ln p
+WINDOWS = 200  # of a length, at most
 BROAD = 0.05  # of the spread of an output: the error allowed before anything is known of it
 
 
@@ -28,17 +29,20 @@ BROAD = 0.05  # of the spread of an output: the error allowed before anything is
 class Question:
     """What is the same for every structure.
 
-    fit : the recordings; noise : of the sensors (ny,), SI.
+    fit : the recordings; select : those that judge, of a last fit only; noise : of the sensors (ny,), SI.
     usual : base parameters by path at the values that the model came with, known to a factor of two (one sigma).
     lengths : seconds [s] of the windows through which every fit is led, growing; none for what cannot start anywhere.
+    windows : of a length, at most, evenly spread.
     """
 
     fit: tuple[Recording, ...]
     noise: np.ndarray
+    select: tuple[Recording, ...] = ()
     initial_states: str = "auto"
     step: float | None = None
     usual: Mapping[str, float] = field(default_factory=dict)
     lengths: tuple[float, ...] = ()
+    windows: int = WINDOWS
 
     @property
     def counts(self) -> np.ndarray:
@@ -53,7 +57,8 @@ class Job:
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
     where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
-    which one to before which one a look goes; None for a fit to whole recordings. threads : over recordings.
+    which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
+    over recordings.
     """
 
     flat: FlatModel
@@ -79,8 +84,8 @@ class Look:
 
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
-    states by name and recording. trail : values after the stages before.
-    left : of whole recordings, where it looked at them.
+    states by name and recording. trail : values after the stages before. sigmas : of the values, by path, infinite
+    where nothing shows. left : of whole recordings, where it looked at them.
     """
 
     values: Mapping[str, float]
@@ -89,6 +94,7 @@ class Look:
     size: np.ndarray
     states: tuple[Mapping[str, float], ...] = ()
     trail: tuple[Mapping[str, float], ...] = ()
+    sigmas: Mapping[str, float] = field(default_factory=dict)
     left: Spectrum | None = None
     seconds: float = 0.0
 
@@ -147,7 +153,7 @@ def moving_starts(job: Job) -> list[str]:
     q = job.question
     if q.initial_states == "free" or job.flat.black_box:
         return [s.name for s in job.flat.states]
-    return sorted(set().union(*(measured_start(job.flat, r) for r in q.fit)))
+    return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
 
 
 def prior_of(free: FreeParameters, q: Question) -> Prior:

@@ -13,10 +13,12 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hydrotwin.identification.descent import Task, undecided, whole_runs
+from hydrotwin.identification.answer import answer
+from hydrotwin.identification.descent import Task, held_out_run, undecided, whole_runs
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Shooting
@@ -40,7 +42,7 @@ def step(job: Job) -> Look | Fitted | str:
     """The next step of a structure: longer windows, or whole recordings. Pure and picklable."""
     if job.stages is None:
         return fit(job)
-    return look(job) if job.question.lengths else glance(job)
+    return glance(job) if job.stages == (0, 0) else look(job)
 
 
 def fit(job: Job) -> Fitted | str:
@@ -136,11 +138,20 @@ def _size(task: Task, left: Sequence[np.ndarray]) -> np.ndarray:
     return not_below(task.noise, rmse)
 
 
-def residuals_of(task: Task, found: Minimum) -> list[np.ndarray]:
-    """Residuals (n, ny), SI, of free runs, infinite where one diverges."""
-    shooting = whole_runs(task)[0]
+def residuals_of(task: Task, found: Minimum, recordings=None) -> list[np.ndarray]:
+    """Residuals (n, ny), SI, of free runs, infinite where one diverges; of other recordings with starts estimated."""
+    if recordings is None:
+        return _runs(task, whole_runs(task)[0], found.q, found.z)
+    runs, task = [], undecided(task)
+    for recording in recordings:
+        shooting, z = held_out_run(task, found.q, recording)
+        runs += _runs(task, shooting, found.q, z)
+    return runs
+
+
+def _runs(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
     unit = np.where(task.weights > 0, task.weights, np.nan)
-    runs = [shooting.residuals(i, found.q, found.z[i]) for i in range(len(shooting.recordings))]
+    runs = [shooting.residuals(i, q, z[i]) for i in range(len(shooting.recordings))]
     seen = [np.isfinite(recording.y) for recording in shooting.recordings]
     return [np.where(s, np.inf, np.nan) if r is None else r / unit for r, s in zip(runs, seen, strict=True)]
 
@@ -168,6 +179,53 @@ def _answer(task: Task, found: Minimum, left: Sequence[np.ndarray]) -> Fitted:
         converged=found.converged,
         iterations=found.iterations,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Concluded:
+    """A structure fitted for good: the `Fit` with intervals, residuals (n, ny), SI, fitted to and of what judges."""
+
+    fit: object
+    fitted: Fitted
+    residuals_fit: tuple[np.ndarray, ...]
+    residuals_report: tuple[np.ndarray, ...]
+
+
+def conclude(job: Job) -> Concluded | str:
+    """The `Fit` of a structure where it stands, and what it leaves of what judges, which takes no part.
+
+    It is fitted on only where it has not come to rest. No bit of what is fitted depends on what judges: not even the
+    compiled equations know of it. A sentence when it diverges. Pure and picklable.
+    """
+    try:
+        return _conclude(job.beginning())
+    except SolveError as error:
+        return str(error)
+
+
+def _conclude(job: Job) -> Concluded:
+    began, q = time.perf_counter(), job.question
+    alone = dataclasses.replace(job, question=dataclasses.replace(q, select=()))
+    task = task_of(alone, job.starts[0], not_below(q.noise, job.size), moving_starts(alone))
+    shooting, z = whole_runs(task)
+    start = task.free.scaled(task.free.start)
+    found = minimise(
+        shooting, start, given(shooting, z, job.states), **TOLERANCE, most=job.iterations, until=job.seconds
+    )
+    left = residuals_of(task, found)
+    settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
+    one = answer(task, [found], (), settings, began)
+    judged = tuple(residuals_of(_judging(task, job), found, q.select)) if q.select else ()
+    return Concluded(one, _answer(task, found, left), tuple(left), judged)
+
+
+def _judging(task: Task, job: Job) -> Task:
+    """The task of runs through the recordings that judge, whichever start states those measure."""
+    states = moving_starts(job)
+    if states == list(task.propagator.free_states):
+        return task
+    propagator = prepare(job.flat, free_parameters=task.free.names, free_states=states, step=job.question.step)
+    return dataclasses.replace(task, propagator=propagator)
 
 
 def trajectories(flat, question, fitted: Fitted) -> list[np.ndarray]:

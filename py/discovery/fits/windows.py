@@ -19,10 +19,9 @@ from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.models.language.errors import SolveError
 
-from .job import Job, Look, broad, not_below, point_of, task_of
+from .job import Job, Look, Question, broad, not_below, point_of, task_of
 
-STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 2.0, "most": 12}  # of a minimisation over windows
-MOST = 200  # windows of a length, evenly spread
+STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
 TURNS = 2  # of weights and minimum at every length
 CHANGED = np.log(1.5)  # of the sizes that are left, from which on another turn is worth it
 
@@ -42,10 +41,10 @@ def _led(job: Job) -> Look:
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, few_runs=True)
-    point, states = _cheapest(task, job, q.lengths[0])
+    point, states = _cheapest(task, job)
     squares, counts, trail = [], [], []
     for seconds in q.lengths[again:end]:
-        shooting, z = _cut(undecided(task), point, seconds, states, q.lengths[0])
+        shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
             z = _nearer(task, shooting, point, z, q.lengths[0])
         for _ in range(TURNS):
@@ -64,8 +63,8 @@ def _led(job: Job) -> Look:
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    new = slice(begin - again, None)
-    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]))
+    new, sigmas = slice(begin - again, None), dict(zip(task.free.names, _sigmas(task, found), strict=True))
+    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), sigmas)
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -76,28 +75,28 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
     return min(z, other, key=lambda each: shooting.cost(q, each))
 
 
-def _cheapest(task: Task, job: Job, seconds: float) -> tuple[np.ndarray, list[np.ndarray]]:
+def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
     """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx)."""
-    points = [point_of(task.free, start) for start in job.starts]
+    points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[0]
     p = task.free.vector(points[0])
     states = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
     if len(points) > 1:
-        shooting, z = _cut(task, points[0], seconds, states, seconds)
+        shooting, z = _cut(task, points[0], seconds, states, job.question)
         points.sort(key=lambda q: shooting.cost(q, z))
     return points[0], states
 
 
 def _cut(
-    task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarray], shortest: float
+    task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarray], question: Question
 ) -> tuple[Shooting, np.ndarray]:
     """Windows of ``seconds`` with all start states free, and their scaled start states from known trajectories.
 
     They begin where shorter ones began, so that these have found the states there, and do not overlap.
     """
     delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
-    places = horizon.cut(task.recordings, shortest)
+    places = horizon.cut(task.recordings, question.lengths[0])
     segments: list[Segment] = []
-    for place in places[:: int(np.ceil(len(places) / MOST))]:
+    for place in places[:: int(np.ceil(len(places) / question.windows))]:
         time = task.recordings[place.recording].time
         end = int(np.searchsorted(time, time[place.first] + seconds - 1e-9))
         free = not segments or segments[-1].recording != place.recording or segments[-1].last <= place.first
@@ -105,6 +104,19 @@ def _cut(
             lead_in = int(np.searchsorted(time, time[place.first] - delay, side="right")) - 1
             segments.append(Segment(place.recording, max(lead_in, 0), place.first, min(end, len(time))))
     return freely(task, segments, states)
+
+
+def _sigmas(task: Task, found: Minimum) -> list[float]:
+    """Standard deviations of the free parameters, SI, infinite where nothing shows or a run diverged."""
+    information = found.information()
+    size = np.sqrt(np.maximum(np.diag(information), 0.0))
+    seen = size > 0
+    if not np.isfinite(information).all() or not seen.any():
+        return [np.inf] * len(size)
+    scaled = information[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    sigma = np.full(len(size), np.inf)
+    sigma[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)), 0.0)) / size[seen]
+    return (sigma * np.abs(task.free.slope(found.q))).tolist()
 
 
 def _left(shooting: Shooting, found: Minimum) -> tuple[np.ndarray, np.ndarray]:

@@ -21,9 +21,9 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
-from ..fits.job import Fitted, Job, Look
+from ..fits.job import WINDOWS, Fitted, Job, Look
 from ..fits.whole import as_look, step, trajectories
-from .starts import looks, seen_by, usual
+from .starts import compatible, diagonal, different, looks, seen_by, small, usual
 from .table import Entry, Table
 
 
@@ -52,9 +52,13 @@ EFFORTS = {
     "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
 SHORT = 2  # lengths of windows in which a large gap shows
+ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
+FEWEST = 40  # windows of a length
+BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
+FIRST = 2  # structures of a size that are fitted, the most promising, before larger ones are looked at
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
+SOON = 2.0  # looks that a fit from where a good one ended may take
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
-NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
 
 
 class OutOfTime(Exception):
@@ -67,6 +71,7 @@ class Search:
 
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
     first : how many lengths of windows a first look goes through; 0: whole recordings.
+    pause : called with the search between its batches of jobs.
     """
 
     table: Table
@@ -77,6 +82,7 @@ class Search:
     complete: bool = True
     trajectories: list[np.ndarray] | None = None
     first: int = 0
+    pause: Callable[[Search], None] | None = None
 
     def go(self) -> None:
         """Search until nothing promises to improve the answer, or the time is over."""
@@ -91,24 +97,39 @@ class Search:
                 self._take([entry], self._ran([self._whole(entry)]))
 
     def _go(self) -> None:
-        table, base = self.table, self.identify()
+        self.identify()
         if self.explained():
             return
-        self.first = telling(table)
-        if not self.first:  # what is missing shows in whole recordings alone, and the base is near what it would be
-            table.question = dataclasses.replace(table.question, lengths=())
-            base.look = as_look(base.fitted)
-        for size in range(1, self.most + 1):
-            if len(table.candidates) < size:
-                break
+        if not (self.first and self._through(min(self.most, BY_WINDOWS))):
+            self._to_whole_recordings()
+        self._through(self.most)
+        entries = list(self.table.entries.values())
+        self._climb(entries, len(entries))
+        self._settle()
+
+    def _through(self, most: int) -> bool:
+        """Go through structures of up to ``most`` effects until one explains all; whether any of them promises much."""
+        table, seen = self.table, []
+        for size in range(1, min(most, len(table.candidates)) + 1):
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
             self._looked(entries)
-            if not self.first:
-                self._climb(entries)
+            self._climb(entries, FIRST if self.first else len(entries))
+            seen += entries
             if self.explained():
                 break
-        self._climb(list(table.entries.values()))
-        self._dropped()
+        return any(table.promise(e) < EARLY for e in seen)
+
+    def _to_whole_recordings(self) -> None:
+        """Look at whole recordings from now on: windows show too little of what is missing.
+
+        The base is near what it would be then, or what is missing acts seldom.
+        """
+        table, base = self.table, self.table.entry()
+        table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
+        base.look = as_look(base.fitted)
+        for entry in table.entries.values():
+            if entry.open and entry.members:
+                entry.look = None
 
     def identify(self) -> Entry:
         """The base, led through all windows and fitted. Raises SolveError where it diverges."""
@@ -118,10 +139,13 @@ class Search:
         start = free_parameters(table.base.flat, table.free)
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
+        self._advance([base], SHORT)
+        self.first = telling(table)
+        self._fewer_windows()
         self._advance([base], len(lengths))
         starts = self._whole(base).starts if base.look else ({},)
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        jobs = [self.job(base, [start], size=size, states=states) for start in _different(starts)]
+        jobs = [self.job(base, [start], size=size, states=states) for start in different(starts)]
         found = [f for f in self._ran(jobs) if isinstance(f, Fitted)]
         base.fitted = min(found, key=lambda f: score(f.left, table.floor()), default=None)
         if not base.fitted:
@@ -129,6 +153,14 @@ class Search:
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
+
+    def _fewer_windows(self) -> None:
+        """Look through no more windows than show the gap well; the base begins anew with those."""
+        table, base = self.table, self.table.entry()
+        enough = int(WINDOWS * ENOUGH / table.visible(self.first - 1)) if self.first else WINDOWS
+        if enough < 0.8 * WINDOWS:
+            table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
+            base.look = None
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
@@ -148,13 +180,16 @@ class Search:
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
 
-    def _climb(self, entries: Sequence[Entry]) -> None:
+    def _climb(self, entries: Sequence[Entry], most: int) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
         Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
+        most : that are fitted in all.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
+            if sum(bool(e.fitted) for e in entries) >= most:
+                return
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)
             level = SAME + max(table.share(best), table.promise(best)) if best else -1.0
@@ -168,33 +203,62 @@ class Search:
     def _larger(self, size: int) -> list[Entry]:
         """Structures of a size out of the most promising effects, and the best smaller ones with one effect more."""
         table = self.table
-        known = [e for e in table.entries.values() if e.members and not e.failed]
-
-        def worth(e: Entry) -> float:
-            return min(table.promise(e, self.first), table.share(e) if e.fitted else np.inf)
-
-        singles = sorted((e for e in known if len(e.key) == 1), key=worth)
-        pool = [e.members[0] for e in singles[: self.effort.pool]]
+        pool = self._promising()[: self.effort.pool]
         if size == 2:
             groups = sorted(itertools.combinations(pool, 2), key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
         else:
-            smaller = sorted((e for e in known if len(e.key) == size - 1), key=worth)
+            known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
+            smaller = sorted(known, key=self._worth)
             groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
         return [table.entry(g) for g in groups if compatible(g)]
 
-    def _dropped(self) -> None:
-        """Fit the best structure without each of its effects, unless windows tell that this is less."""
+    def _promising(self) -> list[Candidate]:
+        """Single effects, the most promising first."""
+        singles = [e for e in self.table.entries.values() if len(e.key) == 1 and not e.failed]
+        return [e.members[0] for e in sorted(singles, key=self._worth)]
+
+    def _worth(self, e: Entry) -> float:
+        """Share of what the base leaves that a structure leaves, or promises to."""
+        return min(self.table.promise(e, self.first), self.table.share(e) if e.fitted else np.inf)
+
+    def _settle(self) -> None:
+        """Fit what stands beside the best structure from where that ended, too, until the best stays the best.
+
+        A fit of its own may have ended in a local minimum of the base.
+        """
+        tried: set = set()
         while True:
             best = self.table.entries[self.table.posterior().best]
-            parts = [
-                self.table.entry(m for m in best.members if m is not gone)
-                for gone in best.members
-                if len(best.members) > 1
-            ]
-            fresh = [e for e in parts if e.open and not (self.first and self.table.promise(e) > EARLY)]
-            if not fresh:
+            beside = {e.key: e for e in self._beside(best) if (e.key, best.key) not in tried and self._usable(e)}
+            tried |= {(key, best.key) for key in beside}
+            if not beside:
                 return
-            self._advance(fresh, len(self.table.question.lengths))
+            for entry, found in zip(
+                beside.values(), self._ran([self._from_there(e, best) for e in beside.values()]), strict=True
+            ):
+                self._keep_better(entry, found)
+
+    def _beside(self, best: Entry) -> list[Entry]:
+        """What says less than the best: without an effect, or a plainer form of it; and others in its place.
+
+        Others are asked only where the best explains all; what leaves as little is not.
+        """
+        table, found = self.table, []
+        others = self._promising()[: self.effort.together] if self.explained() else []
+        for one in best.members:
+            rest = [m for m in best.members if m is not one]
+            found += [table.entry(rest)] if rest else []
+            instead = [c for c in table.candidates if one.refines(c) or c in others]
+            found += [table.entry([*rest, c]) for c in instead if c not in best.members and compatible([*rest, c])]
+        enough = table.score(best) + 1.0
+        return [e for e in found if not (e.fitted and table.score(e) < enough)]
+
+    def _from_there(self, entry: Entry, best: Entry) -> Job:
+        """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
+        known, own, names = best.fitted, self._starts(entry), self.table.names(entry)
+        begin = {n: v for n, v in known.values.items() if n in names}
+        starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
+        return self.job(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
 
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
@@ -206,11 +270,7 @@ class Search:
         self._take(known, self._ran([self._next(e, first) for e in known]))
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self._from_part(*pair) for pair in worse]), strict=True):
-            if isinstance(found, Fitted):
-                before, entry.fitted = entry.fitted, found
-                after = self.table.score(entry)
-                entry.fitted = before
-                entry.fitted = found if after < self.table.score(entry) else before
+            self._keep_better(entry, found)
 
     def _next(self, entry: Entry, first: int) -> Job:
         """The next step of a structure, from where it stands."""
@@ -230,8 +290,8 @@ class Search:
     def _beside_the_base(self, entry: Entry, limit: float) -> Job:
         """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
         known, starts = self.table.entry().fitted, self._starts(entry)
-        small = {n: v for c in entry.members for n, v in _small(c, starts[0]).items()}
-        starts = [{**known.values, **start} for start in (*starts, small)]
+        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
+        starts = [{**known.values, **start} for start in (*starts, little)]
         return self.job(entry, starts, stages=(0, 0), seconds=limit, states=known.states, size=known.rmse)
 
     def _whole(self, entry: Entry) -> Job:
@@ -249,6 +309,16 @@ class Search:
             else:
                 entry.failed = found
 
+    def _keep_better(self, entry: Entry, found) -> None:
+        """Take a further fit of a structure where it leaves less; one that failed says why there is none."""
+        before = entry.fitted
+        if not isinstance(found, Fitted):
+            entry.failed = entry.failed or ("" if before else found)
+            return
+        score = self.table.score(entry) if before else np.inf
+        entry.fitted = found
+        entry.fitted = found if self.table.score(entry) < score else before
+
     def _better_part(self, entry: Entry) -> Entry | None:
         """A structure that this one contains and that leaves less."""
         parts = self.table.parts(entry)
@@ -260,6 +330,8 @@ class Search:
             return []
         if time.monotonic() > self.until and len(self.table.entries) > 1:
             raise OutOfTime
+        if self.pause:
+            self.pause(self)
         return self.run(step, jobs, "search")
 
     def _usable(self, entry: Entry) -> bool:
@@ -281,7 +353,7 @@ class Search:
         own = {}
         for c in entry.members:
             if c not in part.members:
-                own |= _small(c, usual(c)[0])
+                own |= small(c, usual(c)[0])
         known = part.fitted
         return self.job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
 
@@ -290,7 +362,7 @@ class Search:
         each = [usual(c, self._seen(c)) for c in entry.members]
         if len(each) < 2:
             return each[0] if each else [{}]
-        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(_diagonal(each), 6)]
+        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(diagonal(each), 6)]
 
     def _seen(self, candidate: Candidate):
         base, flat = self.table.entries[NOTHING], self.table.base.flat
@@ -308,17 +380,6 @@ class Search:
         return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
 
 
-def _different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """The user's start, and of those that windows led to the last and the first: a free run may lead from one alone."""
-    chosen = [starts[-1], *starts[:1], *starts[1:-1][:1]]
-    return [start for i, start in enumerate(chosen) if start not in chosen[:i]]
-
-
-def _small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
-    """An effect at a tenth of a size."""
-    return {n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in candidate.free}
-
-
 def telling(table: Table) -> int:
     """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
 
@@ -329,19 +390,6 @@ def telling(table: Table) -> int:
         return 0
     stages = range(min(len(base.look.squares), SHORT))
     return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
-
-
-def compatible(members: Sequence[Candidate]) -> bool:
-    """Whether effects may stand together: none is a finer form of another, or the same parameter."""
-    pairs = itertools.permutations(members, 2)
-    return not any(a.refines(b) or (a.site.frees and set(a.free) & set(b.free)) for a, b in pairs)
-
-
-def _diagonal(each: Sequence[Sequence[dict]]) -> Iterator[tuple[dict, ...]]:
-    """All combinations, those of first choices first."""
-    ranked = itertools.product(*(range(len(starts)) for starts in each))
-    for choice in sorted(ranked, key=sum):
-        yield tuple(starts[i] for starts, i in zip(each, choice, strict=True))
 
 
 def _batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from hydrotwin.models.language.declarations import Input, Port
 from hydrotwin.models.language.model import Model
 
 APART = 1e6  # s between recordings that are seen as one
-MOST = 4  # starts of one effect: each costs a run
+NEARLY = 0.1  # of an effect's usual size, at which it joins a structure that does better without it
+MOST = 16  # starts of one effect: each costs a run
 
 
 def usual(candidate: Candidate, seen: Mapping[str, np.ndarray] | None = None) -> list[dict[str, float]]:
@@ -76,3 +78,27 @@ def _paths(candidate: Candidate) -> dict[str, str]:
             for letter, _ in (declared.potential, declared.flow):
                 found[f"{name}.{letter}"] = f"{candidate.name}.{name}.{letter}"
     return found
+
+
+def different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
+    """The user's start, and of those that windows led to the last and the first: a free run may lead from one alone."""
+    chosen = [starts[-1], *starts[:1], *starts[1:-1][:1]]
+    return [start for i, start in enumerate(chosen) if start not in chosen[:i]]
+
+
+def small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
+    """An effect at a tenth of a size."""
+    return {n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in candidate.free}
+
+
+def compatible(members: Sequence[Candidate]) -> bool:
+    """Whether effects may stand together: none is a finer form of another, or the same parameter."""
+    pairs = itertools.permutations(members, 2)
+    return not any(a.refines(b) or (a.site.frees and set(a.free) & set(b.free)) for a, b in pairs)
+
+
+def diagonal(each: Sequence[Sequence[dict]]) -> Iterator[tuple[dict, ...]]:
+    """All combinations, those of first choices first."""
+    ranked = itertools.product(*(range(len(starts)) for starts in each))
+    for choice in sorted(ranked, key=sum):
+        yield tuple(starts[i] for starts, i in zip(each, choice, strict=True))

@@ -109,8 +109,8 @@ class Table:
     def posterior(self) -> Posterior:
         """What all fits together say."""
         parameters = {e.key: self.parameters(e) for e in self.fitted}
-        rough = {e.key: self.score(e, DECIDING.rough) for e in self.fitted}
-        return posterior(self.scores(), rough, parameters, self.prices)
+        rough, beside = ({e.key: self.score(e, law) for e in self.fitted} for law in (DECIDING.rough, DECIDING.beside))
+        return posterior(self.scores(), rough, beside, parameters, self.prices)
 
     # -- what the windows promise ----------------------------------------------------------------------------------
     def promise(self, entry: Entry, most: int | None = None) -> float:

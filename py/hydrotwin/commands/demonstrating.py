@@ -15,10 +15,11 @@ from hydrotwin.records import Record
 
 from ..loading import load
 from .comparing import print_comparison
-from .discovering import gap_provenance, print_discovery, telling, write_discovery
+from .discovering import print_discovery, telling
 from .exporting import equations_told, given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .shared import check_folder, examples, mark, out, progress_bar, read_all
+from .writing import gap_provenance, write_discovery
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
 LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
+import re
 import time
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from hydrotwin import __version__
-from hydrotwin.models.language.errors import HydrotwinError
-from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.models.language.writing import json_values, write_whole
+from hydrotwin.models.language.errors import DeclarationError, HydrotwinError, nearest
 from hydrotwin.records import Record, require
 
-from ..loading import is_fmu, origin, sha256_of, surroundable
+from ..loading import is_fmu, origin, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
 from .shared import (
     InterpolationOption,
@@ -42,11 +38,13 @@ from .shared import (
     tell_ignored,
 )
 from .showing import physical
+from .writing import BestSoFar, gap_provenance, write_discovery, write_failure
 
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
 GAP_COLUMNS = (("RMSE", "noise", "unit"), ("before", "after", "noise", "unit", "gap closed"))  # without, with a name
-DATA, FAILURE = "gap.json", "failure.json"
+NUMBER = r"(\d+(?:\.\d+)?)"
+DURATION = re.compile(rf"(?:{NUMBER}\s*h)?\s*(?:{NUMBER}\s*m(?:in)?)?\s*(?:{NUMBER}\s*s)?")
 
 
 def register(app: typer.Typer) -> None:
@@ -89,7 +87,13 @@ def gap(
     initial_states: Annotated[
         str, typer.Option(help="auto; free: start states are estimated, for a load or a level nobody measured; fixed")
     ] = "auto",
-    max_effects: Annotated[int, typer.Option(min=1, help="most effects to add, one after the other")] = 3,
+    max_effects: Annotated[int, typer.Option(min=1, help="most effects to add together")] = 3,
+    effort: Annotated[
+        str, typer.Option(metavar="HOW", help="quick, normal or thorough: how many combinations are fitted, how long")
+    ] = "normal",
+    time_limit: Annotated[
+        str | None, typer.Option(metavar="TIME", help="90s, 5min, 1h30min: then the best so far is the answer")
+    ] = None,
     executor: Annotated[
         str, typer.Option(metavar="WHERE", help="where the fits run: processes, threads or dask://host:port")
     ] = "processes",
@@ -103,15 +107,18 @@ def gap(
 ) -> None:
     """Find out which physical effect a model lacks, add it, and show what it closes.
 
-    Where simulation and recordings disagree, every effect of the catalogue is tried at every place it fits. The answer
-    is one of four: none, this one, one of these with the experiment that tells them apart, or unknown.
+    Every effect of the catalogue is looked at, at every place it fits. Those that promise most are fitted, alone and
+    together. The answer is one of four: none, this one, one of these with the experiment that tells them apart, or
+    unknown.
     """
     from hydrotwin.discovery.discover import discover
-    from hydrotwin.discovery.executor import executor_for
+    from hydrotwin.discovery.work.executor import executor_for
     from hydrotwin.models.effects import candidates
 
     began = time.perf_counter()
     check_folder(output)
+    check_effort(effort)
+    limit = None if time_limit is None else seconds_of(time_limit)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
@@ -121,12 +128,18 @@ def gap(
         memory.remove()
     elif len(memory):
         err.print(f"going on: {len(memory)} fits of an interrupted run are kept (--fresh begins anew)", style="dim")
+
+    def write(found, so_far: bool = False) -> None:
+        named = origin_from(thing, model, output)
+        write_discovery(found, named, output, gap_provenance(found, train, judged), so_far)
+
+    best = BestSoFar(output, write, silent=as_json)
     with executor_for(executor) as pool, telling(thing.name, as_json) as told:
         try:
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
                 max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
-                interpolation=interpolation_from(interpolation),
+                interpolation=interpolation_from(interpolation), effort=effort, time_limit=limit, so_far=best,
             )  # fmt: skip
         except HydrotwinError as error:
             seconds = time.perf_counter() - began + memory.earlier
@@ -134,9 +147,10 @@ def gap(
                 err.print(kept, style="dim")
             raise
         except KeyboardInterrupt:
-            err.print(f"stopped; finished fits kept: {len(memory)}. The same command goes on from there.", style="dim")
+            kept = f"stopped; finished fits kept: {len(memory)}. The same command goes on from there. {best.left}"
+            err.print(kept.strip(), style="dim")
             raise
-    write_discovery(found, origin_from(thing, model, output), output, gap_provenance(found, train, judged))
+    write(found)
     memory.remove()
     if as_json:
         from hydrotwin.report.gap_data import gap_data
@@ -146,6 +160,29 @@ def gap(
     print_discovery(found, output)
     if ".py:" in model and found.steps:
         out.print(f"Use it with its code: {origin(model)}@{output / 'model.toml'}")
+
+
+def check_effort(effort: str) -> None:
+    """Refuse an effort that does not exist."""
+    from hydrotwin.discovery.structures.search import EFFORTS
+
+    if effort not in EFFORTS:
+        raise DeclarationError(f"--effort {effort}: no such effort. {nearest(effort, list(EFFORTS))}")
+
+
+def seconds_of(duration: str) -> float:
+    """A duration in seconds: a number, or numbers with h, min and s.
+
+    >>> [seconds_of(text) for text in ("90", "90s", "5 min", "1.5h", "1h30min")]
+    [90.0, 90.0, 300.0, 5400.0, 5400.0]
+    """
+    text = duration.strip().lower()
+    parts = re.fullmatch(NUMBER, text) or DURATION.fullmatch(text)
+    given = [float(part or 0) for part in parts.groups()] if parts else []
+    seconds = sum(value * 60**k for k, value in enumerate(reversed(given)))
+    if not seconds > 0:
+        raise DeclarationError(f"--time-limit {duration}: no duration. Write for example 90s, 5min, 1.5h or 1h30min.")
+    return seconds
 
 
 def origin_from(thing, spec: str, folder: Path) -> str:
@@ -158,7 +195,7 @@ def origin_from(thing, spec: str, folder: Path) -> str:
 
 def finished_fits(folder: Path):
     """The memory of a run in ``folder``: it keeps what is data. A final fit carries its equations and is made anew."""
-    from hydrotwin.discovery.resume import Memory
+    from hydrotwin.discovery.work.memory import Memory
 
     class Finished(Memory):
         def put(self, key, answer) -> None:
@@ -171,7 +208,7 @@ def finished_fits(folder: Path):
 @contextlib.contextmanager
 def telling(name: str, silent: bool):
     """The function that moves a bar with ``(stage, done, total, note)``; None where nothing is to be shown."""
-    from hydrotwin.discovery.progress import described
+    from hydrotwin.discovery.work.progress import described
 
     if silent:
         yield None
@@ -197,62 +234,9 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
     tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
 
 
-def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict) -> None:
-    """The report, the model with its effects as model.toml and as model.mo."""
-    from hydrotwin.models.language.modelica import modelica_text
-    from hydrotwin.report.gap import write_gap_report
-
-    write_gap_report(found, folder)
-    values = getattr(found.fit_after, "flat", None) or found.model.flat
-    write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
-    write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
-    (folder / FAILURE).unlink(missing_ok=True)
-
-
-def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
-    """What the model file says about its making."""
-    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
-    steps = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
-    return {
-        "made_by": f"hydrotwin {__version__}",
-        "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
-        **({"fmu": {"sha256": sha256_of(Path(found.model.fmu.path))}} if hasattr(found.model, "fmu") else {}),
-        "verdict": found.verdict,
-        "effects": steps,
-        "noise": dict(found.noise),
-        "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
-        "findings": [str(f) for f in found.findings],
-    }
-
-
-def write_failure(name: str, sentence: str, folder: Path, seconds: float) -> str:
-    """A gap.json that says why there is no answer; where the folder has any but of a failure, failure.json says it.
-
-    Returns a sentence on what was kept, empty where there was nothing.
-    """
-    empty = {"steps": [], "noise": {}, "train": {}, "validate": {}, "separating_experiment": None}
-    content = {"model": name, "failed": True, "verdict": "unknown", "answer": sentence, **empty, "seconds": seconds}
-    content |= {"candidates": [], "not_testable": [], "findings": [sentence]}
-    kept = worth_keeping(folder / DATA)
-    file = folder / (FAILURE if kept else DATA)
-    write_whole(file, json.dumps(json_values(content), indent=2, ensure_ascii=False) + "\n")
-    return f"{folder / DATA} is that of an earlier run; why this run failed is in {file}" if kept else ""
-
-
-def worth_keeping(file: Path) -> bool:
-    """Whether a gap.json is there and does not itself say that a run failed; one that cannot be read is kept."""
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return False
-    except (OSError, ValueError):
-        return True
-    return not (isinstance(content, dict) and content.get("failed"))
-
-
 def print_discovery(found, folder: Path) -> None:
     """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
+    from hydrotwin.report.gap_sure import untried_sentences
     from hydrotwin.report.gap_text import sentence
     from hydrotwin.report.gap_words import experiment_sentence
 
@@ -271,6 +255,8 @@ def print_discovery(found, folder: Path) -> None:
         mark(out, "note", sentence(str(finding)))
     if len(found.findings) > TOLD:
         mark(out, "note", f"{len(found.findings) - TOLD} more findings are in the report.")
+    for cut_short in untried_sentences(found):
+        mark(out, "note", cut_short)
     reached = getattr(found.fit_after, "accuracy", None)
     if reached and reached.reached:  # else a finding says so
         mark(out, "note", f"the runs are {reached}")
@@ -281,7 +267,7 @@ def print_discovery(found, folder: Path) -> None:
 
 def effect_rows(found) -> list[list[str]]:
     """One row for each parameter of each named effect; the members of a class below it."""
-    from hydrotwin.discovery.words import percent
+    from hydrotwin.discovery.answer.words import percent
     from hydrotwin.report.gap_text import value_text, value_texts
 
     rows = []
@@ -301,7 +287,7 @@ def effect_rows(found) -> list[list[str]]:
 
 def output_rows(found) -> list[list]:
     """RMSE of every output on unseen recordings in the units of the report; before and after when it changed."""
-    from hydrotwin.discovery.words import percent
+    from hydrotwin.discovery.answer.words import percent
     from hydrotwin.report.format import difference_to_shown, pretty_unit
     from hydrotwin.report.gap_words import display_units
 

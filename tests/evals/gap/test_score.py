@@ -154,7 +154,7 @@ def test_a_base_that_could_not_follow_makes_the_gap_count():
     assert row_of(made(visible=0.05), answer(), method="discover")["seen"]
 
 
-def test_the_answer_of_a_discovery_keeps_sites_and_members():
+def test_the_answer_of_a_discovery_keeps_sites_members_and_what_was_weighed():
     parameter = SimpleNamespace(name="coulomb_friction.force", value=99.0, low=90.0, high=120.0)
     step = SimpleNamespace(
         effect="coulomb_friction",
@@ -162,19 +162,64 @@ def test_the_answer_of_a_discovery_keeps_sites_and_members():
         members=(("coulomb_friction", "cylinder.rod"), ("stribeck_friction", "cylinder.rod")),
         probability=0.8,
         parameters=(parameter,),
+        ranked=(
+            SimpleNamespace(
+                label="null_bias at current", share=0.1, left=float("nan"), probability=0.0, fate="not fitted"
+            ),
+        ),
     )
     late = SimpleNamespace(
         effect="dead_time", site="current", members=(("dead_time", "current"),), probability=0.9, parameters=()
     )
     gaps = tuple(SimpleNamespace(output=n, rmse_before=2 * s, rmse_after=s) for n, s in NOISE.items())
     found = SimpleNamespace(
-        verdict="class", steps=(step, late), outputs={"validate": gaps}, seconds=3.0, timings={"all": 3}
+        verdict="class",
+        steps=(step, late),
+        outputs={"validate": gaps},
+        seconds=3.0,
+        reason="",
+        untried=("drift at current",),
+        screened=2,
+        fitted=1,
+        probabilities={"nothing": 0.0, "coulomb_friction at cylinder.rod + dead_time at current": 0.7},
     )
-    a = answer_of(found)
+    a = answer_of(found, {"effort": "quick"})
     assert [n.effect for n in a.named] == ["coulomb_friction", "dead_time"]
     r = row_of(made(), a, method="discover")
     assert r["exact"] == [True] and r["extra"] == 1
     assert r["parameters"][0]["covered"]
+    assert r["probabilities"] == found.probabilities
+    assert r["notes"]["effort"] == "quick" and r["notes"]["untried"] == ["drift at current"]
+    (bias,) = r["notes"]["candidates"]
+    assert (bias["share"], bias["left"], bias["fate"]) == (0.1, None, "not fitted")
+
+
+FRICTION, LATE = "coulomb_friction at cylinder.rod", "dead_time at current"
+TOLD = {"nothing": 0.05, FRICTION: 0.6, f"{FRICTION} + {LATE}": 0.2, LATE: 0.05, "something else": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("truth", "left", "probability"),
+    [
+        (made(), 3.0, 0.6),
+        (made(), 1.005, 0.65),  # the base swallowed it: nothing is right, too
+        (made("pairs", (("dead_time", {"seconds": 0.02}), ("coulomb_friction", {"force": 1.0}))), 3.0, 0.2),
+        (made("none", (), 0.0, 0.0), 3.0, 0.05),
+        (made("out_of_library", (("external_push", {"force": 1.0}),)), 3.0, 0.1),
+        (made(hidden=(("null_bias", {"value": 1.0}),)), 3.0, 0.0),
+    ],
+)
+def test_what_is_hidden_has_the_probability_of_its_own_structure_and_of_no_other(truth, left, probability):
+    before = {name: left * sigma for name, sigma in NOISE.items()}
+    said = dataclasses.replace(answer(), rmse_before=before, probabilities=TOLD)
+    assert row_of(truth, said, method="discover")["of_truth"] == pytest.approx(probability)
+
+
+def test_the_log_loss_is_of_those_that_state_probabilities():
+    stating = [row_of(made(), dataclasses.replace(answer(), probabilities=TOLD), method="discover")]
+    by = {f.what: f for f in figures([*stating, row()])}
+    assert by["log loss of what is hidden, nats"].value == pytest.approx(0.511, abs=1e-3)
+    assert by["log loss of what is hidden, nats"].cases == 1
 
 
 def test_the_table_counts_what_the_rows_say():
@@ -205,6 +250,12 @@ def test_the_command_line_lists_the_cases_it_would_run(tmp_path, capsys):
     lines = capsys.readouterr().out.split()
     assert len(lines) == 5
     assert all(Case.from_name(line).seed > 200 for line in lines)
+
+
+def test_a_search_is_given_an_effort_and_a_limit():
+    given = run._options(["--effort", "quick", "--time-limit", "20"])
+    assert (given.effort, given.time_limit) == ("quick", 20.0)
+    assert run._options([]).time_limit == run.LIMIT
 
 
 def test_a_case_that_cannot_be_made_is_a_row_with_its_reason():

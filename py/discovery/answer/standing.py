@@ -1,0 +1,94 @@
+"""Standing: what the scores of all fits say together. Verdict, class and probabilities are read from nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hydrotwin.models.effects import Candidate
+
+from ..evidence.deciding import DECIDING
+from ..evidence.gaps import gap_closed
+from ..evidence.posterior import NOTHING, Key, Posterior
+from ..structures.table import Entry, Table
+
+
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """What a table says.
+
+    verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect, beside
+    something else where that is more probable; None without any. order : its effects, the one that explains most alone
+    first. class_ : structures that are told together. part : whether the best, which does not explain all, is a part of
+    what is missing.
+    """
+
+    table: Table
+    posterior: Posterior
+    verdict: str
+    best: Entry | None
+    order: tuple[Candidate, ...]
+    class_: tuple[Key, ...]
+    part: bool = False
+
+    @property
+    def kept(self) -> Entry:
+        """The structure that the answer adds: the best where it is named, else the base."""
+        return self.best if self.verdict in ("named", "class") or self.part else self.table.entries[NOTHING]
+
+    def probability(self, label: str) -> float:
+        """That this effect is missing: of all structures that hold it, and beside something else where it is a part."""
+        beside = self.part and label in self.best.key
+        alone = sum(p for key, p in self.posterior.structures.items() if label in key)
+        return alone + DECIDING.partly * self.posterior.else_ * beside
+
+    def members(self, effect: Candidate) -> list[Candidate]:
+        """What may stand in the place of a named effect, itself first."""
+        rest = set(self.best.key) - {effect.label}
+        found = [effect]
+        if self.part:
+            return found
+        for key in self.class_:
+            others = [c for c in self.table.entries[key].members if c.label not in rest]
+            if rest <= set(key) and len(others) == 1 and others[0].label != effect.label:
+                found.append(others[0])
+        return found
+
+    def told(self) -> dict[str, float]:
+        """Probabilities of nothing, of every structure that is likely enough to tell, and of something else."""
+        known = self.posterior.structures
+        likely = {
+            " + ".join(k): known[k] for k in self.posterior.ranked() if k != NOTHING and known[k] >= DECIDING.told
+        }
+        return {"nothing": known.get(NOTHING, 0.0), **likely, "something else": self.posterior.else_}
+
+
+def standing(table: Table) -> Standing:
+    """What the fits of a table say."""
+    posterior, scores = table.posterior(), table.scores()
+    effects: Mapping[Key, float] = {k: p for k, p in posterior.structures.items() if k != NOTHING}
+    best = table.entries[max(effects, key=lambda k: (effects[k], -scores[k]))] if effects else None
+    nothing = posterior.structures.get(NOTHING, 0.0)
+    class_, part = tuple(k for k in posterior.class_() if k != NOTHING), False
+    if nothing >= max(posterior.else_, sum(effects.values())):
+        verdict = "none"
+    elif posterior.else_ > sum(effects.values()):
+        verdict = "unknown"
+        best = table.entries[max(effects, key=posterior.beside.__getitem__)] if effects else None
+        part = best is not None and closed(table, best) >= DECIDING.part
+    else:
+        several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
+        verdict = "class" if len(several) > 1 else "named"
+    order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
+    return Standing(table, posterior, verdict, best, order, class_, part)
+
+
+def closed(table: Table, entry: Entry) -> float:
+    """Share of the gap of the base that a fit closes, squared errors; nan where it was not fitted."""
+    return gap_closed(table.entry().fitted.rmse, entry.fitted.rmse, table.noise) if entry.fitted else float("nan")
+
+
+def _alone(table: Table, candidate: Candidate) -> float:
+    """What an effect leaves alone, nats; where it was not fitted alone, more than any."""
+    entry = table.entries.get((candidate.label,))
+    return table.score(entry) if entry and entry.fitted else float("inf")

@@ -1,0 +1,1 @@
+"""Around an FMU: effects before its inputs and after its outputs."""

@@ -1,0 +1,391 @@
+"""The next experiment: the input within the limits that sets the members of a class furthest apart.
+
+    d_ab(t) = (y_b - y_a) / noise,   min over delta of ||d_ab + S_a delta||^2 + delta' H_a delta,   H_a = S_0' S_0
+
+S_a are the sensitivities of member a to its free parameters and start states with the new input, S_0 those with the
+present recordings: what a new fit of all recordings together would absorb is taken out before the members are compared.
+Limits are those of the recordings: amplitude and rate of the input, and the range of every output.
+Source: Atkinson & Fedorov, Biometrika 1975 (T-optimum design: discriminating between models).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+import scipy.linalg
+
+from hydrotwin.identification.problem import Recording
+from hydrotwin.identification.start_states import StartStates
+from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.flat import FlatModel, Signal
+from hydrotwin.simulation import prepare
+
+from ..answer.discovery import Experiment
+from ..fits.job import Question
+from .locate import amount
+
+SHORTEST, LONGEST = 10.0, 60.0  # s
+SAMPLES = 4000  # of an experiment, at most
+PAUSE = 0.05  # of the experiment at rest before it begins
+LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
+DIVERGED = 1e9  # times the noise
+FINALISTS = 9  # inputs that the sensitivities are computed for
+OUTSIDE = 0.25  # of the range of an output, by which it may be left
+CLEAR = 3.0  # times the noise: two members are told apart
+Member = tuple[str, FlatModel, Mapping[str, float], Mapping[str, float] | Sequence[Mapping[str, float]]]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One input (n,) with what it is called and told like."""
+
+    kind: str
+    words: str
+    values: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """What the recordings saw of the input: middle, amplitude, rate [1/s]; the time axis of the experiment."""
+
+    middle: float
+    amplitude: float
+    rate: float
+    time: np.ndarray
+
+
+def next_experiment(
+    members: Sequence[Member], flat_inputs: Sequence[Signal], recordings: Sequence[Recording], question: Question
+) -> Experiment | None:
+    """The `Experiment` that sets the members furthest apart; None when no input does better than the recordings.
+
+    members : label, model, free parameter values by path, start states by name (one set, or one per recording); all
+        explain ``recordings`` equally well.
+    """
+    j = _varied(flat_inputs, recordings)
+    if j is None or len(members) < 2:
+        return None
+    limits = seen_limits(recordings, j)
+    if not limits.amplitude > 0:
+        return None
+    runners = [_Member(*m, question) for m in members]
+    now = _Now(runners, recordings)
+    others = np.mean(np.concatenate([r.u for r in recordings]), axis=0)
+    span = _span(recordings)
+    tried = []
+    for candidate in candidates(limits, flat_inputs[j].unit):
+        u = np.tile(others, (len(limits.time), 1))
+        u[:, j] = candidate.values
+        runs = [m.run(limits.time, u) for m in runners]
+        if all(y is not None for y in runs):
+            leaves = max(_leaves(y, span) for y in runs)
+            apart = _score([_rms((b - a) / question.noise)[0] for a, b in combinations(runs, 2)])
+            tried.append((leaves, apart, candidate, u))
+    inside = [row for row in tried if row[0] <= OUTSIDE] or sorted(tried, key=lambda row: row[0])[:3]
+    judged = []
+    for _, _, candidate, u in _finalists(inside):
+        pairs = _projected(runners, now, limits.time, u, question.noise)
+        if pairs is not None:
+            judged.append((_score([p[0] for p in pairs]), candidate, pairs))
+    if not judged:
+        return None
+    _, best, pairs = max(judged, key=lambda row: row[0])
+    separation, before = (float(np.sqrt(np.mean(np.square(v)))) for v in ([p[0] for p in pairs], now.apart))
+    if not separation > before:
+        return None
+    told = _sentence(best, [m.label for m in runners], pairs, now, flat_inputs[j].name)
+    if not any(row[0] <= OUTSIDE for row in tried):
+        told += "; outputs then leave the range seen so far, so watch the stops"
+    signal = flat_inputs[j]
+    return Experiment(signal.name, signal.unit, limits.time, best.values, best.kind, separation, before, told)
+
+
+def _varied(inputs: Sequence[Signal], recordings: Sequence[Recording]) -> int | None:
+    """The first command (held between samples) that was varied, else the first input that was."""
+    moved = [
+        j for j in range(len(inputs)) if recordings and np.ptp(np.concatenate([r.u[:, j] for r in recordings])) > 0
+    ]
+    held = [j for j in moved if inputs[j].held]
+    return (held or moved or [None])[0]
+
+
+def seen_limits(recordings: Sequence[Recording], j: int) -> Limits:
+    """Amplitude and rate of input j in the recordings, and a time axis like theirs.
+
+    The middle is zero when the input was seen on either side of it.
+    """
+    u = np.concatenate([r.u[:, j] for r in recordings])
+    low, high = float(u.min()), float(u.max())
+    balanced = min(-low, high) > 0.1 * max(-low, high)
+    middle = 0.0 if balanced else 0.5 * (low + high)
+    amplitude = min(-low, high) if balanced else 0.5 * (high - low)
+    rate = max(float(np.max(np.abs(np.diff(r.u[:, j]) / np.diff(r.time)))) for r in recordings)
+    period = float(np.median(np.concatenate([np.diff(r.time) for r in recordings])))
+    length = float(np.clip(max(r.time[-1] - r.time[0] for r in recordings), SHORTEST, LONGEST))
+    period = max(period, length / SAMPLES)
+    return Limits(middle, amplitude, rate, np.arange(0.0, length, period))
+
+
+# -- inputs ------------------------------------------------------------------------------------------------------------
+def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
+    """Triangles, steps, holds, sweeps, multisines and ramps within the limits of amplitude and rate."""
+    time = limits.time
+    length = float(time[-1])
+    begin = PAUSE * length
+    t = np.maximum(time - begin, 0.0)
+    room = length - begin
+    for part in LEVELS:
+        size = _readable(part * limits.amplitude)
+        around = f"of ±{amount(size, unit)}{_about(limits.middle, unit)}"
+        for count in (1, 2, 5):
+            period = room / count
+            words = f"a {'slow ' if count < 5 else ''}triangle {around} with a period of {period:.2g} s"
+            yield _limited("triangle", words, size * _triangle(t / period), limits)
+        for count in (3, 8):
+            words = f"steps {around} with pauses between them, {room / (4 * count):.2g} s each"
+            yield _limited("steps with pauses", words, size * _steps(t / room * count), limits)
+        words = f"levels up to ±{amount(size, unit)}{_about(limits.middle, unit)}, each held for {room / 6:.2g} s"
+        yield _limited("holding levels", words, size * _levels(t / room), limits)
+        high = min(10.0, 0.05 / float(np.median(np.diff(time))))
+        words = f"a sweep {around} from {1 / room:.2g} to {high:.2g} Hz"
+        yield _limited("sweep", words, size * _sweep(t, room, 1.0 / room, high), limits)
+        for top in (0.5, 4.0):
+            words = f"a multisine {around} up to {top:.2g} Hz"
+            yield _limited("multisine", words, size * _multisine(t, room, top), limits)
+        words = f"a slow ramp over ±{amount(size, unit)}{_about(limits.middle, unit)} and back"
+        yield _limited("slow ramp", words, size * _ramp(t / room), limits)
+
+
+def _readable(size: float) -> float:
+    """The next smaller number of two digits."""
+    digit = 10.0 ** (np.floor(np.log10(size)) - 1)
+    return float(np.floor(size / digit * (1 + 1e-9)) * digit)
+
+
+def _about(middle: float, unit: str) -> str:
+    return " through zero" if middle == 0.0 else f" around {amount(middle, unit)}"
+
+
+def _limited(kind: str, words: str, shape: np.ndarray, limits: Limits) -> Candidate:
+    """The shape around the middle, moved no faster than the recordings did."""
+    values, steps = shape.copy(), limits.rate * np.diff(limits.time) * 1.000001
+    for k in np.flatnonzero(np.abs(np.diff(shape)) > steps):
+        i = k
+        while i < len(steps) and abs(shape[i + 1] - values[i]) > steps[i]:
+            values[i + 1] = values[i] + np.sign(shape[i + 1] - values[i]) * steps[i]
+            i += 1
+    return Candidate(kind, words, limits.middle + values)
+
+
+def _triangle(phase: np.ndarray) -> np.ndarray:
+    return 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase))
+
+
+def _steps(phase: np.ndarray) -> np.ndarray:
+    """Rest, up, rest, down; rounds of different sizes."""
+    quarter = np.floor(4.0 * phase).astype(int)
+    sign = np.array([0.0, 1.0, 0.0, -1.0])[quarter % 4]
+    return sign * np.array([1.0, 0.5, 0.75])[quarter // 4 % 3]
+
+
+def _levels(phase: np.ndarray) -> np.ndarray:
+    return np.array([0.0, 0.5, 1.0, 0.0, -0.5, -1.0])[np.minimum((6.0 * phase).astype(int), 5)]
+
+
+def _sweep(t: np.ndarray, room: float, low: float, high: float) -> np.ndarray:
+    growth = np.log(high / low) / room
+    return np.sin(2.0 * np.pi * low * (np.exp(growth * t) - 1.0) / growth)
+
+
+def _multisine(t: np.ndarray, room: float, top: float) -> np.ndarray:
+    """Eight sines of logarithmic frequencies with Schroeder's phases, largest value 1."""
+    f = np.geomspace(2.0 / room, top, 8)
+    k = np.arange(8)
+    x = np.sin(2.0 * np.pi * f * t[:, None] - np.pi * k**2 / 8.0).sum(axis=1)
+    return (x - x[0]) / np.abs(x - x[0]).max()
+
+
+def _ramp(phase: np.ndarray) -> np.ndarray:
+    return np.interp(phase, [0.0, 0.1, 0.55, 1.0], [0.0, -1.0, 1.0, -1.0])
+
+
+# -- members -----------------------------------------------------------------------------------------------------------
+class _Member:
+    """One member of the class, ready to run: outputs over any input, sensitivities to what a new fit would move."""
+
+    def __init__(self, label: str, flat: FlatModel, values, states, question: Question):
+        self.label, self.flat, self.question = label, flat, question
+        self.per_recording = [dict(states)] if isinstance(states, Mapping) else [dict(s) for s in states] or [{}]
+        self.p = flat.parameter_vector(values)
+        self.free = tuple(p.name for p in flat.parameters if p.name in values)
+        index = np.array([flat.index_of(n) for n in self.free], dtype=int)
+        self.start = StartStates(flat, tuple(self.per_recording[0]), index)
+        order = [s.name for s in flat.states]
+        self.propagator = prepare(flat, free_parameters=self.free, free_states=order, step=question.step)
+        scale = np.abs(self.p[index])
+        nominal = np.array([flat.parameters[i].nominal for i in index])
+        self.unit = np.concatenate([np.where(scale > 0, scale, np.abs(nominal)), self.start.nominal])
+
+    def starts(self, recording: int = 0) -> np.ndarray:
+        """Values of the given start states."""
+        known = self.per_recording[min(recording, len(self.per_recording) - 1)]
+        return np.array([known[n] for n in self.start.names])
+
+    def run(self, time: np.ndarray, u: np.ndarray) -> np.ndarray | None:
+        """Outputs (n, ny); None when the run diverges."""
+        x0, _, _ = self.start(u[0], self.p, self.starts())
+        try:
+            return self.propagator.run(time, u, self.p, x0)[0]
+        except SolveError:
+            return None
+
+    def sensitivities(self, time: np.ndarray, u: np.ndarray, recording: int = 0):
+        """Outputs (n, ny) and derivatives (n, ny, k) to free parameters and start states, in their own units."""
+        x0, by_p, by_z = self.start(u[0], self.p, self.starts(recording))
+        shared = len(self.free)
+        seeds = np.zeros((len(x0), shared + len(x0)))
+        seeds[:, :shared] = by_p
+        seeds[:, shared : shared + by_z.shape[1]] = by_z
+        try:
+            y, dy, _, _ = self.propagator.sensitivity(time, u, self.p, x0, seeds, with_states=False)
+        except SolveError:
+            return None
+        dy = dy[:, :, : len(self.unit)] * self.unit
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares = np.nansum(np.square(dy / self.question.noise[:, None]))  # of a run that all but diverges: inf
+        return (y, dy) if np.isfinite(dy).all() and np.isfinite(squares) else None
+
+
+class _Now:
+    """The present recordings: how far apart the pairs are there, what both leave, what is known of their parameters."""
+
+    def __init__(self, runners: Sequence[_Member], recordings: Sequence[Recording]):
+        noise = runners[0].question.noise
+        measured = [r.y / noise for r in recordings]
+        outputs: list[list[np.ndarray]] = []
+        self.information = []
+        for m in runners:
+            runs, known = [], np.zeros((len(m.free), len(m.free)))
+            for i, r in enumerate(recordings):
+                found = m.sensitivities(r.time, r.u, i)
+                seen = np.isfinite(r.y) & np.isfinite(noise)
+                if found is None:
+                    runs.append(np.full(r.y.shape, np.nan))
+                    continue
+                y, dy = found
+                runs.append(np.where(seen, y / noise, np.nan))
+                known += _left_of(dy / noise[:, None], seen, len(m.free))
+            outputs.append(runs)
+            self.information.append(known)
+        self.apart = [_apart(a, b) for a, b in combinations(outputs, 2)]
+        self.left = [min(_apart(a, measured), _apart(b, measured)) for a, b in combinations(outputs, 2)]
+
+    def words(self, pair: int) -> str:
+        """How far a pair differs there, and whether that is less than what neither of the two explains."""
+        apart, left = self.apart[pair], self.left[pair]
+        hidden = f" beside {left:.2g} that neither explains" if left > apart >= CLEAR else ""
+        return f"(now {apart:.2g}{hidden})"
+
+
+def _apart(some: Sequence[np.ndarray], others: Sequence[np.ndarray]) -> float:
+    """Root mean square difference over recordings of the output that differs most."""
+    return _rms(np.concatenate([y - x for x, y in zip(some, others, strict=True)]))[0]
+
+
+def _left_of(columns: np.ndarray, seen: np.ndarray, shared: int) -> np.ndarray:
+    """Information on the parameters when the start states of the recording are free."""
+    J = columns[seen]
+    whole = J.T @ J
+    cross, own = whole[:shared, shared:], whole[shared:, shared:]
+    return whole[:shared, :shared] - cross @ scipy.linalg.pinvh(own) @ cross.T
+
+
+def _projected(runners: Sequence[_Member], now: _Now, time, u, noise) -> list[tuple[float, int]] | None:
+    """Largest difference of every pair over the outputs, and that output, after what a new fit would absorb.
+
+    Of a pair the member that comes nearer to the other is fitted again: which of them is true is not known.
+    """
+    found = [m.sensitivities(time, u) for m in runners]
+    if any(f is None for f in found):
+        return None
+    pairs = []
+    used = np.isfinite(noise)
+    for a, b in combinations(range(len(runners)), 2):
+        d = ((found[b][0] - found[a][0]) / noise)[:, used]
+        best = min(
+            (_absorbed(d, found[k][1][:, used] / noise[used][:, None], now.information[k], runners[k]) for k in (a, b)),
+            key=lambda left: float(np.sum(left**2)),
+        )
+        whole = np.full((len(time), len(noise)), np.nan)
+        whole[:, used] = best
+        pairs.append(_rms(whole))
+    return pairs
+
+
+def _absorbed(d: np.ndarray, columns: np.ndarray, information: np.ndarray, member: _Member) -> np.ndarray:
+    """What is left of d (n, ny) when the member is fitted again to everything."""
+    S = columns.reshape(-1, columns.shape[-1])
+    prior = np.zeros((S.shape[1], S.shape[1]))
+    prior[: len(member.free), : len(member.free)] = information
+    normal = S.T @ S + prior
+    shown = np.diag(normal)
+    size = np.where(shown > 0, np.sqrt(np.maximum(shown, 0.0)), np.inf)  # what moves nothing stays where it is
+    step = scipy.linalg.pinvh(normal / np.outer(size, size), rtol=1e-9) @ (S.T @ d.ravel() / size) / size
+    return d - (S @ step).reshape(d.shape)
+
+
+# -- choosing ----------------------------------------------------------------------------------------------------------
+def _rms(difference: np.ndarray) -> tuple[float, int]:
+    """Root mean square of the output that differs most, and which it is; a run that diverges counts as `DIVERGED`."""
+    seen = np.isfinite(difference)
+    known = np.where(seen, np.clip(difference, -DIVERGED, DIVERGED), 0.0)
+    size = np.sqrt(np.sum(known**2, axis=0) / np.maximum(seen.sum(axis=0), 1))
+    return float(size.max()), int(np.argmax(size))
+
+
+def _score(pairs: Sequence[float]) -> float:
+    """Every pair counts: one that is told apart easily must not hide another that is not."""
+    return float(np.mean(np.log1p(np.square(pairs))))
+
+
+def _span(recordings: Sequence[Recording]) -> np.ndarray:
+    """Least and largest value of every output, (2, ny), infinite where it was not measured."""
+    y = np.concatenate([r.y for r in recordings])
+    seen = np.isfinite(y)
+    return np.stack([np.where(seen, y, np.inf).min(axis=0), np.where(seen, y, -np.inf).max(axis=0)])
+
+
+def _leaves(y: np.ndarray, span: np.ndarray) -> float:
+    """By how much of its range the output that goes furthest leaves it."""
+    low, high = span
+    known = high > low
+    size = np.where(known, high - low, 1.0)
+    out = np.maximum(y.max(axis=0) - high, low - y.min(axis=0)) / size
+    return float(np.max(np.where(known, out, 0.0), initial=0.0))
+
+
+def _finalists(rows: Sequence[tuple]) -> list[tuple]:
+    """The best of every kind, then the best of the rest."""
+    ranked = sorted(rows, key=lambda row: -row[1])
+    first = list({row[2].kind: row for row in ranked[::-1]}.values())
+    first = sorted(first, key=lambda row: -row[1])
+    rest = [row for row in ranked if not any(row is f for f in first)]
+    return [*first, *rest][:FINALISTS]
+
+
+def _sentence(best: Candidate, labels, pairs, now: _Now, name: str) -> str:
+    names = [f"{labels[a]} and {labels[b]}" for a, b in combinations(range(len(labels)), 2)]
+    told = [
+        f"{who} then differ by {pair[0]:.2g} times the noise {now.words(k)}"
+        for k, (who, pair) in enumerate(zip(names, pairs, strict=True))
+        if pair[0] >= CLEAR
+    ]
+    alike = [who for who, pair in zip(names, pairs, strict=True) if pair[0] < CLEAR]
+    if not told:
+        k = int(np.argmax([p[0] for p in pairs]))
+        told, alike = [f"{names[k]} then differ by only {pairs[k][0]:.2g} times the noise {now.words(k)}"], []
+    words = "; ".join(told[:3]) + (f"; {', '.join(alike[:3])} stay alike" if alike else "")
+    return f"drive {name} with {best.words}: {words}"

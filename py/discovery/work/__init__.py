@@ -1,0 +1,1 @@
+"""Work: where jobs run, what is remembered of them, how far they are."""

@@ -89,7 +89,7 @@ def gap_page(discovery: Discovery, *, command: str | None = None, date: datetime
     )
     extra = {"created": date.isoformat(timespec="seconds"), "command": command, "versions": versions()}
     return Page(
-        title=f"{discovery.name}: {TITLES[discovery.verdict]}",
+        title=f"{discovery.name}: {title_of(discovery)}",
         eyebrow=_eyebrow(discovery, date),
         answer=discovery.answer,
         picture=picture(discovery, shown),
@@ -108,6 +108,12 @@ TITLES = {
     "none": "no gap",
     "unknown": "a gap without a name",
 }
+
+
+def title_of(discovery: Discovery) -> str:
+    """What the page is about in a few words: a part may have a name where the gap has none."""
+    partly = discovery.verdict == "unknown" and discovery.steps
+    return "a part of the missing effect" if partly else TITLES[discovery.verdict]
 
 
 def _eyebrow(discovery: Discovery, date: datetime) -> str:

@@ -64,7 +64,8 @@ def facts(discovery: Discovery, shown: Mapping[str, str]) -> tuple[str, ...]:
     if any(len(s.members) > 1 for s in discovery.steps):
         told.append(f"These recordings cannot tell them apart. {experiment_sentence(discovery)}")
     if discovery.verdict in ("none", "unknown"):
-        told += [tried_sentence(discovery), untestable_sentence(discovery)]
+        told += [] if discovery.steps else [tried_sentence(discovery)]
+        told += [untestable_sentence(discovery)]
     return tuple(t for t in told if t)
 
 

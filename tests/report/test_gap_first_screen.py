@@ -157,6 +157,14 @@ def test_an_answer_that_no_recording_confirms_says_so_on_the_first_screen():
     assert notice.startswith("No recording confirms this")
 
 
+def test_a_part_of_what_is_missing_is_told_as_that_and_not_as_turned_down():
+    page = gap_page(replace(named(), verdict="unknown", reason="Leak is a part of it."), command="", date=DATE)
+    assert page.title.endswith("a part of the missing effect") and page.answer == "Leak is a part of it."
+    assert not any("none is named" in fact for fact in page.facts)
+    bare = gap_page(replace(named(), verdict="unknown", steps=()), command="", date=DATE)
+    assert bare.title.endswith("a gap without a name")
+
+
 def test_the_typical_range_of_a_size_with_a_sign_is_that_of_the_size():
     against = replace(FORCE, value=-36.0, low=-38.0, high=-33.0, typical=(1.0, 2000.0))
     assert typical_remark(against) == ""

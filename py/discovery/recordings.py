@@ -1,4 +1,4 @@
-"""Which recordings fit, which select and which only report, and whether they can show anything at all.
+"""Which recordings are learned from and which judge, and whether they can show anything at all.
 
 The split is by recording: a sample's neighbours know too much about it. One lone recording is cut in time.
 """
@@ -19,18 +19,17 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import distinct
 
+from .evidence.deciding import DECIDING
+
 SHORTEST = 200  # samples of a recording that can tell effects apart
 PIECES = 12  # of a lone recording of something that integrates
-COARSE = 2.5  # noises: of a larger step most of the noise is rounding
 FIT_SHARE = 0.6  # of a lone recording of something that settles
 
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """Recordings by role: ``fit`` and ``select`` find the effect, ``train`` is both, ``report`` shows it."""
+    """Recordings by role: ``train`` find the effect, ``report`` shows it."""
 
-    fit: tuple[Recording, ...]
-    select: tuple[Recording, ...]
     train: tuple[Recording, ...]
     report: tuple[Recording, ...]
     noise: np.ndarray
@@ -44,7 +43,7 @@ class Split:
             unknown = {r.name: np.where(masks[r.name], np.nan, r.y) for r in runs if r.name in masks}
             return tuple(dataclasses.replace(r, y=unknown[r.name]) if r.name in unknown else r for r in runs)
 
-        roles = {role: cleaned(getattr(self, role)) for role in ("fit", "select", "train", "report")}
+        roles = {role: cleaned(getattr(self, role)) for role in ("train", "report")}
         return dataclasses.replace(self, **roles)
 
 
@@ -57,8 +56,7 @@ def split(
 ) -> Split:
     """Sort recordings into roles.
 
-    With three training recordings or more every third selects; with two the second does; a lone one is cut into pieces,
-    whose start states are then all estimated.
+    All are fitted to but those that validate; a lone one is cut into pieces, whose start states are then all estimated.
 
     Raises
     ------
@@ -84,16 +82,15 @@ def split(
             "gap: no validation recording: nothing here was kept from the search. Record another run with other "
             "commands and give it as --validate."
         )
-    fit, select = _roles(train)
     floor = output_noise(flat, train, noise)
     steps = quanta(train)
     findings += [
         f"gap: {o.name} is recorded in steps of {q:.3g} {o.unit} (quantisation of the sensor, or the digits of the "
         "file). They make most of its noise, and no effect is looked for below them."
         for o, q, s in zip(flat.outputs, steps, floor, strict=True)
-        if q > COARSE * s
+        if q > DECIDING.coarse * s
     ]
-    return Split(fit, select, train, report, floor, tuple(wanted), tuple(findings))
+    return Split(train, report, floor, tuple(wanted), tuple(findings))
 
 
 def _in_pieces(flat: FlatModel, train: tuple[Recording, ...]) -> tuple[Recording, ...]:
@@ -120,13 +117,6 @@ def _integrates(flat: FlatModel, recording: Recording) -> bool:
     if not np.isfinite(matrix).all():
         return False
     return bool(np.any(np.abs(np.linalg.eigvals(matrix)) * (recording.time[-1] - recording.time[0]) < 1))
-
-
-def _roles(train: Sequence[Recording]) -> tuple[tuple[Recording, ...], tuple[Recording, ...]]:
-    if len(train) >= 3:
-        select = tuple(r for i, r in enumerate(train) if i % 3 == 1)
-        return tuple(r for r in train if r not in select), select
-    return (train[0],), (train[1],)
 
 
 def _part(recording: Recording, part: slice, label: str) -> Recording:

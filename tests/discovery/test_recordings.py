@@ -22,21 +22,16 @@ def changed(run: Record, name: str | None = None, **columns) -> Record:
     return Record(run.time, signals, {k: run.units[k] for k in signals}, name or run.name)
 
 
-@pytest.mark.parametrize(
-    ("count", "fit", "select"),
-    [(2, [0], [1]), (3, [0, 2], [1]), (4, [0, 2, 3], [1]), (5, [0, 2, 3], [1, 4]), (8, [0, 2, 3, 5, 6], [1, 4, 7])],
-)
-def test_every_third_recording_selects_and_of_two_the_second(count, fit, select):
+@pytest.mark.parametrize("count", [2, 3, 5])
+def test_all_recordings_are_learned_from_but_those_that_judge(count):
     data = split(slide().flat, records(count), [record(20)])
-    assert names(data.fit) == [f"run_{k}" for k in fit]
-    assert names(data.select) == [f"run_{k}" for k in select]
     assert names(data.train) == [f"run_{k}" for k in range(count)]
     assert names(data.report) == ["run_20"] and data.findings == ()
 
 
 def test_a_lone_recording_of_what_integrates_is_cut_in_twelve():
     data = split(slide().flat, [record(0)], [record(1)])
-    assert len(data.train) == 12 and len(data.select) == 4
+    assert len(data.train) == 12
     assert names(data.train)[0] == "run_0 (part 1)"
     assert sum(len(r.time) for r in data.train) == 600
     assert {len(r.time) for r in data.train} <= {49, 50, 51}
@@ -45,7 +40,7 @@ def test_a_lone_recording_of_what_integrates_is_cut_in_twelve():
 
 def test_a_lone_recording_of_what_settles_is_cut_in_two():
     data = split(Model(Drive()).flat, drive_records(1), [])
-    assert [len(r.time) for r in data.fit] == [360] and [len(r.time) for r in data.select] == [240]
+    assert [len(r.time) for r in data.train] == [360, 240]
 
 
 def test_without_a_validation_recording_it_is_said_what_to_record():
@@ -106,7 +101,7 @@ def test_recordings_that_can_show_nothing_are_refused_and_told_what_to_record(ru
 
 def test_several_short_recordings_are_enough_together():
     data = split(slide().flat, records(3, seconds=3.0), [])
-    assert len(data.fit) == 2
+    assert len(data.train) == 3
 
 
 def test_a_lone_recording_that_is_too_short_is_told_its_own_length():

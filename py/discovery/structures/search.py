@@ -184,11 +184,11 @@ class Search:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
         Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
-        most : that are fitted in all.
+        most : that are fitted in all, or fail.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
-            if sum(bool(e.fitted) for e in entries) >= most:
+            if sum(not e.open for e in entries) >= most:
                 return
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)

@@ -55,8 +55,9 @@ SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
 FEWEST = 40  # windows of a length
 BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
-FIRST = 2  # structures of a size that are fitted, the most promising, before larger ones are looked at
+FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
+INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of what explains all
 SOON = 2.0  # looks that a fit from where a good one ended may take
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 
@@ -90,11 +91,11 @@ class Search:
             self._go()
         except OutOfTime:
             self.complete = False
-            self.until = np.inf  # what promises everything is worth its fit
-            for entry in [e for e in self.waiting() if e.look and self.table.promise(e) < EARLY][
-                : self.effort.together
-            ]:
-                self._take([entry], self._ran([self._whole(entry)]))
+            self.until = np.inf  # what promises much is worth its fit, and the best where nothing else was fitted
+            seen = [e for e in self.waiting() if e.look]
+            chosen = [e for e in seen if self.table.promise(e) < EARLY][: self.effort.together]
+            chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
+            self._take(chosen, self._ran([self._whole(e) for e in chosen]))
 
     def _go(self) -> None:
         self.identify()
@@ -103,8 +104,7 @@ class Search:
         if not (self.first and self._through(min(self.most, BY_WINDOWS))):
             self._to_whole_recordings()
         self._through(self.most)
-        entries = list(self.table.entries.values())
-        self._climb(entries, len(entries))
+        self._climb(list(self.table.entries.values()))
         self._settle()
 
     def _through(self, most: int) -> bool:
@@ -113,7 +113,8 @@ class Search:
         for size in range(1, min(most, len(table.candidates)) + 1):
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
             self._looked(entries)
-            self._climb(entries, FIRST if self.first else len(entries))
+            if not self.first:
+                self._climb(entries)
             seen += entries
             if self.explained():
                 break
@@ -180,16 +181,13 @@ class Search:
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)
 
-    def _climb(self, entries: Sequence[Entry], most: int) -> None:
+    def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
         Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
-        most : that are fitted in all, or fail.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
-            if sum(not e.open for e in entries) >= most:
-                return
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)
             level = SAME + max(table.share(best), table.promise(best)) if best else -1.0
@@ -241,15 +239,17 @@ class Search:
     def _beside(self, best: Entry) -> list[Entry]:
         """What says less than the best: without an effect, or a plainer form of it; and others in its place.
 
-        Others are asked only where the best explains all; what leaves as little is not.
+        Others are asked only where the best explains all and they promise to; what leaves as little is not.
         """
         table, found = self.table, []
         others = self._promising()[: self.effort.together] if self.explained() else []
         for one in best.members:
             rest = [m for m in best.members if m is not one]
             found += [table.entry(rest)] if rest else []
-            instead = [c for c in table.candidates if one.refines(c) or c in others]
-            found += [table.entry([*rest, c]) for c in instead if c not in best.members and compatible([*rest, c])]
+            free = [c for c in table.candidates if c not in best.members and compatible([*rest, c])]
+            found += [table.entry([*rest, c]) for c in free if one.refines(c)]
+            instead = [table.entry([*rest, c]) for c in others if c in free and not one.refines(c)]
+            found += [e for e in instead if self._worth(e) < INSTEAD]
         enough = table.score(best) + 1.0
         return [e for e in found if not (e.fitted and table.score(e) < enough)]
 

@@ -175,11 +175,6 @@ class Candidate:
         """Its place and those of its twins, which are called after their ports."""
         return {self.site.place, *(frozenset((twin.partition(" at ")[2],)) for twin in self.twins)}
 
-    def containing(self, simple: Candidate, values: Mapping[str, float]) -> dict[str, float]:
-        """The parameters, by path, at which this is the effect that it refines, at ``values`` (by path)."""
-        same = self.effect.refines[simple.id]
-        return {f"{self.name}.{own}": values[f"{simple.name}.{theirs}"] for own, theirs in same.items()}
-
     @property
     def addition(self) -> Addition:
         """What to give to `Model.plus`."""

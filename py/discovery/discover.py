@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -143,10 +143,10 @@ def inside(model: Model, wanted: Wanted) -> Asked:
 def _runner(pool, report, memory, cores: int = 1):
     """``run(function, jobs, stage)``: the answers in order, from memory where they are known.
 
-    The last jobs share the ``cores`` that they would leave idle; ``meanwhile`` is gone through while they are at work.
+    The last jobs share the ``cores`` that they would leave idle.
     """
 
-    def run(function, jobs, stage: str, meanwhile: Iterable = ()) -> list:
+    def run(function, jobs, stage: str) -> list:
         done = 0
         report(stage, 0, len(jobs), "")
 
@@ -159,7 +159,7 @@ def _runner(pool, report, memory, cores: int = 1):
         threads = [cores // last if len(jobs) - i <= last else 1 for i in range(len(jobs))]
         ready = [_portable(*job) for job in zip(jobs, threads, strict=True)]
         kept = function not in (conclude, judge_samples)  # soon done again; nothing that judges is remembered
-        return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT, meanwhile=meanwhile, kept=kept))
+        return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT, kept=kept))
 
     return run
 

@@ -123,20 +123,6 @@ def test_an_answer_is_told_before_it_is_given_even_if_it_comes_while_another_is_
     assert [(answer, list(told)) for answer in answers] == [(7, [0]), (1, [0, 1])]
 
 
-def test_what_is_useful_meanwhile_is_done_here_while_others_work_and_left_when_they_are_done():
-    done = []
-
-    def useful():
-        for k in range(1000):
-            done.append(k)
-            time.sleep(0.02)
-            yield
-
-    with executor_for("threads", workers=2) as executor:
-        assert list(mapped(executor, slept, [0.1, 0.2], meanwhile=useful())) == [0.1, 0.2]
-    assert 2 < len(done) < 100
-
-
 def test_a_job_that_fails_raises_its_sentence_and_cancels_the_rest():
     began = time.perf_counter()
     with pytest.raises(SolveError, match="diverged"), executor_for("processes", workers=1) as executor:

@@ -270,17 +270,6 @@ def answered(here):
     return here
 
 
-@pytest.mark.parametrize(("error", "code"), [(DataError("a.csv: nothing moves."), 2), (SolveError("it diverges."), 1)])
-def test_a_run_that_fails_leaves_the_answer_of_an_earlier_one(answered, asked, error, code):
-    before, asked.side_effect = contents(answered / "gap"), error
-    answer = hydrotwin(*GAP)
-    assert answer.code == code and str(error) in answer.said
-    assert "gap/gap.json is that of an earlier run; why this run failed is in gap/failure.json" in answer.said
-    after = contents(answered / "gap")
-    assert after.keys() - before.keys() == {"failure.json"} and before.items() <= after.items()
-    assert json.loads((answered / "gap/failure.json").read_text())["findings"] == [str(error)]
-
-
 def test_a_run_that_fails_where_there_is_no_answer_says_so_in_gap_json(here, asked):
     (here / "gap").mkdir()
     (here / "gap/model.toml").write_text("mine")

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import types
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -200,11 +200,8 @@ def mapped(
     function: Callable,
     jobs: Sequence,
     on_done: Callable[[int, object], None] | None = None,
-    meanwhile: Iterable = (),
 ) -> Iterator:
     """``function(job)`` of every job, in the order of the jobs; ``on_done(index, result)`` as each is finished.
-
-    meanwhile : what is useful here while others work; gone through, and left when all jobs are done.
 
     What has not begun is cancelled when the caller stops early, a job raises, or Ctrl-C is pressed.
 
@@ -216,9 +213,6 @@ def mapped(
     index = {future: k for k, future in enumerate(futures)}
     waiting, results, given = set(futures), {}, 0
     try:
-        for _ in meanwhile:
-            if all(future.done() for future in futures):
-                break
         while waiting:
             done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in sorted(done, key=index.__getitem__):

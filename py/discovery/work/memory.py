@@ -100,7 +100,6 @@ def recalled(
     jobs: Sequence,
     on_done: Callable[[int, object], None] | None = None,
     kinds: Iterable[type] = (),
-    meanwhile: Iterable = (),
     kept: bool = True,
 ) -> list:
     """``function(job)`` of every job in order, as `mapped`; what ``memory`` knows is not computed again.
@@ -109,7 +108,7 @@ def recalled(
     memory knows but the seconds.
     """
     if memory is None:
-        return list(mapped(executor, function, jobs, on_done, meanwhile))
+        return list(mapped(executor, function, jobs, on_done))
     keys = [key_of(f"{function.__module__}.{function.__qualname__}", job) for job in jobs]
     known = {kind.__name__: kind for kind in kinds}
     found: dict[int, object] = {}
@@ -130,7 +129,7 @@ def recalled(
         if on_done:
             on_done(index, answer)
 
-    answers = mapped(executor, function, [jobs[index] for index in open_jobs], done, meanwhile)
+    answers = mapped(executor, function, [jobs[index] for index in open_jobs], done)
     found |= dict(zip(open_jobs, answers, strict=True))
     return [found[index] for index in range(len(jobs))]
 

@@ -1,0 +1,113 @@
+"""What is tried beside the best structure, how parts of what is missing compare, and when windows give way."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery import assumed
+from hydrotwin.discovery.answer.standing import standing
+from hydrotwin.discovery.evidence.deciding import DECIDING
+from hydrotwin.discovery.fits.job import WINDOWS
+from hydrotwin.identification.assumptions import Change
+from hydrotwin.identification.outliers import Strays
+from tests.discovery.slides import begun, records
+from tests.discovery.test_table import leaving
+
+EFFECTS = ("coulomb_friction", "stribeck_friction", "null_bias", "dead_time")
+
+
+def filled(**times):
+    """A search whose structures, ids joined by "_and_", leave so many times the noise."""
+    search = begun(records(3), EFFECTS)
+    by = {c.id: c for c in search.table.candidates}
+    for name, left in times.items():
+        members = [] if name == "base" else [by[n] for n in name.split("_and_")]
+        search.table.entry(members).fitted = leaving(left)
+    return search
+
+
+def beside(search, *best: str) -> set[str]:
+    members = [c for c in search.table.candidates if c.id in best]
+    best = search.table.entry(members)
+    return {"_and_".join(sorted(c.id for c in e.members)) for e in search._beside(best)}
+
+
+def test_the_plainer_form_and_what_promises_as_much_stand_beside_the_best():
+    search = filled(base=30.0, stribeck_friction=1.0, null_bias=2.0, dead_time=25.0)
+    assert beside(search, "stribeck_friction") == {"coulomb_friction", "null_bias"}
+
+
+def test_what_leaves_as_little_is_not_tried_again():
+    search = filled(base=30.0, stribeck_friction=1.0, coulomb_friction=1.0)
+    assert "coulomb_friction" not in beside(search, "stribeck_friction")
+
+
+def test_a_pair_is_tried_without_each_of_its_effects():
+    search = filled(base=30.0, null_bias_and_dead_time=1.0, null_bias=20.0, dead_time=25.0)
+    assert beside(search, "null_bias", "dead_time") >= {"null_bias", "dead_time"}
+
+
+def test_where_the_best_leaves_much_nothing_is_asked_in_its_place():
+    search = filled(base=30.0, null_bias=15.0, dead_time=16.0)
+    assert beside(search, "null_bias") == set()
+
+
+def test_beside_something_else_a_second_effect_must_do_more_than_follow_the_rest():
+    search = filled(base=100.0, coulomb_friction=25.0, coulomb_friction_and_null_bias=20.0)
+    said = standing(search.table)
+    assert said.verdict == "unknown" and said.part
+    assert [c.id for c in said.best.members] == ["coulomb_friction"]
+
+
+def test_what_closes_much_more_beside_something_else_is_told_with_it():
+    search = filled(base=100.0, coulomb_friction=60.0, coulomb_friction_and_null_bias=25.0)
+    said = standing(search.table)
+    assert said.part and {c.id for c in said.best.members} == {"coulomb_friction", "null_bias"}
+
+
+@pytest.mark.parametrize("promising", [True, False])
+def test_whole_recordings_take_over_where_windows_promise_nothing(monkeypatch, promising):
+    search, asked = begun(records(3, dry=200.0), EFFECTS), []
+
+    def through(most):
+        asked.append((most, bool(search.first)))
+        return promising
+
+    monkeypatch.setattr(search, "_through", through)
+    search.go()
+    assert asked == [(2, True), (3, promising)]
+    assert bool(search.table.question.lengths) == promising
+
+
+def test_no_more_windows_are_looked_through_than_show_the_gap():
+    small, large = begun(records(3, dry=0.3), EFFECTS), begun(records(3, dry=200.0), EFFECTS)
+    for search in (small, large):
+        search.identify()
+    assert large.table.question.windows < small.table.question.windows == WINDOWS
+    assert large.table.visible(large.first - 1) > DECIDING.visible
+
+
+def test_a_start_that_nobody_measured_is_asked_before_any_effect(monkeypatch):
+    done = []
+
+    def asked(model, initial_states):
+        one = SimpleNamespace(model=model, initial_states=initial_states, data=None)
+        one.without = one.telling = lambda said: one
+        return one
+
+    def begin(one):
+        done.append(("begin", one.initial_states))
+        return SimpleNamespace(
+            go=lambda: done.append(("go", one.initial_states)), complete=True, until=np.inf,
+            explained=lambda: one.initial_states == "free", table=SimpleNamespace(entry=lambda: None),
+        )  # fmt: skip
+
+    monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=SimpleNamespace(members=())))
+    monkeypatch.setattr(assumed, "_in_doubt", lambda search, said: False)
+    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: Change(free_starts=True))
+    monkeypatch.setattr(assumed, "_stray_samples_of_judges", lambda search, data: Strays())
+    *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1

@@ -11,6 +11,7 @@ from hydrotwin.discovery import assumed
 from hydrotwin.discovery.answer.standing import standing
 from hydrotwin.discovery.evidence.deciding import DECIDING
 from hydrotwin.discovery.fits.job import WINDOWS
+from hydrotwin.discovery.structures.search import OutOfTime
 from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.outliers import Strays
 from tests.discovery.slides import begun, records
@@ -111,3 +112,18 @@ def test_a_start_that_nobody_measured_is_asked_before_any_effect(monkeypatch):
     monkeypatch.setattr(assumed, "_stray_samples_of_judges", lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
     assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1
+
+
+def test_when_the_time_is_over_before_any_fit_the_most_promising_are_fitted(monkeypatch):
+    search = begun(records(3, dry=200.0), ("null_bias", "dead_time", "sensor_scale"))
+
+    def through(most):
+        search._advance([search.table.entry([c]) for c in search.table.candidates], search.first)
+        raise OutOfTime
+
+    monkeypatch.setattr(search, "_through", through)
+    search.go()
+    assert not search.complete
+    fitted = [e for e in search.table.fitted if e.members]
+    assert 1 <= len(fitted) <= 2
+    assert max(map(search.table.promise, fitted)) <= min(map(search.table.promise, search.waiting()))

@@ -4,7 +4,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 OUT ?= out/demo
 WORKERS ?= 2
-TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+# A test that kills its worker ends the run: pytest-xdist hangs where it restarts one.
+TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1

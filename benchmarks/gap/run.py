@@ -12,7 +12,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -20,18 +20,6 @@ BATCH = 40  # cases after which fresh processes take over
 METHODS = ("discover", "plain", "sindy", "gp")
 LIMIT = 300.0  # s of a search
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
-
-
-class Here(Executor):
-    """Runs everything at once in this process: the cases are what runs side by side."""
-
-    def submit(self, work, /, *arguments, **named) -> Future:
-        future = Future()
-        try:
-            future.set_result(work(*arguments, **named))
-        except Exception as error:
-            future.set_exception(error)
-        return future
 
 
 def rows_of(
@@ -78,7 +66,7 @@ def _answer(method, made, bench, memory, settings):
         from benchmarks.gap.score import answer_of
         from hydrotwin.discovery.discover import discover
 
-        found = discover(made.model, made.fit, validate=made.held_out, executor=Here(), **settings)
+        found = discover(made.model, made.fit, validate=made.held_out, executor="here", **settings)
         return answer_of(found, settings)
     if method == "plain":
         from benchmarks.gap.plain import plain

@@ -271,7 +271,7 @@ def gap(folder, machine: str, runs, *words):
     for run in runs:
         paths.append(folder / f"{run.name}.csv")
         write_record(run, paths[-1])
-    answer = hydrotwin("gap", f"own.py:{machine}", *paths, "--out", "gap", "--executor", "threads", *words)
+    answer = hydrotwin("gap", f"own.py:{machine}", *paths, "--out", "gap", "--executor", "here", *words)
     return answer, json.loads((folder / "gap/gap.json").read_text())
 
 

@@ -248,10 +248,10 @@ def figures(d):
     )
 
 
-def test_threads_and_an_executor_of_ones_own_give_the_same_answer(rubbing):
+def test_this_process_and_an_executor_of_ones_own_give_the_same_answer(rubbing):
     runs, judged = records(3, dry=30.0), [record(9, dry=30.0)]
-    threaded = found(runs, LIBRARY, executor="threads", validate=judged)
-    assert figures(threaded) == figures(rubbing)
+    same_here = found(runs, LIBRARY, executor="here", validate=judged)
+    assert figures(same_here) == figures(rubbing)
 
 
 class Counting(Inline):
@@ -354,7 +354,7 @@ def test_a_free_end_does_not_take_the_friction_sites_away():
         ({"max_effects": 0}, "at least 1"),
         ({"free": ["mass.mas"]}, "mass.mass"),
         ({"noise": {"sped": 1.0}}, "speed"),
-        ({"executor": "thread"}, "Did you mean 'threads'"),
+        ({"executor": "her"}, "Did you mean 'here'"),
     ],
 )
 def test_words_that_mean_nothing_are_refused(words, says):

@@ -13,7 +13,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.work.executor import cores_of, executor_for, mapped, portable
+from hydrotwin.discovery.work.executor import Here, cores_of, executor_for, mapped, portable
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
@@ -55,8 +55,8 @@ def test_the_fits_find_the_mass(here):
     assert [answer["values"]["mass.mass"] for answer in here] == pytest.approx([2.6] * 3, rel=1e-3)
 
 
-@pytest.mark.parametrize("spec", ["processes", "threads", None])
-def test_processes_and_threads_give_the_same_answers_to_the_last_bit(spec, jobs, here):
+@pytest.mark.parametrize("spec", ["processes", "here", None])
+def test_processes_and_this_process_give_the_same_answers_to_the_last_bit(spec, jobs, here):
     told = []
     with executor_for(spec, workers=2) as executor:
         found = list(mapped(executor, fitted, jobs, lambda k, answer: told.append((k, answer["values"]))))
@@ -86,15 +86,29 @@ def test_an_executor_of_ones_own_is_used_and_left_open(jobs, here):
 
 def test_the_command_line_which_opens_the_executor_itself_shares_cores_as_well(monkeypatch):
     monkeypatch.setattr("hydrotwin.discovery.work.executor.processors", lambda: 5)
-    for spec in ("threads", "processes", None):
+    for spec in ("processes", None):
         with executor_for(spec, workers=1) as executor:
             assert cores_of(executor) == 5
     assert cores_of(Inline()) == 1, "nobody knows where it runs"
+    assert cores_of(Here()) == 1
+
+
+class LastFirst:
+    """An executor that does nothing before it has ``count`` jobs, then the last of them first."""
+
+    def __init__(self, count):
+        self.count, self.jobs = count, []
+
+    def submit(self, function, *words):
+        self.jobs.append((Future(), function, words))
+        if len(self.jobs) == self.count:
+            for future, call, given in reversed(self.jobs):
+                future.set_result(call(*given))
+        return self.jobs[-1][0]
 
 
 def test_results_come_in_the_order_of_the_jobs_whichever_ends_first():
-    with executor_for("threads", workers=3) as executor:
-        assert list(mapped(executor, slept, [0.2, 0.0, 0.1])) == [0.2, 0.0, 0.1]
+    assert list(mapped(LastFirst(3), abs, [-1, -2, -3])) == [1, 2, 3]
 
 
 class FirstAtOnce:
@@ -103,10 +117,10 @@ class FirstAtOnce:
     def __init__(self):
         self.futures = []
 
-    def submit(self, function, job):
+    def submit(self, function, *words):
         future = Future()
         if not self.futures:
-            future.set_result(function(job))
+            future.set_result(function(*words))
         self.futures.append(future)
         return future
 
@@ -130,8 +144,23 @@ def test_a_job_that_fails_raises_its_sentence_and_cancels_the_rest():
     assert time.perf_counter() - began < 20
 
 
+def counted(together: list) -> int:
+    """How many of these jobs are at work at once."""
+    together.append(1)
+    time.sleep(0.02)
+    together.pop()
+    return len(together) + 1
+
+
+def test_threads_of_one_process_do_one_job_at_a_time():
+    """CasADi would end the process otherwise."""
+    together: list = []
+    with ThreadPoolExecutor(4) as executor:
+        assert list(mapped(executor, counted, [together] * 8)) == [1] * 8
+
+
 def test_stopping_early_cancels_what_has_not_begun():
-    with executor_for("threads", workers=1) as executor:
+    with ThreadPoolExecutor(1) as executor:
         answers = mapped(executor, slept, [0.0, *[0.2] * 20])
         next(answers)
         answers.close()

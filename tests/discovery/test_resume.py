@@ -138,7 +138,7 @@ def squared(x: float) -> Fitted | str:
 @pytest.mark.parametrize("kept", [True, False])
 def test_an_interrupted_list_of_jobs_goes_on_where_it_stopped(tmp_path, kept):
     memory, told = Memory(tmp_path) if kept else None, []
-    with executor_for("threads", workers=1) as pool:
+    with executor_for("here") as pool:
         with pytest.raises(KeyboardInterrupt):
             recalled(memory, pool, squared, [1.0, 0.0, -1.0, 3.0], kinds=[Fitted])
         if kept:
@@ -170,7 +170,7 @@ def through(memory: Memory, jobs, **more) -> float:
     """Seconds that a search through these jobs takes by itself."""
     began = time.perf_counter()
     memory.begin()
-    with executor_for("threads", workers=1) as pool:
+    with executor_for("here") as pool:
         recalled(memory, pool, waited, jobs, kinds=[Fitted], **more)
         return time.perf_counter() - began
 
@@ -192,7 +192,7 @@ def test_what_a_search_asks_twice_counts_once_and_another_search_counts_what_it_
     memory = Memory(tmp_path)
     through(memory, [1.0, 2.0])
     assert memory.earlier == 0.0
-    with executor_for("threads", workers=1) as pool:
+    with executor_for("here") as pool:
         recalled(memory, pool, waited, [1.0, 2.0], kinds=[Fitted])
     assert memory.earlier == 0.0, "of this very search"
     through(memory, [2.0, 2.0])
@@ -207,7 +207,7 @@ def now_and_then(index, answer):
     if index == 2:
         os.kill(os.getpid(), signal.SIGKILL)
 memory = Memory({str(tmp_path)!r})
-with executor_for("threads", workers=1) as pool:
+with executor_for("here") as pool:
     recalled(memory, pool, waited, [1.0, 2.0, 3.0, 4.0], now_and_then, kinds=[Fitted])
 """
     ended = subprocess.run([sys.executable, "-c", killed], check=False)

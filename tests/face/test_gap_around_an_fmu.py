@@ -16,7 +16,7 @@ from tests.export.foreign import CRASHES, rewritten
 from tests.face.command_line import hydrotwin
 
 TRUE = {"gain": 10.0, "time_constant": 0.3}
-GAP = ("gap", "drive.fmu", "a.csv", "b.csv", "--validate", "v.csv", "--executor", "threads", "--out", "gap")
+GAP = ("gap", "drive.fmu", "a.csv", "b.csv", "--validate", "v.csv", "--executor", "here", "--out", "gap")
 
 
 def high(w, time):
@@ -81,7 +81,7 @@ def test_its_model_file_simulates_and_compares_better_than_the_fmu(here):
 
 
 def test_a_second_look_starts_from_the_effects_of_the_first(here):
-    words = ("gap", "gap/model.toml", "a.csv", "b.csv", "--executor", "threads", "--effects", "sensor_bias")
+    words = ("gap", "gap/model.toml", "a.csv", "b.csv", "--executor", "here", "--effects", "sensor_bias")
     again = hydrotwin(*words, "--out", "again")
     assert again.code == 0, again.err
     assert "twoSensors: none" in again.out
@@ -113,7 +113,7 @@ def test_a_model_file_without_its_fmu_or_with_another_one_is_refused(here):
         (("gap", "no.fmu", "a.csv", "--out", "g"), "no such file", 2),
         (("gap", "drive.fmu", "lacking.csv", "--out", "g"), "no column 'command'", 2),
         (("gap", "drive.fmu", "a.csv", "--out", "g", "--free", "gian"), "Did you mean 'gain'", 2),
-        (("gap", "crashing.fmu", "a.csv", "--executor", "threads", "--out", "g"), "the FMU ended its process", 1),
+        (("gap", "crashing.fmu", "a.csv", "--executor", "here", "--out", "g"), "the FMU ended its process", 1),
     ],
 )
 def test_what_cannot_be_looked_around_is_one_sentence(here, words, says, code):

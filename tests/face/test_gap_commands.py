@@ -6,7 +6,6 @@ import json
 import shutil
 import sys
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace
 from unittest import mock
 
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.discovery.work.executor import Here
 from hydrotwin.discovery.work.memory import Memory, key_of
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import CATALOGUE, add_effect, candidates
@@ -102,7 +102,7 @@ def test_effects_of_something_without_equations_are_refused():
 def test_gap_hands_on_what_was_asked_for(here, discover):
     answer = hydrotwin(
         *GAP[:3], "train_2.csv", *GAP[3:], "--free", "motor.*", "--free", "arm.mass", "--effects", "coulomb*",
-        "--effects", "* at command", "--exclude", "drift", "--max-effects", "2", "--executor", "threads",
+        "--effects", "* at command", "--exclude", "drift", "--max-effects", "2", "--executor", "here",
     )  # fmt: skip
     assert answer.code == 0, answer.err
     (model, records), asked = discover.call_args
@@ -111,7 +111,7 @@ def test_gap_hands_on_what_was_asked_for(here, discover):
     assert asked["free"] == ["motor.*", "arm.mass"]
     assert (asked["effects"], list(asked["exclude"])) == (["coulomb*", "* at command"], ["drift"])
     assert asked["max_effects"] == 2
-    assert isinstance(asked["executor"], ThreadPoolExecutor)
+    assert isinstance(asked["executor"], Here)
 
 
 @pytest.mark.parametrize("command", ["gap", "identify"])
@@ -203,7 +203,7 @@ def test_json_on_standard_output_is_gap_json(here, discover):
 def test_the_leak_in_the_shipped_recordings_is_found_and_nothing_unfinished_stays(here):
     train = [f"train_{k}.csv" for k in (1, 2, 3)]
     answer = hydrotwin(
-        *("gap", "cehA", *train, "--validate", "validate_1.csv", "validate_2.csv", "--executor", "threads"),
+        *("gap", "cehA", *train, "--validate", "validate_1.csv", "validate_2.csv", "--executor", "here"),
         *("--effects", "*_leakage", "--effects", "coulomb_friction", "--out", "gap"),
     )
     assert answer.code == 0, answer.err
@@ -313,7 +313,7 @@ def test_a_run_that_fails_leaves_the_answer_of_an_earlier_one(here, discover, er
 def test_recordings_that_can_show_nothing_are_refused_by_the_search_itself(here, edit, says):
     head, *rows = (here / "train_1.csv").read_text().splitlines()
     (here / "train_1.csv").write_text("\n".join([head, *edit(rows)]) + "\n")
-    answer = hydrotwin(*GAP, "--executor", "threads", "--effects", "coulomb_friction")
+    answer = hydrotwin(*GAP, "--executor", "here", "--effects", "coulomb_friction")
     assert answer.code == 2, answer.said
     assert says in answer.said
     found = json.loads((here / "gap/gap.json").read_text())
@@ -339,7 +339,7 @@ def test_a_machine_of_ones_own_is_told_how_to_use_the_answer(here, discover):
         (["gap", "cehA", "train_1.csv", "--out", "gap", "--exclude", "driff"], "Did you mean 'drift'"),
         (["gap", "cehA", "train_9.csv", "--out", "gap"], "train_9.csv: no such file"),
         (["gap", "eq17", "train_1.csv", "--out", "gap"], "'eq17' is no physical model"),
-        ([*GAP, "--executor", "thread"], "Did you mean 'threads'"),
+        ([*GAP, "--executor", "her"], "Did you mean 'here'"),
         ([*GAP[:3], "train_2.csv", "--validate", "train_1.csv", "--out", "gap"], "Only an unseen recording can judge"),
         (["gap", "cehA", "train_1.csv", "--out", "train_1.csv"], "a file, where a folder is needed"),
         (["gap", "spool_valve", "train_1.csv", "--out", "gap"], "no column 'current'"),

@@ -26,7 +26,7 @@ from tests.face.command_line import ROOT, contents, hydrotwin
 EFFECTS = ("coulomb_friction", "dead_time", "command_deadband")
 TRY = tuple(word for effect in EFFECTS for word in ("--effects", effect))
 GAP = ("gap", "slide.py:slide", "a.csv", "b.csv", "c.csv", "--validate", "v.csv", *TRY, "--out", "gap")
-THREADS = ("--executor", "threads")
+THREADS = ("--executor", "here")
 FILES = {"gap.json", "report.html", "report.md", "model.toml", "model.mo"}
 OF_THE_RUN = ("seconds", "created", "command", "timings", "tables")  # differ from run to run, or say the others again
 

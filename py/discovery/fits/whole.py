@@ -27,7 +27,7 @@ from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
 from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, task_of
-from .windows import look
+from .windows import look, sigmas
 
 FEW = 8  # iterations of a look at whole recordings
 ROUNDS = 5  # of weights and minimum
@@ -66,7 +66,10 @@ def glance(job: Job) -> Look | str:
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
-    return dataclasses.replace(as_look(_answer(task, found, runs)), seconds=time.perf_counter() - began)
+    known_to = dict(zip(task.free.names, sigmas(task, found), strict=True))
+    return dataclasses.replace(
+        as_look(_answer(task, found, runs)), sigmas=known_to, seconds=time.perf_counter() - began
+    )
 
 
 def as_look(fitted: Fitted) -> Look:

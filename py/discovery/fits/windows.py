@@ -63,8 +63,8 @@ def _led(job: Job) -> Look:
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    new, sigmas = slice(begin - again, None), dict(zip(task.free.names, _sigmas(task, found), strict=True))
-    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), sigmas)
+    new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(task, found), strict=True))
+    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to)
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -106,7 +106,7 @@ def _cut(
     return freely(task, segments, states)
 
 
-def _sigmas(task: Task, found: Minimum) -> list[float]:
+def sigmas(task: Task, found: Minimum) -> list[float]:
     """Standard deviations of the free parameters, SI, infinite where nothing shows or a run diverged."""
     information = found.information()
     size = np.sqrt(np.maximum(np.diag(information), 0.0))

@@ -1,4 +1,4 @@
-"""Where the refits run: this machine's cores, threads, an executor of one's own, or a Dask cluster.
+"""Where the fits run: this machine's cores, this process, an executor of one's own, or a Dask cluster.
 
 A job is a top-level function of this package with plain data, so that every executor gives the same answers.
 """
@@ -15,8 +15,8 @@ from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
     Executor,
+    Future,
     ProcessPoolExecutor,
-    ThreadPoolExecutor,
     wait,
 )
 from contextlib import contextmanager
@@ -29,7 +29,7 @@ import casadi as ca
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
-KINDS = ("processes", "threads", "dask://host:port")
+KINDS = ("processes", "here", "dask://host:port")
 BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 MANY_MEASURED = 6  # up to so many measured states every subset of them may be given
 PATIENCE = 20.0  # seconds to wait for a scheduler
@@ -42,7 +42,7 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
 
     ====================  ==================================================================================
     None, "processes"     local processes, as many as cores, each with one BLAS thread
-    "threads"             threads of this process
+    "here"                this process, one fit after the other
     "dask://host:port"    the workers of a Dask scheduler (extra ``cluster``)
     an Executor           used as it is, and left open
     ====================  ==================================================================================
@@ -56,12 +56,8 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
     elif spec is None or spec == "processes":
         with _processes(workers or processors()) as pool:
             yield pool
-    elif spec == "threads":
-        pool = ThreadPoolExecutor(workers or processors())
-        try:
-            yield pool
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+    elif spec == "here":
+        yield Here()
     elif isinstance(spec, str) and spec.startswith("dask://"):
         with _dask(spec) as pool:
             yield pool
@@ -70,13 +66,25 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
 
 
 def cores_of(executor: Executor) -> int:
-    """Cores of this machine that its jobs may share among them: 1 where they run elsewhere, or nobody knows where."""
-    return processors() if isinstance(executor, ProcessPoolExecutor | ThreadPoolExecutor) else 1
+    """Cores that its jobs may share among them: those of this machine for its processes, 1 for anything else."""
+    return processors() if isinstance(executor, ProcessPoolExecutor) else 1
 
 
 def processors() -> int:
     """Processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Here(Executor):
+    """Runs every job at once, in the thread that submits it."""
+
+    def submit(self, function, /, *arguments, **named) -> Future:
+        future = Future()
+        try:
+            future.set_result(function(*arguments, **named))
+        except Exception as error:
+            future.set_exception(error)
+        return future
 
 
 @contextmanager
@@ -195,6 +203,18 @@ def versions() -> dict[str, str]:
 
 
 # -- jobs --------------------------------------------------------------------------------------------------------------
+_one_at_a_time = threading.RLock()
+
+
+def _alone(function: Callable, job):
+    """``function(job)`` while no other thread of this process does a job.
+
+    CasADi builds expressions in one thread at a time only, and a job's limit counts the time of its process.
+    """
+    with _one_at_a_time:
+        return function(job)
+
+
 def mapped(
     executor: Executor,
     function: Callable,
@@ -209,7 +229,14 @@ def mapped(
     ------
     SolveError : a worker died. Anything that ``function`` raises.
     """
-    futures = [executor.submit(function, job) for job in jobs]
+    if isinstance(executor, Here):  # each is told before the next begins
+        for k, job in enumerate(jobs):
+            result = _alone(function, job)
+            if on_done:
+                on_done(k, result)
+            yield result
+        return
+    futures = [executor.submit(_alone, function, job) for job in jobs]
     index = {future: k for k, future in enumerate(futures)}
     waiting, results, given = set(futures), {}, 0
     try:
@@ -225,7 +252,7 @@ def mapped(
     except BrokenExecutor as error:
         raise SolveError(
             f"executor: a worker process died ({error}). It was killed or ran out of memory. "
-            "Try fewer processes or executor='threads'."
+            "Try fewer processes or executor='here'."
         ) from None
     finally:
         for future in waiting:

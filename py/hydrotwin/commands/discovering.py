@@ -95,7 +95,7 @@ def gap(
         str | None, typer.Option(metavar="TIME", help="90s, 5min, 1h30min: then the best so far is the answer")
     ] = None,
     executor: Annotated[
-        str, typer.Option(metavar="WHERE", help="where the fits run: processes, threads or dask://host:port")
+        str, typer.Option(metavar="WHERE", help="where the fits run: processes, here or dask://host:port")
     ] = "processes",
     resume: Annotated[
         bool, typer.Option("--resume/--fresh", help="go on where an interrupted run stopped, or begin anew")

@@ -22,11 +22,15 @@ FEW = 3  # steps that may always be longer: a short table with a flaw or two
 
 @dataclass(frozen=True)
 class Column:
-    """One column as the file has it: ``unit`` is None where the file names none."""
+    """One column as the file has it: ``unit`` is None where the file names none.
+
+    unusable : why the column holds no numbers, a sentence; its ``values`` are all NaN then.
+    """
 
     name: str
     unit: str | None
     values: np.ndarray
+    unusable: str = ""
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ _FORMATS = {
     ".parquet": (read_parquet, write_parquet),
     ".mat": (read_mat, write_mat),
     ".mf4": (read_mdf, write_mdf),
+    ".mdf": (read_mdf, write_mdf),
 }
 
 

@@ -1,14 +1,12 @@
-"""MAT files: v5 (scipy) and v7.3 (HDF5). Every signal is one variable; the text ``columns`` names them and their units.
+"""MAT files of every version. What others store is found by its layout (`mat_layouts`); hydrotwin writes v5 and v7.3.
 
-``columns`` has one line ``variable: name [unit]`` per column, because a MATLAB variable cannot be called
-``cylinder.cap_pressure``. Files of others need no ``columns``: every numeric vector is a column under its own name, the
-unit comes from a struct ``units`` with the same field names, or from ``read_record(..., units=)``.
+In its own files every signal is one variable, and the text ``columns`` has one line ``variable: name [unit]`` per
+column, because a MATLAB variable cannot be called ``cylinder.cap_pressure``.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import re
 from pathlib import Path
 
@@ -16,30 +14,51 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .binary_files import as_numbers, unreadable
+from .binary_files import content_of, unreadable
+from .mat_layouts import signals_of
+from .mat_tree import HEADER_BYTES, Struct, read_tree
+from .rasters import Signal, table_of
 from .record import Record
-from .table import Column, Table, split_header
-
-_HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
-_HEADER_BYTES = 512  # MATLAB's own text before the HDF5 part of a v7.3 file
+from .table import Table, split_header
 
 
 def read_mat(path: Path) -> Table:
-    """The table of a MAT file of either version."""
-    content = path.read_bytes()
-    if not content:
-        raise DataError(f"{path}: row 1: the file is empty. Copy or export it again.")
-    is_hdf5 = (
-        _HDF5_SIGNATURE in (content[:8], content[_HEADER_BYTES : _HEADER_BYTES + 8]) or b"MATLAB 7.3" in content[:16]
-    )
+    """The table of a MAT file of any version, from 4 to 7.3."""
+    content = content_of(path)
     try:
-        variables, texts = (_read_hdf5 if is_hdf5 else _read_v5)(content)
-    except Exception as error:  # both parsers raise many kinds for a damaged file
+        tree = read_tree(path, content)
+    except Exception as error:  # the parsers raise many kinds for a damaged file
         raise unreadable(path, "MAT", error) from None
-    columns = [_column(path, *item) for item in _named(variables, texts, path)]
-    length = max((len(c.values) for c in columns), default=0)
-    columns = [c for c in columns if len(c.values) > 1 or length <= 1]
-    return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())
+    signals = _written_here(tree, path) if isinstance(tree.get("columns"), str) else signals_of(tree)
+    if not any(not s.unusable for s in signals):
+        raise DataError(f"{path}: {_why_empty(tree, signals)}")
+    return table_of(path, signals, hashlib.sha256(content).hexdigest())
+
+
+def _written_here(tree: Struct, path: Path) -> list[Signal]:
+    """The signals that the text ``columns`` names, which hydrotwin writes."""
+    found = []
+    for line in tree["columns"].splitlines():
+        variable, _, header = line.partition(": ")
+        if variable not in tree:
+            raise DataError(f"{path}: 'columns' names '{variable}', which the file lacks. Export it again whole.")
+        name, unit = split_header(header)
+        found.append(Signal(name, unit, np.asarray(tree[variable]), path=variable))
+    return found
+
+
+def _why_empty(tree: Struct, signals: list[Signal]) -> str:
+    objects = [s for s in signals if "object of MATLAB" in s.unusable]
+    if objects:
+        return f"variable '{objects[0].path}': {objects[0].unusable} {_AS_STRUCT}"
+    held = ", ".join(list(tree)[:6]) or "nothing"
+    return f"no signal over time (it holds {held}). Save the signals and their time as vectors or as a struct of them."
+
+
+_AS_STRUCT = (
+    "Or save it in MATLAB as plain arrays: for a timeseries ts, "
+    "time = ts.Time; x = ts.Data; save('run.mat', 'time', 'x')."
+)
 
 
 def write_mat(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
@@ -57,7 +76,7 @@ def write_mat73(headers: list[str], columns: list[np.ndarray], record: Record, p
     import h5py
 
     variables = _variables(headers)
-    with h5py.File(path, "w", userblock_size=_HEADER_BYTES) as file:
+    with h5py.File(path, "w", userblock_size=HEADER_BYTES) as file:
         for variable, values in zip(variables, columns, strict=True):
             file.create_dataset(variable, data=values[None, :]).attrs["MATLAB_class"] = np.bytes_("double")
         text = np.frombuffer(_columns_text(variables, headers).encode("utf-16-le"), dtype="<u2")
@@ -85,69 +104,3 @@ def _variables(headers: list[str]) -> list[str]:
 
 def _columns_text(variables: list[str], headers: list[str]) -> str:
     return "\n".join(f"{v}: {h}" for v, h in zip(variables, headers, strict=True))
-
-
-def _named(variables: dict, texts: dict[str, str], path: Path) -> list[tuple[str, str | None, np.ndarray]]:
-    """``(name, unit, values)`` of every column."""
-    if "columns" not in texts:
-        return [(name, texts.get(f"units.{name}"), values) for name, values in variables.items()]
-    named = []
-    for line in texts["columns"].splitlines():
-        variable, _, header = line.partition(": ")
-        if variable not in variables:
-            raise DataError(f"{path}: 'columns' names '{variable}', which the file lacks. Export it again whole.")
-        named.append((*split_header(header), variables[variable]))
-    return named
-
-
-def _column(path: Path, name: str, unit: str | None, values: np.ndarray) -> Column:
-    values = np.asarray(values)
-    if values.ndim > 1 and max(values.shape) != values.size:
-        shape = " x ".join(map(str, values.shape))
-        raise DataError(
-            f"{path}: row 1, column '{name}': one value per sample is needed (got a {shape} array). "
-            "Save each of its columns as a variable of its own."
-        )
-    return Column(name, unit, as_numbers(values.ravel(), path, name))
-
-
-def _read_v5(content: bytes) -> tuple[dict, dict[str, str]]:
-    import scipy.io
-
-    loaded = scipy.io.loadmat(io.BytesIO(content), chars_as_strings=True, struct_as_record=True)
-    variables, texts = {}, {}
-    for name, value in loaded.items():
-        if name.startswith("__"):
-            continue
-        if value.dtype.names:  # a struct: only the text of `units` is of use here
-            fields = {f: value[f].flat[0] for f in value.dtype.names} if value.size else {}
-            texts |= {f"{name}.{f}": _joined(v) for f, v in fields.items() if np.asarray(v).dtype.kind == "U"}
-        elif value.dtype.kind == "U":
-            texts[name] = _joined(value)
-        elif value.dtype.kind != "O":
-            variables[name] = value
-    return variables, texts
-
-
-def _joined(text: np.ndarray) -> str:
-    return "\n".join(str(line) for line in np.ravel(text))
-
-
-def _read_hdf5(content: bytes) -> tuple[dict, dict[str, str]]:
-    import h5py
-
-    variables: dict[str, np.ndarray] = {}
-    texts: dict[str, str] = {}
-
-    def visit(name: str, item) -> None:
-        if name.startswith("#") or not isinstance(item, h5py.Dataset):
-            return
-        kind = item.attrs.get("MATLAB_class", b"")
-        if kind == b"char":
-            texts[name.replace("/", ".")] = np.ravel(item[()]).astype("<u2").tobytes().decode("utf-16-le")
-        elif "/" not in name and item.dtype.kind in "fiubcSO" and kind != b"cell":
-            variables[name] = item[()]
-
-    with h5py.File(io.BytesIO(content), "r") as file:
-        file.visititems(visit)
-    return variables, texts

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import read_record
+from hydrotwin.records.mdf_file import read_mdf
 
 mdf = pytest.importorskip("asammdf")
 
@@ -61,7 +64,7 @@ def test_one_instant_of_two_groups_is_one_sample_however_it_was_rounded(tmp_path
     assert np.isfinite(record["b"]).sum() == 101
 
 
-def test_text_empty_groups_and_angles_are_left_out(tmp_path):
+def test_text_and_angles_say_why_they_cannot_be_used_and_empty_groups_are_left_out(tmp_path):
     time = np.arange(5) * 0.1
     path = tmp_path / "a.mf4"
     with mdf.MDF(version="4.10") as file:
@@ -69,8 +72,12 @@ def test_text_empty_groups_and_angles_are_left_out(tmp_path):
         file.append([channel("cylinder", np.arange(9.0), np.arange(9.0))])
         file.groups[1].channels[0].sync_type = 2  # over an angle
         file.save(path, overwrite=True)
-    record = read_record(path)
-    assert record.names == ("p",) and len(record) == 5
+    columns = {c.name: c for c in read_mdf(path).columns}
+    assert set(columns) == {"time", "p", "gear", "cylinder"}
+    np.testing.assert_array_equal(columns["p"].values, time)
+    for name, says in (("gear", "no numbers .got .*one"), ("cylinder", "not sampled over time")):
+        assert re.search(rf"a.mf4: column '{name}': .*{says}", columns[name].unusable)
+        assert len(columns[name].values) == 5 and np.isnan(columns[name].values).all()
 
 
 def test_a_conversion_of_the_file_is_applied(tmp_path):
@@ -78,10 +85,28 @@ def test_a_conversion_of_the_file_is_applied(tmp_path):
     np.testing.assert_allclose(read_record(written(tmp_path, [raw]))["p"], [-1e5, 9e5, 19e5])
 
 
-def test_a_group_whose_time_does_not_grow_is_refused(tmp_path):
+def test_a_group_whose_time_does_not_grow_costs_only_its_channels(tmp_path):
     path = written(tmp_path, [channel("a", [0, 1, 2], [0, 1, 2])], [channel("b", [0, 0.5, 0.5], [0, 1, 2])])
-    with pytest.raises(DataError, match=r"row 3 of the group of channel 'b', column 'time': time must grow"):
-        read_record(path)
+    time, a, b = read_mdf(path).columns
+    np.testing.assert_array_equal(time.values, [0, 1, 2])
+    np.testing.assert_array_equal(a.values, [0, 1, 2])
+    assert "column 'b': time must grow (got 0.5 s after 0.5 s in row 3" in b.unusable
+
+
+@pytest.mark.parametrize("version", ["2.14", "3.30", "4.20"])
+def test_every_version_keeps_the_raster_of_each_group(version, tmp_path):
+    fast, slow = np.arange(6) * 0.1, 0.05 + np.arange(3) * 0.2
+    with mdf.MDF(version=version) as file:
+        file.append([channel("p", fast, fast * 2), channel("T", fast, fast, "degC")])
+        file.append([channel("p", slow, slow), channel("level [mm]", slow, slow.astype("f4"), "")])
+        path = Path(file.save(tmp_path / "a.mdf", overwrite=True))
+    columns = {c.name: c for c in read_mdf(path).columns}
+    assert set(columns) == {"time", "group 1.p", "T", "group 2.p", "level"}
+    assert columns["level"].unit == "mm"
+    np.testing.assert_allclose(columns["time"].values, np.union1d(fast, slow))
+    known = np.isfinite(columns["group 2.p"].values)
+    np.testing.assert_allclose(columns["time"].values[known], slow)
+    np.testing.assert_allclose(columns["group 1.p"].values[~known], fast * 2)
 
 
 @pytest.mark.parametrize("shape", [(3,), (2, 2)])

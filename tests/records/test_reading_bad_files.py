@@ -185,25 +185,6 @@ def test_a_parquet_null_is_a_missing_value(tmp_path):
     np.testing.assert_allclose(read_record(path, missing="drop rows")["x"], [1e-3, 3e-3])
 
 
-def test_mat_variables_of_different_lengths_or_shapes_name_the_column(tmp_path):
-    import scipy.io
-
-    path = tmp_path / "a.mat"
-    units = {"time": "s", "x": "mm"}
-    scipy.io.savemat(path, {"time": np.arange(5.0), "x": np.arange(4.0), "units": units})
-    with pytest.raises(DataError, match=r"a.mat: column 'x' has 4 rows, 'time' has 5: row 5 is incomplete"):
-        read_record(path)
-    scipy.io.savemat(path, {"time": np.arange(5.0), "x": np.ones((5, 2)), "units": units})
-    with pytest.raises(DataError, match=r"column 'x': one value per sample is needed .got a 5 x 2 array"):
-        read_record(path)
-    scipy.io.savemat(path, {"time": np.arange(5.0), "x": np.arange(5.0) * 1j, "units": units})
-    with pytest.raises(DataError, match="row 1, column 'x': not a number"):
-        read_record(path)
-    scipy.io.savemat(path, {"time": np.arange(5.0), "x": np.array([1, 2, np.nan, 4, 5]), "units": units})
-    with pytest.raises(DataError, match="row 3, column 'x': no value"):
-        read_record(path)
-
-
 def test_mdf_without_its_package_names_the_extra(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "asammdf", None)
     path = tmp_path / "a.mf4"

@@ -131,6 +131,15 @@ def unreadable(path: Path, kind: str, error: Exception) -> DataError:
     )
 
 
+def not_written(kind: str):
+    """What stands where a writer would: formats of other programs are only read."""
+
+    def refuse(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
+        raise DataError(f"{kind} files are read, not written. Write .csv, .parquet, .mat or .mf4.")
+
+    return refuse
+
+
 def content_of(path: Path) -> bytes:
     """The bytes of a file that is not empty."""
     content = path.read_bytes()

@@ -18,6 +18,7 @@ from .mdf_file import read_mdf, write_mdf
 from .record import Record
 from .scale import Scale, scales_of
 from .table import record_from_table
+from .tdms_file import read_tdms, write_tdms
 
 _FORMATS = {
     ".csv": (read_csv, write_csv),
@@ -26,6 +27,7 @@ _FORMATS = {
     ".mat": (read_mat, write_mat),
     ".mf4": (read_mdf, write_mdf),
     ".mdf": (read_mdf, write_mdf),
+    ".tdms": (read_tdms, write_tdms),
 }
 
 

@@ -11,10 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from .mat_tree import Struct, Unread
-from .rasters import Axis, Signal
+from .rasters import TIME_NAMES, Axis, Signal
 from .table import split_header
 
-TIME_NAMES = ("time", "tout", "t", "zeit", "timestamp", "timestamps", "x_time", "time_s")
 _TIME_UNITS = {"weeks": "week", "days": "day", "hours": "h", "minutes": "min", "seconds": "s"}
 _TIME_UNITS |= {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 _PORT = re.compile(r"(out|in)\d*|value|signal", re.IGNORECASE)  # names nothing; its block does

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError
-from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.units import compatible, convert
 
 from .resampling import ROUNDING
 from .table import Column, Table
 
+TIME_NAMES = ("time", "tout", "t", "zeit", "timestamp", "timestamps", "time_s", "zeit_s")  # of a time axis
 MANY = 100  # elements of a sample that become columns of their own; more are a spectrum or an image
 
 
@@ -150,10 +151,9 @@ def _on_seconds(signal: Signal) -> Signal:
     axis = signal.axis
     if signal.unusable or axis is None:
         return replace(signal, unusable=signal.unusable or "the file has no time for it. Save it with its time.")
-    try:
-        time = axis.values if axis.unit in (None, "s") else convert(axis.values, axis.unit, "s")
-    except UnitError:
+    if axis.unit is not None and not is_time_unit(axis.unit):
         return replace(signal, unusable=f"its axis '{axis.name}' is in {axis.unit}, no time. Save it over time.")
+    time = convert(axis.values, axis.unit or "s", "s")
     growing = np.diff(time) > 0
     if growing.all() and np.isfinite(time).all():
         return replace(signal, axis=Axis(time))
@@ -163,6 +163,13 @@ def _on_seconds(signal: Signal) -> Signal:
         f"{(~growing).sum()} such steps). Remove these samples, or export the signal anew."
     )
     return replace(signal, unusable=reason)
+
+
+def is_time_unit(unit: str) -> bool:
+    try:
+        return compatible(unit, "s")
+    except UnitError:
+        return False
 
 
 def _usual_length(signals: list[Signal]) -> int:

@@ -11,6 +11,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
+from .rasters import TIME_NAMES, is_time_unit
 from .record import Record
 from .table import Column, Table, split_header
 
@@ -31,23 +32,38 @@ def read_parquet(path: Path) -> Table:
 
 
 def _column(path: Path, field, values) -> Column:
-    """A column as numbers; what has a type of time is in seconds, a date or stamp counted from the first one."""
+    """A column as numbers; what has a type of time is in seconds, a date or stamp counted from the first one.
+
+    A column of anything else, text or lists, says that it cannot be used.
+    """
     from pyarrow import types
 
     name, unit = split_header(field.name)
-    unit = (field.metadata or {}).get(b"unit", b"").decode() or unit
-    if types.is_dictionary(field.type):
-        values = values.cast(field.type.value_type)
-    if not types.is_temporal(values.type):
-        exact = types.is_integer(values.type) and name == "time"
-        return Column(name, unit, _counted(values) if exact else as_numbers(values.to_numpy(), path, name))
-    if types.is_interval(values.type) or unit not in (None, "s"):
+    unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace") or unit
+    if types.is_dictionary(values.type):
+        values = values.cast(values.type.value_type)
+    kind = values.type
+    if types.is_temporal(kind):
         wrong = f"named in [{unit}]" if unit not in (None, "s") else "of no fixed length"
-        raise DataError(
-            f"{path}: row 1, column '{name}': its type is {values.type}, {wrong}. A type of time has its own unit: "
-            f"name it '{name} [s]', or store numbers."
-        )
-    return Column(name, "s", _seconds(values))
+        if types.is_interval(kind) or unit not in (None, "s"):
+            reason = (
+                f"its type is {kind}, {wrong}. A type of time has its own unit: name it '{name} [s]', or store numbers"
+            )
+            return _unusable(path, Column(name, unit, np.full(len(values), np.nan)), reason)
+        return Column(name, "s", _seconds(values))
+    if types.is_integer(kind) and (name.lower() in TIME_NAMES or (unit and is_time_unit(unit))):
+        return Column(name, unit, _counted(values))
+    if types.is_decimal(kind):
+        values = values.cast("float64")
+    elif not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind) or types.is_null(kind)):
+        first = next((v for v in values.slice(0, 100).to_pylist() if v is not None), None)
+        reason = f"it holds no numbers but {kind} (got {str(first)[:40]!r}). Store numbers, or name another column"
+        return _unusable(path, Column(name, unit, np.full(len(values), np.nan)), reason)
+    return Column(name, unit, values.cast("float64", safe=False).to_numpy())
+
+
+def _unusable(path: Path, column: Column, reason: str) -> Column:
+    return replace(column, unusable=f"{path}: column '{column.name}': {reason}.")
 
 
 def _seconds(values) -> np.ndarray:
@@ -75,16 +91,35 @@ def _counted(counts, per_second: int = 1, largest: int = 2**53) -> np.ndarray:
 
 
 def _with_index(columns: list[Column], schema) -> list[Column]:
-    """The columns with the index of a data frame as time where it has a type of time; an unnamed one is no signal."""
+    """The columns, with the time named where the table tells it; an unnamed index that is no time is no signal.
+
+    An index of a data frame is the time where it has a type of time, or no name and grows in fractions; so is the only
+    column of stamps. A column that is called so is the time before all of them.
+    """
     index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
-    named = any(c.name == "time" for c in columns)
+    stamps = [field.name for field in schema if _is_stamp(field.type)]
+    named = any(c.name.lower() in TIME_NAMES for c in columns)
     found = []
     for field, column in zip(schema, columns, strict=True):
-        if field.name in index and not named and len(index) == 1 and _is_temporal(field.type):
-            column = replace(column, name="time")
-        if not (field.name in index and re.fullmatch(r"__index_level_\d+__", column.name)):
-            found.append(column)
+        unnamed = field.name in index and re.fullmatch(r"__index_level_\d+__", column.name)
+        is_time = field.name in index and (_is_temporal(field.type) or (unnamed and _in_fractions(column.values)))
+        if not named and ((is_time and len(index) == 1) or (not index and stamps == [field.name])):
+            column = replace(column, name="time", unit=column.unit or "s")
+        elif unnamed:
+            continue
+        found.append(column)
     return found
+
+
+def _in_fractions(values: np.ndarray) -> bool:
+    """Does it grow in steps that are no whole numbers, as seconds do and row numbers do not?"""
+    return len(values) > 1 and bool((np.diff(values) > 0).all() and (values != np.round(values)).any())
+
+
+def _is_stamp(kind) -> bool:
+    from pyarrow import types
+
+    return types.is_timestamp(kind) or types.is_date(kind)
 
 
 def _is_temporal(kind) -> bool:
@@ -102,24 +137,6 @@ def write_parquet(headers: list[str], columns: list[np.ndarray], record: Record,
     fields = [pyarrow.field(name, pyarrow.float64(), metadata={"unit": unit}) for name, unit in split]
     table = pyarrow.Table.from_arrays([pyarrow.array(c) for c in columns], schema=pyarrow.schema(fields))
     pyarrow.parquet.write_table(table, str(path))
-
-
-def as_numbers(values: np.ndarray, path: Path, name: str) -> np.ndarray:
-    """A column as floats; `DataError` with the row of the first value that is not a real number."""
-    values = np.asarray(values)
-    if values.dtype.kind in "fiub":
-        return values.astype(float)
-    for k, value in enumerate(values):
-        try:
-            if isinstance(value, str | bytes) or np.iscomplexobj(value):
-                raise ValueError
-            float("nan" if value is None else value)
-        except (TypeError, ValueError):
-            raise DataError(
-                f"{path}: row {k + 1}, column '{name}': not a number (got {value!r}). "
-                "Store real numbers; leave other columns out of the file."
-            ) from None
-    return np.array([float("nan" if v is None else v) for v in values])
 
 
 def unreadable(path: Path, kind: str, error: Exception) -> DataError:

@@ -163,17 +163,6 @@ def test_a_truncated_binary_file_is_refused(good_record, suffix, version, part, 
     assert len(str(error.value)) < 500
 
 
-def test_a_parquet_column_of_text_names_row_and_column(tmp_path):
-    pa = pytest.importorskip("pyarrow")
-    import pyarrow.parquet
-
-    path = tmp_path / "a.parquet"
-    table = pa.table({"time [s]": [0.0, 1.0, 2.0], "note [1]": ["1.5", "b", "c"]})
-    pyarrow.parquet.write_table(table, path)
-    with pytest.raises(DataError, match=r"a.parquet: row 1, column 'note': not a number \(got '1.5'\)"):
-        read_record(path)
-
-
 def test_a_parquet_null_is_a_missing_value(tmp_path):
     pa = pytest.importorskip("pyarrow")
     import pyarrow.parquet

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from decimal import Decimal
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import read_record
+from hydrotwin.records.binary_files import read_parquet
 
 pa = pytest.importorskip("pyarrow")
 pd = pytest.importorskip("pandas")
@@ -68,11 +70,12 @@ def test_an_index_without_a_name_that_is_no_time_is_no_signal(tmp_path):
     assert read(tmp_path, frame[frame["x [bar]"] != 1]).names == ("x",)
 
 
-def test_a_type_of_time_under_another_unit_is_refused(tmp_path):
-    with pytest.raises(
-        DataError, match=r"column 'time': its type is duration.*, named in \[ms\].*name it 'time \[s\]'"
-    ):
-        read(tmp_path, pd.DataFrame({**X, "time [ms]": pd.to_timedelta(np.arange(5), unit="s")}))
+def test_a_type_of_time_under_another_unit_cannot_be_used(tmp_path):
+    path = tmp_path / "a.parquet"
+    pd.DataFrame({**X, "time [ms]": pd.to_timedelta(np.arange(5), unit="s")}).to_parquet(path)
+    time = read_parquet(path).columns[1]
+    assert re.search(r"column 'time': its type is duration.*, named in \[ms\].*name it 'time \[s\]'", time.unusable)
+    assert np.isnan(time.values).all()
 
 
 def test_a_stamp_that_is_missing_is_a_missing_time(tmp_path):

@@ -19,6 +19,7 @@ from .record import Record
 from .scale import Scale, scales_of
 from .table import record_from_table
 from .tdms_file import read_tdms, write_tdms
+from .xlsx_file import read_xlsx, write_xlsx
 
 _FORMATS = {
     ".csv": (read_csv, write_csv),
@@ -28,6 +29,10 @@ _FORMATS = {
     ".mf4": (read_mdf, write_mdf),
     ".mdf": (read_mdf, write_mdf),
     ".tdms": (read_tdms, write_tdms),
+    ".xlsx": (read_xlsx, write_xlsx),
+    ".xlsm": (read_xlsx, write_xlsx),
+    ".xls": (read_xlsx, write_xlsx),
+    ".ods": (read_xlsx, write_xlsx),
 }
 
 

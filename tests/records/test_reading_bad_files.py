@@ -109,8 +109,8 @@ def test_a_missing_file_names_the_nearest_one(tmp_path):
 
 
 def test_an_unknown_format_names_the_known_ones(tmp_path):
-    with pytest.raises(DataError, match=r"'.xlsx'.*\.csv"):
-        read_record(tmp_path / "train.xlsx")
+    with pytest.raises(DataError, match=r"'.docx'.*\.csv"):
+        read_record(tmp_path / "train.docx")
 
 
 def test_dropping_rows_is_an_explicit_choice_and_keeps_true_row_numbers(tmp_path):

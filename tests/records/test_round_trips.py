@@ -197,8 +197,10 @@ def test_a_written_file_has_the_usual_mode(record, tmp_path):
 
 
 def test_wrong_ways_to_write_are_refused(record, tmp_path):
-    with pytest.raises(DataError, match=r"'.xls'"):
-        write_record(record, tmp_path / "a.xls")
+    with pytest.raises(DataError, match=r"'.docx'"):
+        write_record(record, tmp_path / "a.docx")
+    with pytest.raises(DataError, match=r"read, not written. Write .csv"):
+        write_record(record, tmp_path / "a.xlsx")
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match=r"a\.csv: cannot be written"):
         write_record(record, tmp_path / "file" / "a.csv")

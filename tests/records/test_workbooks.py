@@ -1,0 +1,140 @@
+"""Workbooks: which sheet, which rows, what a cell is; damaged and absurd ones are refused before memory fills."""
+
+from __future__ import annotations
+
+import datetime
+import io
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import read_record
+
+openpyxl = pytest.importorskip("openpyxl")
+pytest.importorskip("python_calamine")
+from hydrotwin.records.xlsx_file import read_sheet, read_xlsx, rows_of_sheet  # noqa: E402
+
+START = datetime.datetime(2026, 5, 4, 10, 0, 0, 250_000)
+STEP = datetime.timedelta(milliseconds=10)
+
+
+def book(tmp_path, **sheets):
+    path, workbook = tmp_path / "a.xlsx", openpyxl.Workbook()
+    workbook.remove(workbook.active)
+    for name, rows in sheets.items():
+        sheet = workbook.create_sheet(name)
+        for row in rows:
+            sheet.append(row)
+    workbook.save(path)
+    return path
+
+
+def test_a_plain_sheet_is_a_recording(tmp_path):
+    rows = [["time [s]", "p [bar]", "n [1/min]"], [0, 1.5, 60], [0.01, 2.5, 120], [0.02, 3.5, 180]]
+    record = read_record(book(tmp_path, Data=rows))
+    np.testing.assert_allclose(record.time, [0, 0.01, 0.02])
+    np.testing.assert_allclose(record["p"], [1.5e5, 2.5e5, 3.5e5])
+
+
+def test_the_sheet_with_most_numbers_is_read_and_the_others_are_named(tmp_path):
+    data = [["Zeit [s]", "p [bar]"], *([k / 100, k] for k in range(50))]
+    path = book(tmp_path, Info=[["Prüfstand", 3], ["Datum", START]], Messung=data, Diagramm=[[1, 2, 3]])
+    sheet = read_sheet(path)
+    assert (sheet.name, sheet.others) == ("Messung", ("Info", "Diagramm"))
+    assert sheet.title == "sheet 'Messung' (others: Info, Diagramm)"
+    assert read_xlsx(path).header == "sheet 'Messung' (others: Info, Diagramm), row 1"
+
+
+def test_rows_keep_their_place_and_cells_their_type(tmp_path):
+    rows = [["Messung 7"], [], [None, " Zeit ", "Tag", "Uhr", "Dauer", "an"]]
+    rows += [
+        [None, 1, START.date(), datetime.time(3, 4, 5, 250_000), datetime.timedelta(hours=30, milliseconds=5), True]
+    ]
+    rows += [[None, 0.5, START, None, "n/a", False]]
+    found = rows_of_sheet(book(tmp_path, A=rows))
+    assert [row[0] for row in found] == ["Messung 7", None, None, None, None]
+    assert found[2][1:] == ["Zeit", "Tag", "Uhr", "Dauer", "an"]
+    assert found[3][1:] == [1.0, datetime.datetime(2026, 5, 4), "03:04:05.250000", "30:00:00.005000", 1.0]
+    assert found[4][1:] == [0.5, START, None, "n/a", 0.0]
+    assert all(type(row[1]) is float for row in found[3:])
+
+
+@pytest.mark.parametrize("units", [["s", "bar", "-"], ["[s]", "[bar]", None], ["(s)", "(bar)", "(1)"]])
+def test_titles_above_and_units_below_the_names(units, tmp_path):
+    rows = [["Versuch 12"], ["Prüfer", "Meier"], [], ["Zeit", "Druck", "ok"], units, [0, 1.5, True], [0.01, None, True]]
+    table = read_xlsx(book(tmp_path, A=rows))
+    assert [(c.name, c.unit) for c in table.columns[:2]] == [("Zeit", "s"), ("Druck", "bar")]
+    np.testing.assert_array_equal(table.columns[1].values, [1.5, np.nan])
+    assert table.header == "sheet 'A', row 4" and [table.row(k) for k in (0, 1, 2)] == [6, 7, 8]
+
+
+def test_date_times_and_times_of_day_are_seconds(tmp_path):
+    rows = [["time", "Uhr"], *([START + k * STEP, (START + k * STEP).time()] for k in range(4))]
+    time, clock = read_xlsx(book(tmp_path, A=rows)).columns
+    assert (time.unit, clock.unit) == ("s", "s")
+    assert time.values.tolist() == [0, 0.01, 0.02, 0.03]
+    np.testing.assert_allclose(clock.values, 36_000.25 + np.arange(4) * 0.01, rtol=1e-15)
+
+
+def test_a_text_costs_only_its_column(tmp_path):
+    rows = [["time [s]", "p [bar]", "mode"], [0, 1, "auto"], [1, 2, "auto"], [2, "n/a", "hand"]]
+    _, p, mode = read_xlsx(book(tmp_path, A=rows)).columns
+    assert "a.xlsx: row 4, column 'p': not a number (got 'n/a')" in p.unusable and np.isnan(p.values).all()
+    assert "row 2, column 'mode': not a number (got 'auto')" in mode.unusable
+
+
+def test_numbers_without_names_are_refused(tmp_path):
+    with pytest.raises(DataError, match="no row of names above its numbers"):
+        read_xlsx(book(tmp_path, A=[[0, 1], [1, 2]]))
+    with pytest.raises(DataError, match="no row of names above its numbers"):
+        read_xlsx(book(tmp_path, A=[]))
+
+
+def test_the_other_formats_of_a_workbook_are_read(tmp_path):
+    path = book(tmp_path, A=[["time [s]", "p [bar]"], [0, 1], [1, 2]]).rename(tmp_path / "a.xlsm")
+    np.testing.assert_allclose(read_record(path)["p"], [1e5, 2e5])
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.9])
+def test_a_truncated_workbook_is_refused(part, tmp_path):
+    path = book(tmp_path, A=[["time [s]", "p [bar]"], *([k, k] for k in range(500))])
+    path.write_bytes(path.read_bytes()[: int(part * path.stat().st_size)])
+    with pytest.raises(DataError, match=r"a.xlsx: .*[Cc]opy") as error:
+        read_sheet(path)
+    assert len(str(error.value)) < 500
+
+
+def test_a_cell_far_outside_is_refused_before_it_fills_the_memory(tmp_path):
+    path, workbook = tmp_path / "a.xlsx", openpyxl.Workbook()
+    workbook.active["A1"], workbook.active["XFD1048576"] = "time [s]", 1
+    workbook.save(path)
+    with pytest.raises(DataError, match=r"reaches to row 1048576 in 16384 columns.*Delete what lies outside"):
+        read_sheet(path)
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("hydrotwin.records.xlsx_file._UNPACKED", 1 << 20)
+    path = book(tmp_path, A=[["time [s]"], [0], [1]])
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("xl/media/image1.png", bytes(2 << 20))
+    with pytest.raises(DataError, match=r"GB when unpacked.*Export it as CSV"):
+        read_sheet(path)
+
+
+def test_a_missing_package_is_told(tmp_path, monkeypatch):
+    path = book(tmp_path, A=[["time [s]"], [0]])
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    with pytest.raises(DataError, match=r"python-calamine.*hydrotwin\[xlsx\]"):
+        read_sheet(path)
+
+
+def test_a_zip_that_is_no_workbook_is_refused(tmp_path):
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as archive:
+        archive.writestr("a.txt", "no workbook")
+    (tmp_path / "a.xlsx").write_bytes(content.getvalue())
+    with pytest.raises(DataError, match="not a whole Excel file"):
+        read_sheet(tmp_path / "a.xlsx")

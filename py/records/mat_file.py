@@ -16,6 +16,7 @@ from hydrotwin.models.language.errors import DataError
 
 from .binary_files import content_of, unreadable
 from .mat_layouts import signals_of
+from .mat_trajectory import is_trajectory, signals_of_trajectory
 from .mat_tree import HEADER_BYTES, Struct, read_tree
 from .rasters import Signal, table_of
 from .record import Record
@@ -29,7 +30,10 @@ def read_mat(path: Path) -> Table:
         tree = read_tree(path, content)
     except Exception as error:  # the parsers raise many kinds for a damaged file
         raise unreadable(path, "MAT", error) from None
-    signals = _written_here(tree, path) if isinstance(tree.get("columns"), str) else signals_of(tree)
+    if isinstance(tree.get("columns"), str):
+        signals = _written_here(tree, path)
+    else:
+        signals = signals_of_trajectory(tree) if is_trajectory(tree) else signals_of(tree)
     if not any(not s.unusable for s in signals):
         raise DataError(f"{path}: {_why_empty(tree, signals)}")
     return table_of(path, signals, hashlib.sha256(content).hexdigest())

@@ -46,6 +46,7 @@ def _in_node(node, name: str, path: str, axis: Axis | None) -> list[Signal]:
 
 def _in_struct(struct: Struct, name: str, path: str, axis: Axis | None) -> list[Signal]:
     """The fields of a struct; a time among them is that of all fields, and names count from here."""
+    struct = _with_named_columns(struct)
     units = struct.get("units") if isinstance(struct.get("units"), Struct) else {}
     own = _own_time(struct)
     if own is not None:
@@ -59,6 +60,29 @@ def _in_struct(struct: Struct, name: str, path: str, axis: Axis | None) -> list[
         unit = units.get(field)
         found += [replace(s, unit=unit) if unit and s.unit is None else s for s in signals]
     return found
+
+
+def _with_named_columns(struct: Struct) -> Struct:
+    """The struct with the columns of its matrix as fields, where a list of texts names them all (``colheaders``)."""
+    matrices = {f: n for f, n in struct.items() if _is_filled(n) and n.ndim == 2 and min(n.shape) > 1}
+    if len(matrices) != 1:
+        return struct
+    [(field, matrix)] = matrices.items()
+    lists = {f: n for f, n in struct.items() if _is_texts(n) and len(n) in matrix.shape}
+    of_units = next((f for f in lists if f.lower().startswith(("unit", "einheit"))), None)
+    of_names = [f for f in lists if f != of_units]
+    if len(of_names) != 1 or len({n.strip() for n in lists[of_names[0]]}) < len(lists[of_names[0]]):
+        return struct
+    count = len(lists[of_names[0]])
+    columns = matrix.T if matrix.shape[1] == count else matrix
+    headers = [split_header(name) for name in lists[of_names[0]]]
+    given = lists.get(of_units) or [""] * count
+    units = Struct(
+        {name: u or g.strip("[] ") for (name, u), g in zip(headers, given, strict=True) if u or g.strip("[] ")}
+    )
+    rest = {f: n for f, n in struct.items() if f not in (field, of_units, of_names[0])}
+    named = dict(zip((name for name, _ in headers), columns, strict=True))
+    return Struct({**rest, **named} | ({"units": units} if units else {}), struct.kind)
 
 
 def _own_time(struct: Struct) -> str | None:

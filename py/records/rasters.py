@@ -74,7 +74,7 @@ def _in_numbers_of_time(signals: list[Signal], axis: Axis | None) -> tuple[list[
         if own.values.dtype.kind in "mM":
             axes[key] = Axis(in_seconds(own.values, first), "s", own.name)
         else:
-            axes[key] = replace(own, values=own.values.astype(float))
+            axes[key] = replace(own, values=own.values.astype(float, copy=False))
     return [replace(s, axis=axes.get(id(s.axis))) for s in signals], axes.get(id(axis))
 
 
@@ -134,7 +134,7 @@ def _in_numbers(signal: Signal) -> Signal:
     if values.dtype.kind in "mM":
         return replace(signal, values=in_seconds(values), unit="s")
     if values.dtype.kind in "fiub":
-        return replace(signal, values=values.astype(float))
+        return replace(signal, values=values.astype(float, copy=False))
     if values.dtype.kind == "c":
         return replace(signal, unusable="its values are complex. Save the real part, or the amount, as numbers.")
     try:

@@ -132,6 +132,24 @@ def test_signals_are_found_with_their_time_and_names(layout, table):
         np.testing.assert_allclose(found[name], np.asarray(values, float), rtol=1e-15, err_msg=name)
 
 
+HEADERS = ("Zeit [ms]", "p [bar]", "q")
+
+
+@pytest.mark.parametrize(
+    "variables",
+    [
+        {"data": np.column_stack([1e3 * T, PQ]), "colheaders": HEADERS, "textdata": ("Messung 7",)},
+        {"run": {"y": np.column_stack([1e3 * T, PQ]).T, "names": HEADERS}},
+        {"y": np.column_stack([1e3 * T, PQ]), "names": ("Zeit", "p", "q"), "units": ("ms", "bar", "")},
+    ],
+    ids=["importdata", "in a struct, in rows", "units in a list of their own"],
+)
+def test_a_list_of_names_beside_a_matrix_names_its_columns(variables, table):
+    columns = table(variables).columns
+    assert [(c.name, c.unit) for c in columns] == [("Zeit", "ms"), ("p", "bar"), ("q", None)]
+    np.testing.assert_array_equal(columns[1].values, P)
+
+
 def capture(**more):
     y = [
         {"Name": '"Model Root"/"pump"/"pressure"', "Path": "", "Data": P, "Unit": "bar", **more},

@@ -30,13 +30,18 @@ def read_mat(path: Path) -> Table:
         tree = read_tree(path, content)
     except Exception as error:  # the parsers raise many kinds for a damaged file
         raise unreadable(path, "MAT", error) from None
-    if isinstance(tree.get("columns"), str):
+    if _is_written_here(tree):
         signals = _written_here(tree, path)
     else:
         signals = signals_of_trajectory(tree) if is_trajectory(tree) else signals_of(tree)
     if not any(not s.unusable for s in signals):
         raise DataError(f"{path}: {_why_empty(tree, signals)}")
     return table_of(path, signals, hashlib.sha256(content).hexdigest())
+
+
+def _is_written_here(tree: Struct) -> bool:
+    text = tree.get("columns")
+    return isinstance(text, str) and any(line.partition(": ")[0] in tree for line in text.splitlines())
 
 
 def _written_here(tree: Struct, path: Path) -> list[Signal]:

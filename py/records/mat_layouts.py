@@ -50,7 +50,7 @@ def _in_struct(struct: Struct, name: str, path: str, axis: Axis | None) -> list[
     units = struct.get("units") if isinstance(struct.get("units"), Struct) else {}
     own = _own_time(struct)
     if own is not None:
-        axis, name = _axis(own, struct[own], units), ""
+        axis, name = _axis(own, struct[own], units.get(own)), ""
     found = []
     for field, node in struct.items():
         if field == own or node is units:
@@ -87,17 +87,27 @@ def _with_named_columns(struct: Struct) -> Struct:
 
 def _own_time(struct: Struct) -> str | None:
     """The field that holds time: it is called so, and grows where its name may mean something else."""
-    by_name = {field.lower(): field for field, node in struct.items() if _is_vector(node)}
+    by_name = {
+        field.lower(): (field, _values_of(node)) for field, node in struct.items() if _is_vector(_values_of(node))
+    }
     for name in TIME_NAMES:
-        if name in by_name and (name == "time" or _grows(struct[by_name[name]].ravel())):
-            return by_name[name]
+        field, values = by_name.get(name, (None, None))
+        if field is not None and (name == "time" or _grows(values.ravel())):
+            return field
     return None
 
 
-def _axis(field: str, values: np.ndarray, units) -> Axis:
+def _axis(field: str, node, unit: str | None) -> Axis:
+    values = _values_of(node).ravel()
     if field == "tout":
-        return Axis(values.ravel())
-    return Axis(values.ravel(), units.get(field), field)
+        return Axis(values)
+    return Axis(values, unit or (_unit_of(node) if isinstance(node, Struct) else None), field)
+
+
+def _values_of(node):
+    """The array of a node that is one, or that holds one as its value beside a unit."""
+    fields = {f.lower(): n for f, n in node.items()} if isinstance(node, Struct) else {}
+    return _data_of(fields) if {"unit", "units"} & set(fields) else node
 
 
 def _is_vector(node) -> bool:
@@ -150,7 +160,8 @@ def _capture(node: Struct, name: str, path: str, axis: Axis | None) -> list[Sign
     for k, signal in enumerate(signals):
         index = int(_vector(signal.get("XIndex", np.ones(1)))[0]) if len(axes) > 1 else 1
         own = axes[min(max(index, 1), len(axes)) - 1]
-        found += _channel(signal, f"{name}_{k + 1}", f"{path}.Y({k + 1})", own)
+        named = Struct({**signal, "Name": _name_in_capture(signal)})
+        found += _channel(named, f"{name}_{k + 1}", f"{path}.Y({k + 1})", own)
     return found
 
 
@@ -178,7 +189,7 @@ def _lone_channel(node: Struct, name: str, path: str, axis: Axis | None) -> list
     """One signal with what is known of it, such as a timeseries, and no other array of that length beside it."""
     fields = {field.lower(): node[field] for field in node}
     data = _data_of(fields)
-    if data is None or not ({"name", "label"} & set(fields) or _time_of(fields, axis) is not axis):
+    if data is None or not (_MARKS & set(fields) or _time_of(fields, axis) is not axis):
         return None
     beside = {f for f, n in fields.items() if _is_vector(n) and n is not data and n.size == max(data.shape)}
     return _channel(node, name, path, axis) if beside <= _KNOWN else None
@@ -189,7 +200,8 @@ def _channel(node: Struct, name: str, path: str, axis: Axis | None) -> list[Sign
     fields = {field.lower(): node[field] for field in node}
     data, axis, label = _data_of(fields), _time_of(fields, axis), fields.get("label")
     if data is None:
-        return []
+        below = fields.get("values", fields.get("data"))
+        return _in_node(below, _own_name(node) or name, path, axis) if isinstance(below, Struct | list) else []
     if _is_texts(label) and 1 < len(label) in data.shape:
         columns = data if data.shape[-1] == len(label) else data.T
         return [_named(n or f"{name}[{k}]", node, columns[..., k], axis, path) for k, n in enumerate(label)]
@@ -197,6 +209,7 @@ def _channel(node: Struct, name: str, path: str, axis: Axis | None) -> list[Sign
     return [_named(name if not own or "." in name else own, node, data, axis, path)]
 
 
+_MARKS = {"name", "label", "unit", "units"}  # of a struct that is one signal
 _KNOWN = {"time", "time_", "x", "t", "quality", "quality_", "data", "data_"}
 
 
@@ -227,13 +240,18 @@ def _time_of(fields: dict, axis: Axis | None) -> Axis | None:
 
 
 def _own_name(node: Struct) -> str:
-    """What a signal calls itself: its label, its name, or the last block on its path that is no port."""
-    for field in ("label", "Label", "Name", "name"):
+    """What a signal calls itself: its label, its name, its title, or the last block on its path that is no port."""
+    for field in ("label", "Label", "Name", "name", "title"):
         name = node.get(field)
-        if isinstance(name, str) and name.strip() and name != "unnamed":
-            short = _last_part(name)
-            return short if not _PORT.fullmatch(short) else _last_part(_first_text(node.get("Path")) or name)
+        if isinstance(name, str) and name.strip("<> ") and name != "unnamed" and "%<" not in name:
+            return name.strip("<> ")
     return _last_part(_first_text(node.get("blockName", node.get("BlockPath"))))
+
+
+def _name_in_capture(node: Struct) -> str:
+    """The last part of the name of a captured variable; that of its path where it names only a port."""
+    name = _last_part(_first_text(node.get("Name")))
+    return name if not _PORT.fullmatch(name) else _last_part(_first_text(node.get("Path"))) or name
 
 
 def _last_part(path: str) -> str:

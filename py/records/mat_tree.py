@@ -40,13 +40,24 @@ def read_tree(path: Path, content: bytes) -> Struct:
     starts = content[:8], content[HEADER_BYTES : HEADER_BYTES + 8]
     is_hdf5 = _HDF5_SIGNATURE in starts or b"MATLAB 7.3" in content[:16]
     objects = b"#subsystem#" in content if is_hdf5 else _has_subsystem(content)
-    if objects and importlib.util.find_spec("matio"):
-        import matio
-
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what it cannot read stays what it is
-            return Struct(_nodes(matio.load_from_mat(str(path), add_table_attrs=True)))
+    if objects and _has_matio():
+        try:
+            return _read_matio(path)
+        except Exception:  # it raises many kinds; what holds no objects can be read without it
+            pass
     return _Hdf5(content).variables() if is_hdf5 else _read_scipy(content, objects)
+
+
+def _has_matio() -> bool:
+    return importlib.util.find_spec("matio") is not None
+
+
+def _read_matio(path: Path) -> Struct:
+    import matio
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what it cannot read stays what it is
+        return Struct(_nodes(matio.load_from_mat(str(path), add_table_attrs=True)))
 
 
 def _has_subsystem(content: bytes) -> bool:
@@ -76,6 +87,8 @@ def _text(value) -> str:
 
 
 def _object(kind: str) -> Unread:
+    if _has_matio():
+        return Unread(f"it is an object of MATLAB ({kind}) that mat-io cannot read. Save its values as plain arrays.")
     return Unread(
         f"it is an object of MATLAB ({kind}), which the package mat-io reads. Install the extra: "
         "pip install 'hydrotwin[mat]'."
@@ -120,7 +133,7 @@ class _Adapter:
             self._objects[id(value)] = Unread("it is an object that holds itself. Save its values as arrays.")
             fields = value.properties
             if not isinstance(fields, dict):
-                return self._objects[id(value)]
+                return _object(str(value.classname))
             fields = {f: self.node(v) for f, v in fields.items()}
             saved = fields.get("any")  # what a class of MATLAB returns that saves itself in its own way
             self._objects[id(value)] = Struct(saved if isinstance(saved, Struct) else fields, str(value.classname))

@@ -116,6 +116,23 @@ LAYOUTS = {
         {"logs": tuple({"Name": n, "Data": column(v), "Time": column(T)} for n, v in (("p", P), ("q", Q)))},
         {**TIME, "p": P, "q": Q},
     ),
+    "a value beside its unit": (
+        {"time": {"value": T, "unit": "s"}, "p": {"value": P, "unit": "bar"}, "q": {"value": column(Q), "unit": "V"}},
+        {**TIME, "p": P, "q": Q},
+    ),
+    "labels with slashes and of Simulink": (
+        {"s": {"time": column(T), "signals": signals("p/p0", "<q>")}},
+        {**TIME, "p/p0": P, "q": Q},
+    ),
+    "axes of a scope with titles": (
+        {"s": {"time": column(T), "signals": signals("", "", title=["p", "%<SignalLabel>"])}},
+        {**TIME, "p": P, "s_2": Q},
+    ),
+    "a bus in a structure with time": (
+        {"s": {"time": column(T), "signals": {"values": {"p": column(P), "arm": {"q": column(Q)}}, "label": "bus"}}},
+        {**TIME, "bus.p": P, "bus.arm.q": Q},
+    ),
+    "a text that is called columns": ({"columns": "my notes", "time": T, "p": P}, {**TIME, "p": P}),
     "a table of channels": (
         {"time": T, "channel": [{"name": "p", "unit": "bar", "data": P}, {"name": "q [V]", "unit": "", "data": Q}]},
         {**TIME, "p": P, "q": Q},
@@ -208,7 +225,7 @@ def test_a_struct_of_units_names_those_of_its_neighbours(where, table):
 def test_units_of_a_timeseries_and_in_names_are_kept(table):
     one = {"Name": "p", "Data": column(P), "Time": column(T), "DataInfo": {"Units": "bar"}}
     two = {"Name": "flow [L/min]", "Data": column(Q), "Time": column(T), "DataInfo": {"Units": ""}}
-    three = {"Name": "m/speed", "Data": column(Q), "Time": column(T), "DataInfo": {"Units": {"Name": "rad/s"}}}
+    three = {"Name": "speed", "Data": column(Q), "Time": column(T), "DataInfo": {"Units": {"Name": "rad/s"}}}
     columns = table({"a": one, "b": two, "c": three}).columns[1:]
     assert [(c.name, c.unit) for c in columns] == [("p", "bar"), ("flow", "L/min"), ("speed", "rad/s")]
 

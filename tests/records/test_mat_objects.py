@@ -182,3 +182,20 @@ def test_without_their_reader_the_other_variables_are_read(table, without_reader
     for name in ("ts", "more"):
         assert re.search(rf"a.mat: column '{name}': .*object of MATLAB .timeseries", found[name].unusable)
         assert len(found[name].values) == 6
+
+
+def test_an_object_without_signals_is_none(table):
+    found = {
+        c.name: c for c in table(time=column(T), x=column(P), other=MatlabOpaque({"Gain": EMPTY}, "my.Block")).columns
+    }
+    assert list(found) == ["time", "x"]
+
+
+def test_where_the_reader_fails_the_rest_is_read_without_it(table, monkeypatch):
+    def fail(*_, **__):
+        raise ValueError("a new kind of subsystem")
+
+    monkeypatch.setattr("matio.load_from_mat", fail)
+    found = {c.name: c for c in table(time=column(T), x=column(P), ts=timeseries("p", P)).columns}
+    assert found["x"].values.tolist() == P.tolist()
+    assert "object of MATLAB (timeseries) that mat-io cannot read" in found["ts"].unusable

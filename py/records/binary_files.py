@@ -11,8 +11,9 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
+from .columns import Column, Table
+from .headings import split_header
 from .record import Record
-from .table import Column, Table, split_header
 
 
 def read_parquet(path: Path) -> Table:

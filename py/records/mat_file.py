@@ -17,8 +17,9 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from .binary_files import as_numbers, unreadable
+from .columns import Column, Table
+from .headings import split_header
 from .record import Record
-from .table import Column, Table, split_header
 
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _HEADER_BYTES = 512  # MATLAB's own text before the HDF5 part of a v7.3 file

@@ -11,9 +11,10 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from .binary_files import content_of, unreadable
+from .columns import Column, Table
+from .headings import split_header
 from .record import Record
 from .resampling import ROUNDING
-from .table import Column, Table, split_header
 
 _ELEMENT = re.compile(r".*\S(\[\d+\])+")  # of a channel that is an array: its index is no unit
 _ALL_INVALID = 1  # flag of a channel of which no sample is valid (ASAM MDF 4, cn_flags bit 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.records import read_record
+from tests.records.whole import whole
 
 pa = pytest.importorskip("pyarrow")
 pd = pytest.importorskip("pandas")
@@ -22,7 +22,7 @@ STEP_MS = 10
 def read(tmp_path, frame):
     path = tmp_path / "a.parquet"
     frame.to_parquet(path) if isinstance(frame, pd.DataFrame) else parquet.write_table(frame, path)
-    return read_record(path)
+    return whole(path)
 
 
 @pytest.mark.parametrize("unit", ["ms", "us", "ns"])
@@ -101,7 +101,7 @@ def test_time_since_1970_in_a_text_keeps_every_digit_of_its_steps(unit, first, s
     cells = [f"{Decimal(first) + k * inside:f}".replace(".", sign) for k in range(4)]
     path = tmp_path / "a.csv"
     path.write_text(f"time [{unit}];x [1]\n" + "".join(f"{cell};0{sign}5\n" for cell in cells))
-    np.testing.assert_allclose(read_record(path).time, np.arange(4) * step, rtol=1e-14)
+    np.testing.assert_allclose(whole(path).time, np.arange(4) * step, rtol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["int64", "uint64", "float64"])
@@ -124,4 +124,4 @@ def test_a_time_that_is_none_is_refused_and_not_warned_about(cells, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time [s],x [1]\n" + "".join(f"{cell},1\n" for cell in cells))
     with pytest.raises(DataError, match=r"a.csv: row 2|a.csv: row 3"):
-        read_record(path)
+        whole(path)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.records import Record, read_record
+from hydrotwin.records import Reading, Record, import_from, read_record, reading_of
 
 from .comparison import MODES, Comparison
 from .contender import Contender, HoldLast, as_contender
@@ -16,7 +16,7 @@ from .loop import Loop, in_loop, read_loop
 from .run import compare
 
 HOLD_LAST = "hold_last"
-OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "interpolation", "loop")
+OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "loop")
 KEYS = ("title", "models", "validate", "train", *OPTIONS)
 _FILES = (".toml", ".fmu", ".npz")
 
@@ -33,10 +33,9 @@ class ModelEntry:
 class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
-    ``validate`` and ``train`` are paths of recordings, ``scale`` the scale of columns on reading and ``missing`` what
-    empty cells mean (see `read_record`), ``interpolation`` "hold" or "linear" by input, ``base`` the folder that
-    relative paths start from. With ``loop`` every model runs under the same controller and follows the recorded
-    reference.
+    ``validate`` and ``train`` are paths of recordings, ``reading`` says how they are read, ``interpolation`` "hold" or
+    "linear" by input, ``base`` the folder that relative paths start from. With ``loop`` every model runs under the same
+    controller and follows the recorded reference.
     """
 
     title: str
@@ -46,8 +45,7 @@ class Scenario:
     modes: tuple[str, ...] = MODES
     outputs: tuple[str, ...] | None = None
     rates: tuple[str, ...] = ()
-    scale: Mapping[str, str] = field(default_factory=dict)
-    missing: str = "error"
+    reading: Reading = field(default_factory=Reading)
     interpolation: Mapping[str, str] = field(default_factory=dict)
     base: Path = Path(".")
     loop: Loop | None = None
@@ -67,6 +65,7 @@ def read_scenario(path: str | Path) -> Scenario:
         rates = ["arm_angle"]                     # score its slope as well
         scale = {command = "0.05 V/%"}
         missing = "keep"                          # empty cells: error, drop rows or keep
+        import.rate = 1000                        # and all that an import.toml may say, see `read_record`
         interpolation = {force = "linear"}        # between samples, in place of what the recordings show
 
         [loop]                                    # closed loop: see `Loop`
@@ -102,8 +101,7 @@ def read_scenario(path: str | Path) -> Scenario:
         modes=tuple(modes),
         outputs=_strings(table, "outputs", where) or None,
         rates=_strings(table, "rates", where),
-        scale=_texts(table, "scale", where, "command = '0.05 V/%'"),
-        missing=str(table.get("missing", "error")),
+        reading=_reading(table, path),
         interpolation=_texts(table, "interpolation", where, "force = 'linear'"),
         base=path.parent,
         loop=read_loop(table["loop"], where) if "loop" in table else None,
@@ -152,7 +150,14 @@ def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> lis
 
 
 def _read(paths: Sequence[Path], scenario: Scenario) -> list[Record]:
-    return [read_record(p, scale=dict(scenario.scale) or None, missing=scenario.missing) for p in paths]
+    return [read_record(p, scenario.reading) for p in paths]
+
+
+def _reading(table: Mapping, path: Path) -> Reading:
+    """How the recordings are read: ``scale``, ``missing`` and the table ``import``."""
+    scale = _texts(table, "scale", path.name, "command = '0.05 V/%'")
+    said = reading_of(scale=scale or None, missing=table.get("missing"))
+    return said.over(import_from(table.get("import", {}), f"{path.name}: import"))
 
 
 def _read_toml(path: Path) -> dict:

@@ -1,25 +1,31 @@
 """Record: named signals with units on one time axis; read, write, resample, filter, check, noise floor."""
 
-from .files import read_record, write_record
+from .files import SUFFIXES, read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
+from .reading import Reading, import_from, import_text, reading_of
 from .record import Gap, Record, distinct
 from .require import as_needed, known_inputs, require
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
 __all__ = [
+    "SUFFIXES",
     "Gap",
     "NoiseFloor",
+    "Reading",
     "Record",
     "Scale",
     "as_needed",
     "distinct",
+    "import_from",
+    "import_text",
     "known_inputs",
     "noise_floor",
     "one_euro",
     "parse_scale",
     "read_record",
+    "reading_of",
     "require",
     "savitzky_golay",
     "steps_over",

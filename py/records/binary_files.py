@@ -11,9 +11,11 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .rasters import TIME_NAMES, is_time_unit
+from .clocks import called_time
+from .columns import Column, Table
+from .headings import split_header
+from .rasters import is_time_unit
 from .record import Record
-from .table import Column, Table, split_header
 
 
 def read_parquet(path: Path) -> Table:
@@ -51,14 +53,15 @@ def _column(path: Path, field, values) -> Column:
             )
             return _unusable(path, Column(name, unit, np.full(len(values), np.nan)), reason)
         return Column(name, "s", _seconds(values))
-    if types.is_integer(kind) and (name.lower() in TIME_NAMES or (unit and is_time_unit(unit))):
+    if types.is_integer(kind) and (called_time(name) or (unit and is_time_unit(unit))):
         return Column(name, unit, _counted(values))
     if types.is_decimal(kind):
         values = values.cast("float64")
     elif not (types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind) or types.is_null(kind)):
         first = next((v for v in values.slice(0, 100).to_pylist() if v is not None), None)
         reason = f"it holds no numbers but {kind} (got {str(first)[:40]!r}). Store numbers, or name another column"
-        return _unusable(path, Column(name, unit, np.full(len(values), np.nan)), reason)
+        texts = [v or "" for v in values.to_pylist()] if isinstance(first, str) else None
+        return _unusable(path, Column(name, unit, np.full(len(values), np.nan), texts=texts), reason)
     return Column(name, unit, values.cast("float64", safe=False).to_numpy())
 
 
@@ -98,7 +101,7 @@ def _with_index(columns: list[Column], schema) -> list[Column]:
     """
     index = [name for name in (schema.pandas_metadata or {}).get("index_columns", []) if isinstance(name, str)]
     stamps = [field.name for field in schema if _is_stamp(field.type)]
-    named = any(c.name.lower() in TIME_NAMES for c in columns)
+    named = any(called_time(c.name) for c in columns)
     found = []
     for field, column in zip(schema, columns, strict=True):
         unnamed = field.name in index and re.fullmatch(r"__index_level_\d+__", column.name)
@@ -146,15 +149,6 @@ def unreadable(path: Path, kind: str, error: Exception) -> DataError:
         f"{path}: not a whole {kind} file ({reason}). "
         "It may have been cut off while it was written or copied: copy or export it again."
     )
-
-
-def not_written(kind: str):
-    """What stands where a writer would: formats of other programs are only read."""
-
-    def refuse(headers: list[str], columns: list[np.ndarray], record: Record, path: Path) -> None:
-        raise DataError(f"{kind} files are read, not written. Write .csv, .parquet, .mat or .mf4.")
-
-    return refuse
 
 
 def content_of(path: Path) -> bytes:

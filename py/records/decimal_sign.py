@@ -16,7 +16,7 @@ from hydrotwin.models.language.errors import DataError
 SIGNS = (".", ",")
 _SPACES = " \u00a0\u202f\u2009'\u2019"  # blanks and apostrophes: they only ever group thousands
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))  # what word processors write for a minus
-_MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 
 
 def other_sign(decimal: str) -> str:
@@ -83,7 +83,7 @@ def exact_from_first(cells: Iterable[str], decimal: str) -> np.ndarray:
 def _plain(cell: str, decimal: str) -> str | None:
     """The cell as digits and a decimal point, "nan" for a missing value; None for groups that are none."""
     cell = cell.strip()
-    if cell.lower() in _MISSING_TEXTS:
+    if cell.lower() in MISSING_TEXTS:
         return "nan"
     if _GROUPED[decimal].fullmatch(cell):
         cell = re.sub(f"[{other_sign(decimal)}{_SPACES}]", "", cell)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,14 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from .binary_files import content_of, unreadable
+from .clocks import called_time
+from .columns import Table
+from .headings import split_header
 from .mat_layouts import signals_of
 from .mat_trajectory import is_trajectory, signals_of_trajectory
 from .mat_tree import HEADER_BYTES, Struct, read_tree
 from .rasters import Signal, table_of
 from .record import Record
-from .table import Table, split_header
 
 
 def read_mat(path: Path) -> Table:
@@ -36,7 +39,22 @@ def read_mat(path: Path) -> Table:
         signals = signals_of_trajectory(tree) if is_trajectory(tree) else signals_of(tree)
     if not any(not s.unusable for s in signals):
         raise DataError(f"{path}: {_why_empty(tree, signals)}")
-    return table_of(path, signals, hashlib.sha256(content).hexdigest())
+    return _in_seconds(table_of(path, signals, hashlib.sha256(content).hexdigest()))
+
+
+def _in_seconds(table: Table) -> Table:
+    """MATLAB counts time in seconds where nothing says otherwise; the size of a date tells what it is."""
+    columns = list(table.columns)
+    for k, column in enumerate(columns):
+        large = np.nanmax(np.abs(column.values), initial=0.0) >= _DATES
+        if called_time(column.name) and column.unit is None and not (column.unusable or large):
+            columns[k] = replace(column, unit="s")
+            said = f"{column.name} in s, as MATLAB counts it"
+            return replace(table, columns=tuple(columns), understood=said)
+    return table
+
+
+_DATES = 7e5  # days of MATLAB since the year 0, and seconds since 1970, are larger
 
 
 def _is_written_here(tree: Struct) -> bool:

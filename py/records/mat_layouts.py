@@ -10,9 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from .clocks import called_time
+from .headings import split_header
 from .mat_tree import Struct, Unread
-from .rasters import TIME_NAMES, Axis, Signal
-from .table import split_header
+from .rasters import Axis, Signal
 
 _TIME_UNITS = {"weeks": "week", "days": "day", "hours": "h", "minutes": "min", "seconds": "s"}
 _TIME_UNITS |= {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
@@ -86,15 +87,10 @@ def _with_named_columns(struct: Struct) -> Struct:
 
 
 def _own_time(struct: Struct) -> str | None:
-    """The field that holds time: it is called so, and grows where its name may mean something else."""
-    by_name = {
-        field.lower(): (field, _values_of(node)) for field, node in struct.items() if _is_vector(_values_of(node))
-    }
-    for name in TIME_NAMES:
-        field, values = by_name.get(name, (None, None))
-        if field is not None and (name == "time" or _grows(values.ravel())):
-            return field
-    return None
+    """The field that holds time: ``time``, or one that is called so in other words, and grows."""
+    vectors = {field: values for field, node in struct.items() if _is_vector(values := _values_of(node))}
+    named = next((field for field in vectors if field.lower() == "time"), None)
+    return named or next((f for f, v in vectors.items() if called_time(f) and _grows(v.ravel())), None)
 
 
 def _axis(field: str, node, unit: str | None) -> Axis:
@@ -129,7 +125,7 @@ def _array(values: np.ndarray, name: str, path: str, axis: Axis | None) -> list[
 def _in_list(nodes: list, name: str, path: str, axis: Axis | None) -> list[Signal]:
     """A cell or an array of structs; a column of texts is a signal without numbers."""
     if _is_texts(nodes):
-        is_column = axis is not None and len(nodes) == len(axis.values)
+        is_column = len(nodes) > 1 and (axis is None or len(nodes) == len(axis.values))
         return [Signal(name, None, np.array(nodes, object), axis, path)] if is_column else []
     each = [(n, f"{name}[{k}]", f"{path}[{k}]") for k, n in enumerate(nodes)]
     return [s for node, *names in each for s in _in_node(node, *names, axis)]

@@ -12,9 +12,10 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from .binary_files import content_of, unreadable
+from .columns import Table
+from .headings import split_header
 from .rasters import Axis, Signal, table_of
 from .record import Record
-from .table import Table, split_header
 
 _ELEMENT = re.compile(r".*\S(\[\d+\])+")  # of a channel that is an array: its index is no unit
 _ALL_INVALID = 1  # flag of a channel of which no sample is valid (ASAM MDF 4, cn_flags bit 0)
@@ -35,6 +36,12 @@ def read_mdf(path: Path) -> Table:
     except Exception as error:  # the parser raises many kinds for a damaged file
         raise unreadable(path, "MDF", error) from None
     return replace(table_of(path, signals, hashlib.sha256(content).hexdigest()), marks_unknown=True)
+
+
+def is_mdf(path: Path) -> bool:
+    """Whether a file begins as MDF does, whatever it is called; ``UnFinMF`` is one that was not closed."""
+    with open(path, "rb") as file:
+        return file.read(8) in (b"MDF     ", b"UnFinMF ")
 
 
 def _signals_of(file) -> list[Signal]:

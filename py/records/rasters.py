@@ -11,10 +11,9 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, UnitError
 from hydrotwin.models.language.units import compatible, convert
 
+from .columns import Column, Table
 from .resampling import ROUNDING
-from .table import Column, Table
 
-TIME_NAMES = ("time", "tout", "t", "zeit", "timestamp", "timestamps", "time_s", "zeit_s")  # of a time axis
 MANY = 100  # elements of a sample that become columns of their own; more are a spectrum or an image
 
 
@@ -185,13 +184,20 @@ def _column(path: Path, signal: Signal, axis: Axis | None, length: int) -> Colum
     elif not why and signal.axis is None and len(values) != length:
         why = _wrong_length(len(values), length)
     if why:
-        return Column(signal.name, signal.unit, np.full(length, np.nan), f"{path}: column '{signal.name}': {why}")
+        texts = [str(v) for v in values] if _are_texts(values) and len(values) == length else None
+        return Column(
+            signal.name, signal.unit, np.full(length, np.nan), f"{path}: column '{signal.name}': {why}", texts
+        )
     if axis is None or signal.axis is None or len(values) == length:
         return Column(signal.name, signal.unit, values)
     placed = np.full(length, np.nan)
     own = signal.axis.values
     placed[np.searchsorted(axis.values, own + ROUNDING * _step([own]), side="right") - 1] = values
     return Column(signal.name, signal.unit, placed)
+
+
+def _are_texts(values: np.ndarray) -> bool:
+    return values.dtype.kind == "O" and any(isinstance(v, str) for v in values)
 
 
 def _wrong_length(values: int, samples: int) -> str:

@@ -30,12 +30,33 @@ class Gap:
         return f"no samples from {self.start:g} s to {self.end:g} s"
 
 
+class Signals(dict):
+    """Signals by name. Whoever asks for one that cannot be used is told why; it is not taken for one that is absent."""
+
+    def __init__(self, signals: Mapping[str, np.ndarray], refused: Mapping[str, str]):
+        super().__init__(signals)
+        self.refused = {name: why for name, why in refused.items() if name not in signals}
+
+    def __contains__(self, name: object) -> bool:
+        if name in self.refused:
+            raise DataError(self.refused[name])
+        return super().__contains__(name)
+
+    def __missing__(self, name: str):
+        raise DataError(self.refused[name]) if name in self.refused else KeyError(name)
+
+    def get(self, name, default=None):
+        return self[name] if name in self else default  # noqa: SIM401  a refused name raises
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Record:
     """Named signals on one strictly increasing time axis.
 
     time : (n,) s, uniform or not. signals : name -> (n,), SI. units : name -> SI unit.
     display_units : the units a person reads them in, kept from the file. source, digest : the file and its SHA-256.
+    refused : columns of the file that cannot be used, and why, a sentence; it is raised where one of them is asked for.
+    understood : in words, how the file was read.
 
     Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
     `UnitError` for a unit that is not SI.
@@ -48,6 +69,8 @@ class Record:
     source: str | None = None
     digest: str | None = None
     display_units: Mapping[str, str] = field(default_factory=dict)
+    refused: Mapping[str, str] = field(default_factory=dict)
+    understood: str = ""
 
     def __post_init__(self):
         time = _frozen_array(self.time, f"{self.name}: time")
@@ -68,7 +91,8 @@ class Record:
             self._check_name(name)
             self._check_unit(name)
         object.__setattr__(self, "time", time)
-        object.__setattr__(self, "signals", signals)
+        object.__setattr__(self, "signals", Signals(signals, self.refused))
+        object.__setattr__(self, "refused", self.signals.refused)
         object.__setattr__(self, "units", {n: self.units[n] for n in signals})
         object.__setattr__(self, "display_units", {n: u for n, u in self.display_units.items() if n in signals})
 

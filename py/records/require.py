@@ -25,7 +25,9 @@ def require(record: Record, signals: Sequence[Signal], model_name: str) -> Recor
         if signal.name not in record:
             raise DataError(
                 f"{record.source or record.name}: no column '{signal.name}', {model_name} needs "
-                f"'{signal.name} [{signal.unit}]'. {nearest(signal.name, record.names)}"
+                f"'{signal.name} [{signal.unit}]'. {nearest(signal.name, [*record.names, *record.refused])} "
+                f"Say which column it is: --column '{signal.name}=NAME', or that it was constant: "
+                f"--set '{signal.name}=0 {signal.unit}'."
             )
     record = as_needed(record, signals)
     for signal in signals:

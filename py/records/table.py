@@ -1,131 +1,117 @@
-"""Table: what a file holds before it is checked; and the checks that turn it into a Record."""
+"""From a Table, what a file holds, to a Record in SI: names, units, time and values are checked.
+
+A column that cannot be used refuses no file: the record keeps its sentence, and says it to whoever needs the column.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
-from hydrotwin.models.language.units import compatible, parse_unit, to_si
+from hydrotwin.models.language.units import parse_unit, to_si
 
+from .clocks import in_seconds, order_of, sampled_at, time_column
+from .columns import Column, Table
+from .reading import Reading, constant
 from .record import Record
-from .scale import Scale
 
-MISSING = ("error", "drop rows", "keep")
 SLOWER = 0.05  # share of the steps that leaving rows out may lengthen; beyond, what is left is another sampling
-UNSEEN, ROUGH = 1e-4, 1e-2  # of a step: rounding of the time that nobody sees; that makes steps uneven
 FEW = 3  # steps that may always be longer: a short table with a flaw or two
 
 
-@dataclass(frozen=True)
-class Column:
-    """One column as the file has it: ``unit`` is None where the file names none.
-
-    unusable : why the column holds no numbers, a sentence; its ``values`` are all NaN then.
-    """
-
-    name: str
-    unit: str | None
-    values: np.ndarray
-    unusable: str = ""
-
-
-@dataclass(frozen=True)
-class Table:
-    """Columns of one file.
-
-    ``row`` maps a sample index to the row number a person sees in the file; ``header`` says where the names stand.
-    ``marks_unknown``: the format marks unknown samples itself, so NaN is no fault of the file.
-    """
-
-    path: str
-    columns: tuple[Column, ...]
-    row: Callable[[int], int]
-    digest: str
-    header: str = "header"
-    marks_unknown: bool = False
-
-
-def split_header(text: str) -> tuple[str, str | None]:
-    """``"arm_angle [rad]"`` -> ``("arm_angle", "rad")``; the unit is None when there are no filled brackets."""
-    match = re.fullmatch(r"(.*?)\s*\[([^\]]*)\]", text.strip(), flags=re.DOTALL)
-    name, unit = (match[1], match[2].strip()) if match else (text, "")
-    return name.strip().lstrip("\ufeff"), unit or None
-
-
-def record_from_table(
-    table: Table, name: str, scale: Mapping[str, Scale], units: Mapping[str, str], missing: str
-) -> Record:
+def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     """Check a table and convert it to SI. Raises `DataError` or `UnitError` naming file, row and column."""
-    if missing not in MISSING:
-        raise DataError(f"missing: not a choice (got {missing!r}). {nearest(str(missing), MISSING)}")
-    table = _named_columns(table)
-    table = _time_first(_with_units(table, scale, units))
+    refused: dict[str, str] = {}
+    table = _named(table, reading, refused)
+    table = _with_units(table, reading)
+    table = _with_time(table, reading)
     _check_length(table)
-    table = _without_missing(table, missing)
-    _check_finite(table)
-    _check_time(table)
-    table = _from_first_time(table)
-    return _in_si(table, name, scale)
+    table = _usable(table, reading, refused)
+    table = _without_missing(table, reading, refused)
+    table = _with_clock(table, reading.clock)
+    table = _with_constants(table, reading)
+    return _in_si(table, name, reading, refused)
 
 
-def _named_columns(table: Table) -> Table:
-    seen: dict[str, int] = {}
-    for number, column in enumerate(table.columns, start=1):
-        if not column.name:
-            raise DataError(
-                f"{table.path}: {table.header}, column {number} has no name. Write 'name [unit]' in the header."
-            )
-        if column.name in seen:
-            raise DataError(
-                f"{table.path}: {table.header}, columns {seen[column.name]} and {number} "
-                f"are both named '{column.name}'. Names must differ; rename one."
-            )
-        seen[column.name] = number
-    return table
-
-
-def _with_units(table: Table, scale: Mapping[str, Scale], units: Mapping[str, str]) -> Table:
-    names, where = [c.name for c in table.columns], f"{table.path}: {table.header}"
-    for wanted, option in [*((n, "scale") for n in scale), *((n, "units") for n in units)]:
-        if wanted not in names:
-            raise DataError(f"{table.path}: no column '{wanted}', named in {option}. {nearest(wanted, names)}")
-    return replace(table, columns=tuple(_with_unit(where, c, c.name in scale, units) for c in table.columns))
-
-
-def _with_unit(where: str, column: Column, scaled: bool, units: Mapping[str, str]) -> Column:
-    unit = units.get(column.name, column.unit)
-    if unit is None and scaled:
-        unit = "1"
-    if unit is None:
-        raise DataError(
-            f"{where}, column '{column.name}' has no unit. "
-            f"Write '{column.name} [unit]' in the header ([1] for a pure number), or read it with units=."
+# -- names and units ---------------------------------------------------------------------------------------------------
+def _named(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
+    """Columns under the names that a person gives them; of two with one name neither can be meant."""
+    named = [c if c.name else replace(c, name=f"#{k}") for k, c in enumerate(table.columns, start=1)]
+    names = [c.name for c in named]
+    taken = {variable: _place(ref, names, table.path, variable) for variable, ref in reading.columns.items()}
+    given = [replace(named[k], name=variable) for variable, k in taken.items()]
+    rest = [c for k, c in enumerate(named) if k not in taken.values() and c.name not in taken]
+    for n in {c.name for c in rest if [r.name for r in rest].count(c.name) > 1}:
+        places = [k for k, name in enumerate(names, start=1) if name == n]
+        refused[n] = (
+            f"{table.path}: {table.header}, columns {' and '.join(map(str, places))} are both named '{n}'. Names must "
+            f"differ: rename one, or say which is meant: --column '{n}=#{places[0]}'."
         )
-    try:
-        parse_unit(unit)
-    except UnitError as error:
-        raise UnitError(f"{where}, column '{column.name}': {error}") from None
-    return replace(column, unit=unit)
+    for k, column in enumerate(table.columns, start=1):
+        if not column.name and k - 1 not in taken.values():
+            refused[f"#{k}"] = (
+                f"{table.path}: {table.header}, column {k} has no name. Write 'name [unit]' in the header, or name it: "
+                f"--column 'name=#{k}'."
+            )
+    return replace(table, columns=tuple([*given, *(c for c in rest if c.name not in refused)]))
 
 
-def _time_first(table: Table) -> Table:
-    if not table.columns:
+def _place(reference: str, names: list[str], path: str, variable: str) -> int:
+    """Index of the column that is meant, by its name or as ``#3``."""
+    if names.count(reference) == 1:
+        return names.index(reference)
+    if reference.startswith("#") and reference[1:].isdigit() and 0 < int(reference[1:]) <= len(names):
+        return int(reference[1:]) - 1
+    if reference in names:
+        raise DataError(
+            f"{path}: two columns are named '{reference}'. Say which is '{variable}' by its place: "
+            f"--column '{variable}=#{names.index(reference) + 1}'."
+        )
+    raise DataError(f"{path}: no column '{reference}' for '{variable}'. {nearest(reference, names)}")
+
+
+def _with_units(table: Table, reading: Reading) -> Table:
+    """Columns in the units that a person states; names of the file and of the record are both understood."""
+    back = {variable: reference for variable, reference in reading.columns.items()}
+    names = {c.name for c in table.columns}
+    known = sorted(names | {r for v, r in back.items() if v in names})
+    for option, wanted in (("scale", reading.scale), ("units", reading.units)):
+        for name in wanted:
+            if name not in known:
+                raise DataError(f"{table.path}: no column '{name}', named in {option}. {nearest(name, known)}")
+
+    def stated(column: Column) -> Column:
+        keys = [k for k in (column.name, back.get(column.name)) if k in reading.units]
+        return replace(column, unit=reading.units[keys[0]]) if keys else column
+
+    return replace(table, columns=tuple(map(stated, table.columns)))
+
+
+def _scale_of(name: str, reading: Reading):
+    return reading.scale.get(name) or reading.scale.get(reading.columns.get(name, ""))
+
+
+# -- time --------------------------------------------------------------------------------------------------------------
+def _with_time(table: Table, reading: Reading) -> Table:
+    """The time axis [s] first. Raises DataError, UnitError where there is none."""
+    columns = list(table.columns)
+    if not columns:
         raise DataError(f"{table.path}: {table.header} names no column. The first one must be 'time [s]'.")
-    names = [c.name for c in table.columns]
-    if "time" not in names:
-        found = ", ".join(names[:8])
-        raise DataError(
-            f"{table.path}: {table.header} has no column 'time' (got {found}). Name the time axis 'time [s]'."
-        )
-    at = names.index("time")
-    time = table.columns[at]
-    if not compatible(time.unit, "s"):
-        raise UnitError(f"{table.path}: {table.header}, column 'time' is in {time.unit}. Time is in s, ms, min or h.")
-    return replace(table, columns=(time, *table.columns[:at], *table.columns[at + 1 :]))
+    if reading.rate:
+        count = max(len(c.values) for c in columns)
+        columns = [c for c in columns if c.name not in ("time", reading.time)]
+        return replace(table, columns=(sampled_at(reading.rate, count), *columns))
+    renamed = {reference: variable for variable, reference in reading.columns.items()}
+    wanted = renamed.get(reading.time, reading.time) if reading.time else None
+    at = time_column(columns, wanted, f"{table.path}: {table.header}")
+    time, said = in_seconds(columns, at, table.path, table.header)
+    own = "" if columns[at].name == "time" else f"time is '{columns[at].name}'"
+    words = ", ".join(w for w in (table.understood, own, f"{said} as time" if said else "") if w)
+    time = replace(time, name="time", texts=None)
+    rest = [c for k, c in enumerate(columns) if k != at and c.name != "time"]
+    return replace(table, columns=(time, *rest), understood=words)
 
 
 def _check_length(table: Table) -> None:
@@ -139,17 +125,105 @@ def _check_length(table: Table) -> None:
     if len(time) < 2:
         what = f"only one row of values (row {table.row(0)})" if len(time) else "a header and no row of values"
         raise DataError(f"{table.path}: {what}, column 'time' needs two or more. Record longer, or check the export.")
+    infinite = np.isinf(time)
+    if infinite.any():
+        raise DataError(_not_finite(table, table.columns[0]))
 
 
-def _without_missing(table: Table, missing: str) -> Table:
+def _with_clock(table: Table, clock: str | None) -> Table:
+    """The samples in the order and at the times that the clock's repair makes of them; time must grow then."""
+    time = table.columns[0]
+    order, times = order_of(time.values, clock)
+    row = table.row
+    columns = [replace(time, values=times), *(replace(c, values=c.values[order]) for c in table.columns[1:])]
+    words = ", ".join(w for w in (table.understood, f"clock: {clock}" if clock else "") if w)
+    table = replace(table, columns=tuple(columns), row=lambda k: row(int(order[min(k, len(order) - 1)])))
+    _check_time(table, clock)
+    return replace(table, understood=words)
+
+
+def _check_time(table: Table, clock: str | None) -> None:
+    time, unit = table.columns[0].values, "s"
+    wrong = np.diff(time) <= 0
+    if not wrong.any():
+        return
+    k = int(np.argmax(wrong))
+    before, now, where = time[k], time[k + 1], f"{table.path}: row {table.row(k + 1)}, column 'time'"
+    after = f" Even after --clock {clock}." if clock else ""
+    if before == now:
+        raise DataError(
+            f"{where}: the same time as in row {table.row(k)} (got {now:.9g} {unit}; {wrong.sum()} such steps).{after} "
+            "Time must grow from row to row: write it with more digits, or say what to do: --clock spread (a coarse "
+            "clock: the samples lie evenly between), first or last (remove one of the two)."
+        )
+    raise DataError(
+        f"{where}: time runs backward (got {now:.9g} {unit} after {before:.9g} {unit}; {wrong.sum()} such steps)."
+        f"{after} Split the file if it joins two recordings. Sort the rows: --clock sort; or let a clock that began "
+        "anew go on: --clock unwrap."
+    )
+
+
+# -- values ------------------------------------------------------------------------------------------------------------
+def _usable(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
+    """The columns that hold numbers with a unit; why the others do not."""
+    kept = [table.columns[0]]
+    for column in table.columns[1:]:
+        why = column.unusable or _wrong_unit(table, column, reading)
+        if not why and np.isinf(column.values).any():
+            why = _not_finite(table, column)
+        if why:
+            refused[column.name] = why
+        else:
+            kept.append(column if column.unit is not None else replace(column, unit="1"))
+    return replace(table, columns=tuple(kept))
+
+
+def _wrong_unit(table: Table, column: Column, reading: Reading) -> str:
+    where = f"{table.path}: {table.header}, column '{column.name}'"
+    if column.unit is None:
+        if _scale_of(column.name, reading):
+            return ""
+        return (
+            f"{where} has no unit. Write '{column.name} [unit]' in the header ([1] for a pure number), or state it: "
+            f"--unit '{column.name}=bar' (units= in Python)."
+        )
+    try:
+        parse_unit(column.unit)
+    except UnitError as error:
+        return f"{where}: {error} Or state it when reading: --unit '{column.name}=UNIT'."
+    return ""
+
+
+def _not_finite(table: Table, column: Column) -> str:
+    infinite = np.isinf(column.values)
+    k = int(np.argmax(infinite))
+    return (
+        f"{table.path}: row {table.row(k)}, column '{column.name}': not finite (got {column.values[k]}; "
+        f"{infinite.sum()} in this column). Remove the row, or empty the cell and read with "
+        'missing="keep" or "drop rows".'
+    )
+
+
+def _without_missing(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
+    """What missing values mean: their column is refused, they stay unknown, or their rows are left out."""
+    missing = reading.missing or "error"
     absent = np.array([np.isnan(c.values) for c in table.columns])  # the first is time
     rows = absent.any(axis=0)
     kept_unknown = missing == "keep" or (missing == "error" and table.marks_unknown)
     if not rows.any() or (kept_unknown and not absent[0].any()):
         return table
-    if missing != "drop rows":
-        _fail_missing(table, absent[:1] if kept_unknown else absent)
-    kept = np.flatnonzero(~rows)
+    if missing == "drop rows":
+        return _without_rows(table, absent)
+    if absent[0].any():
+        raise DataError(_missing(table, absent, 0))
+    for j in range(1, len(absent)):
+        if absent[j].any():
+            refused[table.columns[j].name] = _missing(table, absent, j)
+    return replace(table, columns=tuple(c for c in table.columns if c.name not in refused))
+
+
+def _without_rows(table: Table, absent: np.ndarray) -> Table:
+    kept = np.flatnonzero(~absent.any(axis=0))
     if len(kept) < 2:
         raise DataError(
             f"{table.path}: {len(kept)} rows are complete, column 'time' needs two or more. {_keep_instead(absent)}"
@@ -157,7 +231,7 @@ def _without_missing(table: Table, missing: str) -> Table:
     _check_rate(table, absent, kept)
     row = table.row
     columns = tuple(replace(c, values=c.values[kept]) for c in table.columns)
-    return replace(table, columns=columns, row=lambda k: row(int(kept[k])))
+    return replace(table, columns=columns, row=lambda k: row(int(kept[min(k, len(kept) - 1)])))
 
 
 def _check_rate(table: Table, absent: np.ndarray, kept: np.ndarray) -> None:
@@ -165,13 +239,13 @@ def _check_rate(table: Table, absent: np.ndarray, kept: np.ndarray) -> None:
     longer = int((np.diff(kept) > 1).sum())
     if longer <= max(FEW, SLOWER * len(kept)):
         return
-    time, unit = table.columns[0].values, table.columns[0].unit
+    time = table.columns[0].values
     before, after = (float(np.nanmedian(np.diff(t))) for t in (time, time[kept]))
     lacks, name = max((int(a.sum()), c.name) for a, c in zip(absent, table.columns, strict=True))
     raise DataError(
         f"{table.path}: column '{name}' has no value in {lacks} of {len(time)} rows. \"drop rows\" would leave "
-        f"{len(kept)} rows and sample every column, inputs too, more slowly (a row every {after:.3g} {unit}, recorded "
-        f"every {before:.3g} {unit}; {longer} steps are longer). {_keep_instead(absent)}"
+        f"{len(kept)} rows and sample every column, inputs too, more slowly (a row every {after:.3g} s, recorded "
+        f"every {before:.3g} s; {longer} steps are longer). {_keep_instead(absent)}"
     )
 
 
@@ -181,79 +255,37 @@ def _keep_instead(absent: np.ndarray) -> str:
     return 'Let the missing values stay unknown: missing="keep" (--missing keep).'
 
 
-def _fail_missing(table: Table, absent: np.ndarray) -> None:
-    """Raise for the first missing value; the remedy that loses nothing comes first."""
-    rows = absent.any(axis=0)
-    k = int(np.argmax(rows))
-    column = table.columns[int(np.argmax(absent[:, k]))].name
-    raise DataError(
-        f"{table.path}: row {table.row(k)}, column '{column}': no value (NaN or empty; {rows.sum()} of {len(rows)} "
-        f"rows have one). {_keep_instead(absent)} "
+def _missing(table: Table, absent: np.ndarray, j: int) -> str:
+    """What is said of the first missing value of a column; the remedy that loses nothing comes first."""
+    k = int(np.argmax(absent[j]))
+    return (
+        f"{table.path}: row {table.row(k)}, column '{table.columns[j].name}': no value (NaN or empty; "
+        f"{absent[j].sum()} of {absent.shape[1]} rows have one). {_keep_instead(absent)} "
         'Repair the file, or leave these rows out of every column, inputs too: missing="drop rows".'
     )
 
 
-def _check_finite(table: Table) -> None:
-    for column in table.columns:
-        infinite = np.isinf(column.values)
-        if infinite.any():
-            k = int(np.argmax(infinite))
-            raise DataError(
-                f"{table.path}: row {table.row(k)}, column '{column.name}': not finite (got {column.values[k]}; "
-                f"{infinite.sum()} in this column). Remove the row, or empty the cell and read with "
-                'missing="drop rows".'
-            )
-
-
-def _check_time(table: Table) -> None:
-    time, unit = table.columns[0].values, table.columns[0].unit
-    wrong = np.diff(time) <= 0
-    if not wrong.any():
-        return
-    k = int(np.argmax(wrong))
-    before, now, where = time[k], time[k + 1], f"{table.path}: row {table.row(k + 1)}, column 'time'"
-    if before == now:
-        raise DataError(
-            f"{where}: the same time as in row {table.row(k)} (got {now:.9g} {unit}; {wrong.sum()} such steps). "
-            "Time must grow from row to row: remove one of the two, or write time with more digits."
-        )
-    raise DataError(
-        f"{where}: time runs backward (got {now:.9g} {unit} after {before:.9g} {unit}; {wrong.sum()} such steps). "
-        "Sort the rows, or split the file if it joins two recordings."
-    )
-
-
-def rounding_of(time: np.ndarray) -> float:
-    """How much double precision rounds a time of this size, as a share of the usual step; (n,) finite or not."""
-    time = time[np.isfinite(time)]
-    usual = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
-    return float(np.spacing(np.abs(time).max())) / usual if usual else np.inf
-
-
-def _from_first_time(table: Table) -> Table:
-    """Time counted from the first sample where its size, as microseconds since 1970, would cost digits of its steps."""
-    time = table.columns[0]
-    share = rounding_of(time.values)
-    if share <= UNSEEN:
+# -- the record --------------------------------------------------------------------------------------------------------
+def _with_constants(table: Table, reading: Reading) -> Table:
+    """What was not recorded, at the value that a person gives; it replaces a column of that name."""
+    if not reading.constants:
         return table
-    first = time.values[0]
-    if share > ROUGH and (time.values != np.round(time.values)).any():
-        raise DataError(
-            f"{table.path}: column 'time' begins at {first:.17g} {time.unit}, and a number of that size is rounded to "
-            f"{np.spacing(first):.2g} {time.unit}, {100 * share:.2g} % of a step. The steps of the recording are lost. "
-            "Store time from the start of the recording, or as whole numbers."
-        )
-    return replace(table, columns=(replace(time, values=time.values - first), *table.columns[1:]))
+    n = len(table.columns[0].values)
+    given = {name: constant(name, text) for name, text in reading.constants.items()}
+    columns = [c for c in table.columns if c.name not in given]
+    columns += [Column(name, unit, np.full(n, value)) for name, (value, unit) in given.items()]
+    said = ", ".join(f"{name} = {text}" for name, text in reading.constants.items())
+    return replace(table, columns=tuple(columns), understood=f"{table.understood}, set {said}".removeprefix(", "))
 
 
-def _in_si(table: Table, name: str, scale: Mapping[str, Scale]) -> Record:
+def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str]) -> Record:
     signals, units, display = {}, {}, {}
     for column in table.columns:
         values, unit = to_si(column.values, column.unit)
-        shown = column.unit
-        if column.name in scale:
-            values, unit = scale[column.name].apply(values, unit)
+        shown, scale = column.unit, _scale_of(column.name, reading)
+        if scale:
+            values, unit = scale.apply(values, unit)
             shown = unit
         signals[column.name], units[column.name], display[column.name] = values, unit, shown
     time = signals.pop("time")
-    return Record(time, signals, units, name, table.path, table.digest, display)
+    return Record(time, signals, units, name, table.path, table.digest, display, refused, table.understood)

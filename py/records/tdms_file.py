@@ -11,15 +11,15 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .binary_files import content_of, not_written, unreadable
-from .rasters import TIME_NAMES, Axis, Signal, in_seconds, is_time_unit, table_of
-from .table import Table, split_header
+from .binary_files import content_of, unreadable
+from .clocks import called_time
+from .columns import Table
+from .headings import split_header
+from .rasters import Axis, Signal, in_seconds, is_time_unit, table_of
 
 _EPOCH = np.datetime64("1904-01-01", "ns")
 _UNSET = np.datetime64("1904-01-02", "ns")  # a start before is none
 _NANOSECONDS = 1e9 / 2**64  # in a fraction of a second as TDMS counts it
-
-write_tdms = not_written("TDMS")
 
 
 def read_tdms(path: Path) -> Table:
@@ -54,7 +54,7 @@ class _Channel:
     def is_time(self) -> bool:
         if self.values.dtype.kind == "M":
             return len(self.values) > 0
-        named = self.name.lower() in TIME_NAMES and self.values.dtype.kind in "fiu" and len(self.values) > 1
+        named = called_time(self.name) and self.values.dtype.kind in "fiu" and len(self.values) > 1
         return named and bool((self.values[1:] > self.values[:-1]).all())
 
 

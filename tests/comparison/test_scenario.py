@@ -52,7 +52,7 @@ def test_a_scenario_reads_with_paths_beside_its_file(folder):
     assert found.validate == (folder / "validation_1.csv", folder / "validation_2.csv")
     assert found.train == (folder / "training_1.csv",)
     assert (found.modes, found.outputs, found.base) == (("free run",), ("arm_angle",), folder)
-    assert found.scale == {"command": "0.05 V/%"}
+    assert found.reading.scale["command"].unit == "V/%" and found.reading.scale["command"].factor == 0.05
 
 
 def test_a_scenario_runs(folder):

@@ -8,9 +8,9 @@ from __future__ import annotations
 import pytest
 
 from benchmarks.gap.cases import Case, make
-from benchmarks.gap.run import Here
 from benchmarks.gap.score import answer_of, row_of
 from hydrotwin.discovery import discover
+from hydrotwin.discovery.work.executor import Here
 
 SECONDS = 6.0
 

@@ -28,10 +28,10 @@ RECORDINGS = {
     "no_command.csv": ["no_command.csv: no column 'command'", "cehA needs 'command [V]'", "Did you mean 'comand'?"],
     "no_unit.csv": ["no_unit.csv: row 1, column 'command' has no unit", "Write 'command [unit]'"],
     "odd_unit.csv": ["odd_unit.csv: row 1, column 'command': unit 'vlots'"],
-    "no_time.csv": ["no_time.csv: row 1 has no column 'time' (got clock", "Name the time axis 'time [s]'"],
+    "no_time.csv": ["no_time.csv: row 1: no column is called a time (got clock", "--time 'clock'"],
     "time_in_volts.csv": ["time_in_volts.csv: row 1, column 'time' is in V", "Time is in s"],
     "twice.csv": ["twice.csv: row 1, columns 2 and 3 are both named 'command'", "rename one"],
-    "no_header.csv": ["no_header.csv: row 1, column 1: numbers where the header belongs", "Write 'time [s]"],
+    "no_header.csv": ["no_header.csv: row 1: no column is called a time (got 1, 2", "--rate 1000"],
     "text.csv": ["text.csv: row 4, column 'command': not a number (got 'abc')", "Write a decimal point"],
     "nan.csv": ["nan.csv: row 4, column 'command': no value", "Repair the file"],
     "gap.csv": ["gap.csv: row 4, column 'command': no value", "Repair the file"],
@@ -46,7 +46,7 @@ RECORDINGS = {
     "empty.csv": ["empty.csv: row 1: the file is empty", "It needs a header 'time [s]"],
     "header_only.csv": ["header_only.csv: a header and no row of values", "Record longer"],
     "one_row.csv": ["one_row.csv: only one row of values (row 2)", "Record longer"],
-    "noise.csv": ["noise.csv: row 1: not a text file in UTF-8", "Export it again"],
+    "noise.csv": ["noise.csv: row 1: not a text file", "--encoding"],
     "noise.parquet": ["noise.parquet: not a whole Parquet file", "export it again"],
     "noise.mat": ["noise.mat: not a whole MAT file", "export it again"],
     "good.cvs": ["good.cvs: not a recording format (got '.cvs')", "Did you mean '.csv'?"],
@@ -257,7 +257,7 @@ def refused(line: str, code: int, says: list[str]) -> None:
         assert words in answer.said, answer.said
     if "Usage:" not in answer.err and code == 2:
         assert answer.out.strip() == ""
-        assert answer.err.lstrip("\n").startswith(("error ", "ignored columns", "learning "))
+        assert answer.err.lstrip("\n").startswith(("error ", "ignored columns", "learning ", "read "))
         assert answer.err.rstrip().endswith((".", "?")), "a message ends as a sentence"
 
 

@@ -289,7 +289,7 @@ def test_a_scenario_gives_the_same_scores_as_the_options(here, tmp_path):
 
 def test_a_comparison_scores_the_slope_of_an_output(here, tmp_path):
     words = ("--model", "cehA", "--validate", "validate_1.csv", "--output", "arm_angle", "--mode", "free run")
-    answer = hydrotwin("compare", *words, "--rate", "arm_angle", "--out", tmp_path, "--json")
+    answer = hydrotwin("compare", *words, "--slope", "arm_angle", "--out", tmp_path, "--json")
     assert answer.code == 0, answer.err
     units = {s["output"]: s["unit"] for s in json.loads(answer.out)["scores"]}
     assert units == {"arm_angle": "rad", "arm_angle.rate": "rad/s"}

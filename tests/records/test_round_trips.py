@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError, UnitError
-from hydrotwin.records import Record, read_record, write_record
+from hydrotwin.records import Record, write_record
+from tests.records.whole import whole
 
 FORMATS = [(".csv", "5"), (".parquet", "5"), (".mat", "5"), (".mat", "7.3")]
 
@@ -43,7 +44,7 @@ def assert_same(back: Record, record: Record, rtol: float):
 @pytest.mark.parametrize(("suffix", "version"), FORMATS)
 def test_si_values_come_back_bit_for_bit(record, suffix, version, tmp_path):
     path = write_record(record, tmp_path / f"run{suffix}", mat_version=version)
-    back = read_record(path)
+    back = whole(path)
     assert_same(back, record, rtol=0)
     assert back.name == "run"
     assert back.source == str(path)
@@ -54,10 +55,10 @@ def test_si_values_come_back_bit_for_bit(record, suffix, version, tmp_path):
 def test_values_in_display_units_come_back_to_1e_12(record, suffix, version, tmp_path):
     shown = {"arm_angle": "deg", "cylinder.cap_pressure": "bar", "flow": "L/min", "1_odd name": "%"}
     path = write_record(record, tmp_path / f"run{suffix}", units=shown, mat_version=version)
-    back = read_record(path)
+    back = whole(path)
     assert_same(back, record, rtol=1e-12)
     assert {n: back.display_units[n] for n in shown} == shown
-    again = read_record(write_record(back, tmp_path / f"again{suffix}", mat_version=version))
+    again = whole(write_record(back, tmp_path / f"again{suffix}", mat_version=version))
     assert_same(again, record, rtol=1e-12)
     assert again.display_units == back.display_units
 
@@ -68,7 +69,7 @@ def test_a_large_csv_comes_back_bit_for_bit_and_its_flaws_are_still_found(tmp_pa
     record = Record(t, {"x": rng.normal(size=t.size), "p": 1e7 * rng.normal(size=t.size)}, {"x": "m", "p": "Pa"})
     path = write_record(record, tmp_path / "large.csv")
     assert path.stat().st_size > 2_000_000
-    assert_same(read_record(path), record, rtol=0)
+    assert_same(whole(path), record, rtol=0)
     lines = path.read_text().split("\n")
     lines.insert(10, "")
     time, x, _ = lines[20_000].split(",")
@@ -82,13 +83,13 @@ def test_a_large_csv_comes_back_bit_for_bit_and_its_flaws_are_still_found(tmp_pa
     ):
         path.write_text("\n".join([*lines[:20_000], flaw, *lines[20_001:]]))
         with pytest.raises(DataError, match=says):
-            read_record(path)
+            whole(path)
 
 
 def test_mdf_comes_back(record, tmp_path):
     pytest.importorskip("asammdf", reason="needs the extra hydrotwin[mdf]")
     path = write_record(record, tmp_path / "run.mf4", units={"arm_angle": "deg"})
-    assert_same(read_record(path), record, rtol=1e-12)
+    assert_same(whole(path), record, rtol=1e-12)
 
 
 def test_a_csv_file_is_what_the_documentation_says(tmp_path):
@@ -117,7 +118,7 @@ def test_a_csv_file_is_what_the_documentation_says(tmp_path):
 def test_dialects_of_csv_read_alike(text, tmp_path):
     path = tmp_path / "a.csv"
     path.write_bytes(text.encode())
-    record = read_record(path)
+    record = whole(path)
     assert record.names == ("p", "x")
     np.testing.assert_allclose(record.time, [0, 0.25], rtol=1e-15)
     np.testing.assert_allclose(record.array(["p", "x"]), [[1e5, 1e-3], [2.5e5, 0.1]], rtol=1e-14)
@@ -126,11 +127,11 @@ def test_dialects_of_csv_read_alike(text, tmp_path):
 def test_units_left_out_of_a_file_can_be_given(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,x\n0,1\n1,2\n")
-    record = read_record(path, units={"time": "min", "x": "mm"})
+    record = whole(path, units={"time": "min", "x": "mm"})
     np.testing.assert_allclose(record.time, [0, 60])
     np.testing.assert_allclose(record["x"], [1e-3, 2e-3])
     with pytest.raises(DataError, match="no column 'y', named in units"):
-        read_record(path, units={"y": "mm"})
+        whole(path, units={"y": "mm"})
 
 
 def test_parquet_of_others_with_units_in_names_and_mixed_types(tmp_path):
@@ -145,7 +146,7 @@ def test_parquet_of_others_with_units_in_names_and_mixed_types(tmp_path):
         "gear [1]": pa.array([1.0, 2.0, 1.0]).dictionary_encode(),
     }
     pyarrow.parquet.write_table(pa.table(columns), path)
-    record = read_record(path)
+    record = whole(path)
     np.testing.assert_allclose(record.time, [0, 0.01, 0.02])
     np.testing.assert_allclose(record.array(["x", "on", "gear"]), [[1e-3, 1, 1], [2e-3, 0, 2], [3e-3, 1, 1]])
 
@@ -157,14 +158,14 @@ def test_mat_files_of_others_take_units_from_a_struct_and_skip_scalars(tmp_path)
     t, x = np.arange(4.0), np.array([[1.0], [2.0], [3.0], [4.0]])
     path = tmp_path / "five.mat"
     scipy.io.savemat(path, {"time": t, "x": x, "Ts": 1.0, "note": "rig 3", "units": {"time": "s", "x": "mm"}})
-    np.testing.assert_allclose(read_record(path)["x"], 1e-3 * x.ravel())
+    np.testing.assert_allclose(whole(path)["x"], 1e-3 * x.ravel())
     path = tmp_path / "seven.mat"
     with h5py.File(path, "w") as file:
         file["time"], file["x"], file["Ts"] = t[None, :], x.T, [[1.0]]
         for name, unit in {"time": "s", "x": "mm"}.items():
             text = file.create_dataset(f"units/{name}", data=np.frombuffer(unit.encode("utf-16-le"), "<u2")[:, None])
             text.attrs["MATLAB_class"] = np.bytes_("char")
-    record = read_record(path)
+    record = whole(path)
     assert record.names == ("x",)
     np.testing.assert_allclose(record["x"], 1e-3 * x.ravel())
 
@@ -197,9 +198,7 @@ def test_a_written_file_has_the_usual_mode(record, tmp_path):
 
 
 def test_wrong_ways_to_write_are_refused(record, tmp_path):
-    with pytest.raises(DataError, match=r"'.docx'"):
-        write_record(record, tmp_path / "a.docx")
-    with pytest.raises(DataError, match=r"read, not written. Write .csv"):
+    with pytest.raises(DataError, match=r"'.xlsx'"):
         write_record(record, tmp_path / "a.xlsx")
     (tmp_path / "file").touch()
     with pytest.raises(DataError, match=r"a\.csv: cannot be written"):
@@ -218,10 +217,10 @@ def test_a_bench_recording_reads_well_under_a_third_of_a_second(tmp_path):
     names = [f"s{k}" for k in range(9)]
     record = Record(t, {n: rng.normal(size=t.size) for n in names}, dict.fromkeys(names, "Pa"))
     path = write_record(record, tmp_path / "bench.csv")
-    read_record(path)
+    whole(path)
     spent = []
     for _ in range(3):
         start = clock.process_time()
-        read_record(path)
+        whole(path)
         spent.append(clock.process_time() - start)
     assert min(spent) < 0.2

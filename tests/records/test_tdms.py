@@ -139,5 +139,5 @@ def test_other_bytes_and_a_missing_package_are_told(tmp_path, monkeypatch):
 
 def test_it_is_read_and_not_written(tmp_path):
     record = Record([0.0, 1.0], {"p": [1.0, 2.0]}, {"p": "Pa"})
-    with pytest.raises(DataError, match="TDMS files are read, not written"):
+    with pytest.raises(DataError, match=r"not a format that is written \(got '.tdms'\)"):
         write_record(record, tmp_path / "a.tdms")

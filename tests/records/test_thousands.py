@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.records import read_record
+from tests.records.whole import whole
 
 POINT, COMMA = "time [s],x [1]\n", "time [s];x [1]\n"
 
@@ -14,7 +14,7 @@ POINT, COMMA = "time [s],x [1]\n", "time [s];x [1]\n"
 def read(tmp_path, text, **options):
     path = tmp_path / "a.csv"
     path.write_text(text, encoding="utf-8")
-    record = read_record(path, **options)
+    record = whole(path, **options)
     return record.time.tolist(), record["x"].tolist()
 
 
@@ -96,5 +96,5 @@ def test_the_minus_of_a_word_processor_is_a_minus(minus, text, values, tmp_path)
 
 
 def test_where_the_other_sign_may_be_the_decimal_one_the_error_says_how_to_state_it(tmp_path):
-    with pytest.raises(DataError, match=r"got '~35,5'.*Or state the other sign above the header: '# decimal=,'"):
+    with pytest.raises(DataError, match=r"got '~35,5'.*Or state the other sign: --decimal ',', or '# decimal=,'"):
         read(tmp_path, COMMA + "0;~35,5\n1;~35,4\n")

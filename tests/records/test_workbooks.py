@@ -15,7 +15,7 @@ from hydrotwin.records import read_record
 
 openpyxl = pytest.importorskip("openpyxl")
 pytest.importorskip("python_calamine")
-from hydrotwin.records.xlsx_file import read_sheet, read_xlsx, rows_of_sheet  # noqa: E402
+from hydrotwin.records.workbook import read_sheet, read_workbook  # noqa: E402
 
 START = datetime.datetime(2026, 5, 4, 10, 0, 0, 250_000)
 STEP = datetime.timedelta(milliseconds=10)
@@ -45,7 +45,7 @@ def test_the_sheet_with_most_numbers_is_read_and_the_others_are_named(tmp_path):
     sheet = read_sheet(path)
     assert (sheet.name, sheet.others) == ("Messung", ("Info", "Diagramm"))
     assert sheet.title == "sheet 'Messung' (others: Info, Diagramm)"
-    assert read_xlsx(path).header == "sheet 'Messung' (others: Info, Diagramm), row 1"
+    assert read_workbook(path).header == "sheet 'Messung' (others: Info, Diagramm), row 1"
 
 
 def test_rows_keep_their_place_and_cells_their_type(tmp_path):
@@ -54,10 +54,10 @@ def test_rows_keep_their_place_and_cells_their_type(tmp_path):
         [None, 1, START.date(), datetime.time(3, 4, 5, 250_000), datetime.timedelta(hours=30, milliseconds=5), True]
     ]
     rows += [[None, 0.5, START, None, "n/a", False]]
-    found = rows_of_sheet(book(tmp_path, A=rows))
+    found = read_sheet(book(tmp_path, A=rows)).rows
     assert [row[0] for row in found] == ["Messung 7", None, None, None, None]
     assert found[2][1:] == ["Zeit", "Tag", "Uhr", "Dauer", "an"]
-    assert found[3][1:] == [1.0, datetime.datetime(2026, 5, 4), "03:04:05.250000", "30:00:00.005000", 1.0]
+    assert found[3][1:] == [1.0, "2026-05-04", "03:04:05.250000", "30:00:00.005000", 1.0]
     assert found[4][1:] == [0.5, START, None, "n/a", 0.0]
     assert all(type(row[1]) is float for row in found[3:])
 
@@ -65,32 +65,50 @@ def test_rows_keep_their_place_and_cells_their_type(tmp_path):
 @pytest.mark.parametrize("units", [["s", "bar", "-"], ["[s]", "[bar]", None], ["(s)", "(bar)", "(1)"]])
 def test_titles_above_and_units_below_the_names(units, tmp_path):
     rows = [["Versuch 12"], ["Prüfer", "Meier"], [], ["Zeit", "Druck", "ok"], units, [0, 1.5, True], [0.01, None, True]]
-    table = read_xlsx(book(tmp_path, A=rows))
+    table = read_workbook(book(tmp_path, A=rows))
     assert [(c.name, c.unit) for c in table.columns[:2]] == [("Zeit", "s"), ("Druck", "bar")]
     np.testing.assert_array_equal(table.columns[1].values, [1.5, np.nan])
     assert table.header == "sheet 'A', row 4" and [table.row(k) for k in (0, 1, 2)] == [6, 7, 8]
 
 
-def test_date_times_and_times_of_day_are_seconds(tmp_path):
-    rows = [["time", "Uhr"], *([START + k * STEP, (START + k * STEP).time()] for k in range(4))]
-    time, clock = read_xlsx(book(tmp_path, A=rows)).columns
-    assert (time.unit, clock.unit) == ("s", "s")
-    assert time.values.tolist() == [0, 0.01, 0.02, 0.03]
-    np.testing.assert_allclose(clock.values, 36_000.25 + np.arange(4) * 0.01, rtol=1e-15)
+@pytest.mark.parametrize("how", ["date and time", "time of day", "date and time of day", "text"])
+def test_date_times_and_times_of_day_are_the_time(how, tmp_path):
+    stamps = [START + k * STEP for k in range(4)]
+    cells = {
+        "date and time": [[s] for s in stamps],
+        "time of day": [[s.time()] for s in stamps],
+        "date and time of day": [[s.time(), s.date()] for s in stamps],
+        "text": [[f"{s:%d.%m.%Y %H:%M:%S.%f}"] for s in stamps],
+    }[how]
+    names = ["Zeit", "Datum"][: len(cells[0])]
+    record = read_record(book(tmp_path, A=[[*names, "p [bar]"], *([*c, k] for k, c in enumerate(cells))]))
+    np.testing.assert_allclose(record.time - record.time[0], [0, 0.01, 0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(record["p"], np.arange(4) * 1e5)
 
 
 def test_a_text_costs_only_its_column(tmp_path):
-    rows = [["time [s]", "p [bar]", "mode"], [0, 1, "auto"], [1, 2, "auto"], [2, "n/a", "hand"]]
-    _, p, mode = read_xlsx(book(tmp_path, A=rows)).columns
-    assert "a.xlsx: row 4, column 'p': not a number (got 'n/a')" in p.unusable and np.isnan(p.values).all()
-    assert "row 2, column 'mode': not a number (got 'auto')" in mode.unusable
+    rows = [["time [s]", "p [bar]", "mode", "x [mm]"], [0, 1, "auto", 0], [1, 2, "auto", 1], [2, "n/a", "hand", 2]]
+    record = read_record(book(tmp_path, A=[*rows, *([k, k, "hand", k] for k in range(3, 9))]))
+    np.testing.assert_allclose(record["x"], np.arange(9) * 1e-3)
+    for name in ("p", "mode"):
+        with pytest.raises(DataError, match=rf"a.xlsx: .*column '{name}'"):
+            record[name]
 
 
-def test_numbers_without_names_are_refused(tmp_path):
-    with pytest.raises(DataError, match="no row of names above its numbers"):
-        read_xlsx(book(tmp_path, A=[[0, 1], [1, 2]]))
-    with pytest.raises(DataError, match="no row of names above its numbers"):
-        read_xlsx(book(tmp_path, A=[]))
+def test_a_sheet_that_is_named_is_read(tmp_path):
+    data = [["time [s]", "p [bar]"], *([k, k] for k in range(50))]
+    path = book(tmp_path, Messung=data, Kurz=[["time [s]", "x [mm]"], [0, 1], [1, 2]])
+    assert read_record(path).names == ("p",)
+    record = read_record(path, sheet="Kurz")
+    assert record.names == ("x",) and "sheet 'Kurz' (others: Messung), names in row 1" in record.understood
+    with pytest.raises(DataError, match=r"no sheet 'Krz'. Did you mean 'Kurz'"):
+        read_record(path, sheet="Krz")
+
+
+def test_a_sheet_without_numbers_is_refused(tmp_path):
+    for rows in ([], [["Prüfer", "Meier"]]):
+        with pytest.raises(DataError, match=r"a.xlsx: "):
+            read_record(book(tmp_path, A=rows))
 
 
 def test_the_other_formats_of_a_workbook_are_read(tmp_path):
@@ -116,7 +134,7 @@ def test_a_cell_far_outside_is_refused_before_it_fills_the_memory(tmp_path):
 
 
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr("hydrotwin.records.xlsx_file._UNPACKED", 1 << 20)
+    monkeypatch.setattr("hydrotwin.records.workbook._UNPACKED", 1 << 20)
     path = book(tmp_path, A=[["time [s]"], [0], [1]])
     with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("xl/media/image1.png", bytes(2 << 20))

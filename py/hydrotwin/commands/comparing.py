@@ -8,15 +8,14 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError
-from hydrotwin.records import require
+from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
 from .exporting import equations_told
+from .recordings import read_all, reads, told_in
 from .shared import (
     InterpolationOption,
     JsonOption,
-    MissingOption,
-    ScaleOption,
     ValidateOption,
     check_file,
     check_folder,
@@ -26,7 +25,6 @@ from .shared import (
     mark,
     out,
     progress_bar,
-    read_all,
     table,
 )
 
@@ -38,7 +36,7 @@ def register(app: typer.Typer) -> None:
             "hydrotwin compare scenario.toml --out report",
             "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report --ssp models.ssp",
         )
-    )(compare)
+    )(reads(compare))
 
 
 def compare(
@@ -55,17 +53,16 @@ def compare(
     ] = None,
     outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to score")] = None,
     rates: Annotated[
-        list[str] | None, typer.Option("--rate", metavar="NAME", help="outputs to score the slope of as well")
+        list[str] | None, typer.Option("--slope", metavar="NAME", help="outputs to score the slope of as well")
     ] = None,
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
-    scale: ScaleOption = None,
-    missing: MissingOption = "error",
     interpolation: InterpolationOption = None,
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
     from hydrotwin.comparison import MODES, Scenario, read_scenario, run_scenario
@@ -78,10 +75,10 @@ def compare(
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
-    said = {"--validate": validate, "--train": train, "--output": outputs, "--rate": rates, "--mode": modes}
+    said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
     said |= {"--interpolation": interpolation}
-    doubled = [option for option, value in {**said, "--title": title, "--scale": scale}.items() if value]
-    doubled += ["--missing"] if missing != "error" else []
+    doubled = [option for option, value in {**said, "--title": title}.items() if value]
+    doubled += told_in(reading)
     if scenario is not None and doubled:
         raise DeclarationError(
             f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
@@ -89,7 +86,7 @@ def compare(
     if scenario is not None:
         described = read_scenario(scenario)
     else:
-        read_all(validate, scale, missing)  # tells gaps before a long run
+        read_all(validate, reading)  # tells gaps before a long run
         described = Scenario(
             title=title or "Comparison of models",
             models=tuple(entry(m) for m in models),
@@ -98,8 +95,7 @@ def compare(
             modes=tuple(modes or MODES),
             outputs=tuple(outputs) if outputs else None,
             rates=tuple(rates or ()),
-            scale=dict(s.split("=", 1) for s in scale or []),
-            missing=missing,
+            reading=reading or Reading(),
             interpolation=interpolation_from(interpolation),
         )
     with progress_bar() as bar:

@@ -18,7 +18,8 @@ from .comparing import print_comparison
 from .discovering import print_discovery, telling
 from .exporting import equations_told, given_starts
 from .fitting import fit_provenance, print_fit, print_friction
-from .shared import check_folder, examples, mark, out, progress_bar, read_all
+from .recordings import read_all
+from .shared import check_folder, examples, mark, out, progress_bar
 from .writing import gap_provenance, write_discovery
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"

@@ -12,17 +12,16 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, HydrotwinError, nearest
-from hydrotwin.records import Record, require
+from hydrotwin.records import Reading, Record, require
 
 from ..loading import is_fmu, origin, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
+from .recordings import read_all, reads, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
-    MissingOption,
     ModelArgument,
     RecordsArgument,
-    ScaleOption,
     ValidateOption,
     check_folder,
     err,
@@ -32,10 +31,8 @@ from .shared import (
     out,
     print_json,
     progress_bar,
-    read_all,
     table,
     tell_between,
-    tell_ignored,
 )
 from .showing import physical
 from .writing import BestSoFar, gap_provenance, write_discovery, write_failure
@@ -50,7 +47,7 @@ DURATION = re.compile(rf"(?:{NUMBER}\s*h)?\s*(?:{NUMBER}\s*m(?:in)?)?\s*(?:{NUMB
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command(epilog=examples("hydrotwin effects", "hydrotwin effects cehA"))(effects)
-    app.command(epilog=examples("hydrotwin gap model.toml train_*.csv --validate validate_*.csv --out gap"))(gap)
+    app.command(epilog=examples("hydrotwin gap model.toml train_*.csv --validate validate_*.csv --out gap"))(reads(gap))
 
 
 def effects(
@@ -100,10 +97,9 @@ def gap(
     resume: Annotated[
         bool, typer.Option("--resume/--fresh", help="go on where an interrupted run stopped, or begin anew")
     ] = True,
-    missing: MissingOption = "error",
-    scale: ScaleOption = None,
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Find out which physical effect a model lacks, add it, and show what it closes.
 
@@ -121,7 +117,7 @@ def gap(
     limit = None if time_limit is None else seconds_of(time_limit)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
-    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
+    train, judged = read_all(records, reading), read_all(validate, reading)
     check_recordings(thing, train, judged)
     memory = finished_fits(output / KEPT)
     if not resume:

@@ -12,6 +12,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, nearest
 
 from ..loading import load
+from .recordings import read_all
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -21,7 +22,6 @@ from .shared import (
     interpolation_from,
     out,
     print_json,
-    read_all,
     table,
 )
 

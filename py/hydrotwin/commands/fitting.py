@@ -13,17 +13,16 @@ import typer
 from hydrotwin import __version__
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.records import Record, require
+from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
 from ..loading import origin
+from .recordings import read_all, reads, require_columns, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
-    MissingOption,
     ModelArgument,
     RecordsArgument,
-    ScaleOption,
     ValidateOption,
     check_file,
     check_folder,
@@ -33,12 +32,9 @@ from .shared import (
     out,
     print_json,
     progress_bar,
-    read_all,
-    require_columns,
     settings_from,
     table,
     tell_between,
-    tell_ignored,
 )
 from .showing import physical
 
@@ -48,9 +44,9 @@ LEFT_OUT = 20  # stretches of a friction test on the screen
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
     app.command(epilog=examples("hydrotwin identify cehA train_*.csv --validate validate_*.csv --out model.toml"))(
-        identify
+        reads(identify)
     )
-    app.command(epilog=examples("hydrotwin friction friction_test.csv --out friction"))(friction)
+    app.command(epilog=examples("hydrotwin friction friction_test.csv --out friction"))(reads(friction))
 
 
 def identify(
@@ -78,10 +74,9 @@ def identify(
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
-    missing: MissingOption = "error",
-    scale: ScaleOption = None,
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Identify the parameters of a physical model by nonlinear least squares."""
     from hydrotwin.identification import identify
@@ -90,7 +85,7 @@ def identify(
     if report:
         check_folder(report)
     thing = physical(model, "identify")
-    train, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
+    train, judged = read_all(records, reading), read_all(validate, reading)
     flat = thing.flat
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
@@ -223,16 +218,15 @@ def friction(
         float | None, typer.Option(metavar="N", help="constant force beside friction, where it is known")
     ] = None,
     output: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="write a page with the curve")] = None,
-    missing: MissingOption = "error",
-    scale: ScaleOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Fit the Stribeck curve to a friction test at constant speeds (C-EHA paper, Fig. 7 and Table 1)."""
     from hydrotwin.identification.constant_speed import friction_test
 
     if output:
         check_folder(output)
-    read = read_all(records, scale, missing)
+    read = read_all(records, reading)
     require_columns(read, (velocity, force), " Name the columns with --velocity and --force.")
     fit = friction_test(read, velocity=velocity, force=force, load=load)
     if output:

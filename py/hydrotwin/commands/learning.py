@@ -11,14 +11,13 @@ import typer
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import SUFFIXES, Reading, Record
 
 from ..loading import load, origin
+from .recordings import constants_among, read_all, reads, require_columns
 from .shared import (
     JsonOption,
-    MissingOption,
     RecordsArgument,
-    ScaleOption,
     ValidateOption,
     check_file,
     check_folder,
@@ -28,8 +27,6 @@ from .shared import (
     out,
     print_json,
     progress_bar,
-    read_all,
-    require_columns,
 )
 from .showing import physical
 
@@ -43,7 +40,6 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "hybrid": "an identified model (--model) and a network for what it lacks",
 }
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
-RECORDINGS = (".csv", ".parquet", ".mat", ".mf4")
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
@@ -58,19 +54,19 @@ def register(app: typer.Typer) -> None:
             "hydrotwin learn nn train_*.csv --input command --output arm_angle --out network.toml",
             "hydrotwin learn gp train_*.csv --input current --output position --out gp.toml",
         )
-    )(learn)
+    )(reads(learn))
     app.command(
         epilog=examples(
             "hydrotwin invert valve.toml --input current --output position --out inverse.toml",
             "hydrotwin invert ramps_*.csv --input current --output position --set delay=0.05 --out inverse.toml",
         )
-    )(invert)
+    )(reads(invert))
     app.command(
         epilog=examples(
             "hydrotwin compensate valve.toml --input current --output position --waypoint 0.5=0.05 --waypoint 1=0.2 "
             "--out compensator.toml"
         )
-    )(compensate)
+    )(reads(compensate))
 
 
 def learn(
@@ -87,9 +83,8 @@ def learn(
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
-    scale: ScaleOption = None,
-    missing: MissingOption = "error",
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Learn a surrogate from recordings: a block that simulates, compares and exports as a model does."""
     from hydrotwin.learned import train_network
@@ -104,8 +99,9 @@ def learn(
         )
     flags = {"fit": None if kind in PUBLISHED else fit, "hidden": hidden, "budget": budget}
     more = (train_network,) if kind == "hybrid" else ()
+    settings, reading = constants_among(settings, (*(inputs or ()), *(outputs or ())), reading)
     options = _options(f"learn {kind}", train, settings, {k: v for k, v in flags.items() if v is not None}, *more)
-    records, judged = read_all(records, scale, missing), read_all(validate, scale, missing)
+    records, judged = read_all(records, reading), read_all(validate, reading)
     if kind == "hybrid":
         signals, options = ((), outputs or ()), {**options, "model": physical(model, "learn hybrid")}
     else:
@@ -128,9 +124,9 @@ def invert(
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
-    scale: ScaleOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Learn which command gives a wanted steady rate: the inverse of a characteristic, as a block."""
     from hydrotwin.learned import characteristic, learn_inverse
@@ -138,8 +134,9 @@ def invert(
     check_file(output, ".toml")
     if report:
         check_folder(report)
+    settings, reading = constants_among(settings, (command, answer), reading)
     options = _options("invert", learn_inverse, settings, {"method": method}, characteristic)
-    machine = _source(source, scale)
+    machine = _source(source, reading)
     block = _trained(
         "invert", learn_inverse, (machine, command, answer), as_json, **options, **_named(name), seed=seed,
     )  # fmt: skip
@@ -159,9 +156,9 @@ def compensate(
     degree: Annotated[int | None, typer.Option(min=1, help="of the polynomial; by default through all points")] = None,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
-    scale: ScaleOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Learn what to command instead, so that the machine follows a desired curve through waypoints."""
     from hydrotwin.learned import characteristic, learn_compensator, learn_inverse
@@ -170,9 +167,10 @@ def compensate(
     check_file(output, ".toml")
     if report:
         check_folder(report)
+    settings, reading = constants_among(settings, (command, answer), reading)
     options = _options("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
     points = [_waypoint(text) for text in waypoints]
-    machine = _source(source, scale)
+    machine = _source(source, reading)
     block = learn_compensator(machine, command, answer, points, **options, **_named(name))
     _written(block, output, as_json)
     if report:
@@ -252,13 +250,13 @@ def _waypoint(text: str) -> tuple[float, float]:
         ) from None
 
 
-def _source(source: Sequence[str], scale):
+def _source(source: Sequence[str], reading):
     """A model or block, or recordings."""
-    if all(text.lower().endswith(RECORDINGS) for text in source):
-        return read_all([Path(text) for text in source], scale)
+    if all(text.lower().endswith(SUFFIXES) for text in source):
+        return read_all([Path(text) for text in source], reading)
     if len(source) > 1:
         raise DataError(
-            f"invert: give one model, or recordings ({', '.join(RECORDINGS)}) (got {', '.join(source)}). Leave out the "
+            f"invert: give one model, or recordings ({', '.join(SUFFIXES)}) (got {', '.join(source)}). Leave out the "
             "others."
         )
     return load(source[0])

@@ -14,10 +14,9 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import INTERPOLATIONS
 from hydrotwin.models.language.writing import json_values
-from hydrotwin.records import Record, read_record
 from hydrotwin.records.between import sentences
 
 ModelArgument = Annotated[
@@ -27,13 +26,6 @@ ModelArgument = Annotated[
 RecordsArgument = Annotated[list[Path], typer.Argument(metavar="REC...", help="recordings (CSV, Parquet, MAT, MDF)")]
 ValidateOption = Annotated[
     list[Path] | None, typer.Option("--validate", metavar="REC...", help="recordings to judge by, not to fit to")
-]
-ScaleOption = Annotated[
-    list[str] | None, typer.Option("--scale", metavar="COLUMN='V U/W'", help="scale a column: command='0.05 V/%'")
-]
-MissingOption = Annotated[
-    str,
-    typer.Option(metavar="HOW", help="empty cells: error, 'drop rows', or keep (a sensor's samples may be unknown)"),
 ]
 InterpolationOption = Annotated[
     list[str] | None,
@@ -60,27 +52,6 @@ def examples(*lines: str) -> str:
 def mark(console: Console, word: str, text: str, style: str = "yellow") -> None:
     """A line that begins with a coloured word: note, failed, done."""
     console.print(Text.assemble((word, style), f" {text}"))
-
-
-def read_all(paths: list[Path] | None, scale: list[str] | None = None, missing: str = "error") -> list[Record]:
-    """Read recordings; gaps in time and samples that a sensor lacks are told, not filled."""
-    records = []
-    for path in paths or []:
-        record = read_record(path, scale=scale, missing=missing)
-        for gap in record.gaps:
-            mark(err, "note", f"{path}: {gap}")
-        for name, values in record.signals.items():
-            if lacks := int(np.isnan(values).sum()):
-                mark(err, "note", f"{path}: {name} has no value in {lacks} of {len(values)} samples")
-        records.append(record)
-    return records
-
-
-def tell_ignored(records: list[Record], used: set[str], model: str) -> None:
-    """Columns that the model does not know are named once."""
-    ignored = sorted({name for r in records for name in r.signals} - used)
-    if ignored:
-        err.print(f"ignored columns (neither input nor output of {model}): {', '.join(ignored)}", style="dim")
 
 
 def check_file(path: Path, *suffixes: str, sources: Sequence[Path] = ()) -> Path:
@@ -169,11 +140,3 @@ def progress_bar() -> Progress:
     """A bar on standard error for anything over a second."""
     text = TextColumn("{task.description}", markup=False)
     return Progress(text, BarColumn(), TimeElapsedColumn(), console=err, transient=True)
-
-
-def require_columns(records: list[Record], columns: Sequence[str], hint: str = "") -> None:
-    """Every record has every column, or the first that lacks one is named."""
-    for record in records:
-        for column in columns:
-            if column not in record:
-                raise DeclarationError(f"{record.source}: no column '{column}'. {nearest(column, record.names)}{hint}")

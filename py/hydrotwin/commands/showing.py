@@ -12,16 +12,15 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
-from hydrotwin.records import write_record
+from hydrotwin.records import Reading, write_record
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
+from .recordings import constants_among, read_all, reads, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
-    MissingOption,
     ModelArgument,
-    ScaleOption,
     check_file,
     check_folder,
     err,
@@ -30,11 +29,9 @@ from .shared import (
     mark,
     out,
     print_json,
-    read_all,
     settings_from,
     table,
     tell_between,
-    tell_ignored,
 )
 
 RECORDINGS = (".csv", ".txt", ".parquet", ".mat", ".mf4")
@@ -42,7 +39,7 @@ RECORDINGS = (".csv", ".txt", ".parquet", ".mat", ".mf4")
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this file."""
-    app.command(epilog=examples("hydrotwin simulate cehA --input validate_1.csv --out simulated.csv"))(simulate)
+    app.command(epilog=examples("hydrotwin simulate cehA --input validate_1.csv --out simulated.csv"))(reads(simulate))
     app.command(epilog=examples("hydrotwin modelica cehA --out cehA.mo"))(modelica)
     app.command(epilog=examples("hydrotwin linearize cehA --at arm.angle=0.3 --out linear"))(linearize)
 
@@ -62,14 +59,14 @@ def simulate(
         Path | None, typer.Option("--out", metavar="REC", help="write the outputs (CSV, Parquet, MAT)")
     ] = None,
     changes: Annotated[
-        list[str] | None, typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI")
+        list[str] | None,
+        typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI; or an input not recorded: supply=35bar"),
     ] = None,
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
-    scale: ScaleOption = None,
-    missing: MissingOption = "error",
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
     from hydrotwin.comparison import as_contender, errors_of
@@ -77,8 +74,10 @@ def simulate(
 
     if output:
         check_file(output, *RECORDINGS, sources=[input])
-    (record,) = read_all([input], scale, missing)
-    thing = settled(load(model), [record], interpolation_from(interpolation))
+    thing = load(model)
+    changes, reading = constants_among(changes, {s.name for s in as_contender(thing).inputs}, reading)
+    (record,) = read_all([input], reading)
+    thing = settled(thing, [record], interpolation_from(interpolation))
     settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)

@@ -7,16 +7,14 @@ import hashlib
 import io
 import re
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
+from hydrotwin.models.language.errors import DataError, nearest
 
-from hydrotwin.models.language.errors import DataError, UnitError
-from hydrotwin.models.language.units import parse_unit
-
-from .binary_files import content_of, not_written, unreadable
-from .table import Column, Table, split_header
+from .binary_files import content_of, unreadable
+from .columns import Table
+from .text.read import Stated, table_of_text
 
 Cell = str | float | datetime.datetime | None
 
@@ -24,7 +22,13 @@ _CELLS = 30_000_000  # of one sheet, from A1 to the last one; all are held in me
 _UNPACKED = 2 << 30  # bytes; 30 million cells need half of it
 _CHUNK = 1 << 20  # bytes
 
-write_xlsx = not_written("Excel")
+
+def read_workbook(path: Path, sheet: str | None = None) -> Table:
+    """The table of a sheet, the one with most numbers where none is named; names and units are found as in a text."""
+    found = read_sheet(path, sheet)
+    table = table_of_text("\n".join(map(_line, found.rows)), path, Stated(delimiter="\t", decimal="."))
+    said = f"{found.title}, {table.understood.removeprefix('tab, ')}"
+    return replace(table, digest=found.digest, header=f"{found.title}, {table.header}", understood=said)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,29 +46,39 @@ class Sheet:
         return f"sheet '{self.name}'" + (f" (others: {', '.join(self.others)})" if self.others else "")
 
 
-def rows_of_sheet(path: Path) -> list[list[Cell]]:
-    """The rows of the sheet with most numbers, from row 1 and column A on: text, number, date-time, or None.
+def read_sheet(path: Path, name: str | None = None) -> Sheet:
+    """The rows of a sheet, from row 1 and column A on: text, number, date-time, or None.
 
-    A time of day and a duration are text as a sheet shows them, ``03:04:05.250000``; a truth value is 0 or 1.
+    A date, a time of day and a duration are text, ``2026-05-04``, ``03:04:05.250000``; a truth value is 0 or 1.
+    Raises `DataError` for a damaged, locked or absurdly large workbook.
     """
-    return read_sheet(path).rows
-
-
-def read_sheet(path: Path) -> Sheet:
-    """The sheet with most numbers; `DataError` for a damaged, locked or absurdly large workbook."""
     content = content_of(path)
     calamine = _calamine(path)
     try:
         _check_size(path, content)
         book = calamine.CalamineWorkbook.from_filelike(io.BytesIO(content))
-        sheets = {n: book.get_sheet_by_name(n).to_python(skip_empty_area=False) for n in book.sheet_names}
+        if name is not None and name not in book.sheet_names:
+            raise DataError(f"{path}: no sheet '{name}'. {nearest(name, book.sheet_names)}")
+        wanted = book.sheet_names if name is None else [name]
+        sheets = {n: book.get_sheet_by_name(n).to_python(skip_empty_area=False) for n in wanted}
     except calamine.PasswordError:
         raise DataError(f"{path}: locked by a password. Save it without one.") from None
     except (calamine.CalamineError, zipfile.BadZipFile, OSError, EOFError, ValueError) as error:
         raise unreadable(path, "Excel", error) from None
-    name = max(sheets, key=lambda n: _numbers_in(sheets[n]), default="") if len(sheets) > 1 else next(iter(sheets), "")
+    name = next(iter(sheets), "") if len(sheets) < 2 else max(sheets, key=lambda n: _numbers_in(sheets[n]))
     rows = [[_cell(v) for v in row] for row in sheets.get(name, [])]
-    return Sheet(name, rows, tuple(n for n in sheets if n != name), hashlib.sha256(content).hexdigest())
+    others = tuple(n for n in book.sheet_names if n != name)
+    return Sheet(name, rows, others, hashlib.sha256(content).hexdigest())
+
+
+def _line(row: list[Cell]) -> str:
+    return "\t".join(map(_text, row))
+
+
+def _text(cell: Cell) -> str:
+    if isinstance(cell, float):
+        return repr(cell).removesuffix(".0")
+    return re.sub(r'[\t\r\n"]+', " ", str(cell)) if cell is not None else ""
 
 
 def _numbers_in(rows: list[list]) -> int:
@@ -72,7 +86,6 @@ def _numbers_in(rows: list[list]) -> int:
 
 
 _NUMBERS = {float, int, datetime.datetime, datetime.date, datetime.time, datetime.timedelta}
-_CLOCK = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")
 
 
 def _cell(value) -> Cell:
@@ -83,7 +96,7 @@ def _cell(value) -> Cell:
     if isinstance(value, int):  # truth values too
         return float(value)
     if isinstance(value, datetime.date):
-        return datetime.datetime.combine(value, datetime.time())
+        return value.isoformat()
     if isinstance(value, datetime.timedelta):
         hours, rest = divmod(value, datetime.timedelta(hours=1))
         return f"{hours:02d}:{(datetime.datetime.min + rest).strftime('%M:%S.%f')}"
@@ -137,61 +150,3 @@ def _calamine(path: Path):
             f"{path}: Excel files need the package python-calamine. Install the extra: pip install 'hydrotwin[xlsx]'."
         ) from None
     return python_calamine
-
-
-def read_xlsx(path: Path) -> Table:
-    """The table of a workbook: names above the first row of numbers, units below them or in brackets."""
-    sheet = read_sheet(path)
-    filled = [(k, row) for k, row in enumerate(sheet.rows, start=1) if any(v is not None for v in row)]
-    counts = [sum(not isinstance(v, str | None) for v in row) for _, row in filled]
-    usual = max(set(counts) - {0}, key=counts.count, default=0)
-    at = next((k for k, n in enumerate(counts) if n and 2 * n >= usual), 0)
-    if not at:
-        raise DataError(
-            f"{path}: {sheet.title} has no row of names above its numbers. Write 'time [s]', 'name [unit]'."
-        )
-    names, units = filled[at - 1][1], None
-    if at > 1 and _are_units(names):
-        names, units = filled[at - 2][1], names
-    columns = [
-        _column(path, [(k, row[c]) for k, row in filled[at:]], *_header(name, units[c] if units else None))
-        for c, name in enumerate(names)
-        if isinstance(name, str)
-    ]
-    numbers = [k for k, _ in filled[at:]]
-    where = f"{sheet.title}, row {filled[at - 1 - (units is not None)][0]}"
-    numbers.append(numbers[-1] + 1)
-    return Table(str(path), tuple(columns), numbers.__getitem__, sheet.digest, where)
-
-
-def _header(name: str, unit: Cell) -> tuple[str, str | None]:
-    short, own = split_header(name)
-    return short, own or (unit.strip("[]() ") if isinstance(unit, str) else None) or None
-
-
-def _are_units(row: list[Cell]) -> bool:
-    """Is every text of a row a unit, and one of them not a plain number's?"""
-    texts = [v.strip("[]() ") for v in row if isinstance(v, str)]
-    try:
-        return bool(texts) and all(parse_unit(t) is not None for t in texts if t not in ("", "-"))
-    except UnitError:
-        return False
-
-
-def _column(path: Path, cells: list[tuple[int, Cell]], name: str, unit: str | None) -> Column:
-    """A column of numbers, of stamps as seconds from the first, or of times of day as seconds."""
-    first = next((v for _, v in cells if isinstance(v, datetime.datetime)), None)
-    values = np.full(len(cells), np.nan)
-    for k, (row, cell) in enumerate(cells):
-        clock = _CLOCK.fullmatch(cell) if isinstance(cell, str) else None
-        if clock:
-            values[k] = 3600 * int(clock[1]) + 60 * int(clock[2]) + float(clock[3])
-        elif isinstance(cell, str):
-            why = f"row {row}, column '{name}': not a number (got '{cell[:40]}'). Write a number, or empty the cell."
-            return Column(name, unit, np.full(len(cells), np.nan), f"{path}: {why}")
-        elif isinstance(cell, datetime.datetime):
-            values[k] = (cell - first) / datetime.timedelta(seconds=1)
-        elif cell is not None:
-            values[k] = cell
-        unit = unit or ("s" if clock or isinstance(cell, datetime.datetime) else None)
-    return Column(name, unit, values)

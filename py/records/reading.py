@@ -1,0 +1,216 @@
+"""How recordings are read, said once: options of a command or of `read_record`, ``import.toml`` beside the files."""
+
+from __future__ import annotations
+
+import fnmatch
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.parameter_file import read_toml
+from hydrotwin.models.language.units import convert, parse_unit
+
+from .clocks import REPAIRS
+from .decimal_sign import SIGNS
+from .scale import Scale, scales_of
+
+BESIDE = "import.toml"
+MISSING = ("error", "drop rows", "keep")
+_VALUE = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
+_TABLES = {"columns": "columns", "units": "units", "scale": "scale", "set": "constants"}  # of a file -> fields
+_PLAIN = ("time", "rate", "clock", "missing", "decimal", "delimiter", "encoding", "sheet")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How recordings are read.
+
+    columns : name in the record -> column of the file, ``#3`` for the third. units : column or name -> unit, in
+    place of what the file says. scale : name -> what one unit of the column stands for. constants : name -> value
+    and unit of what was not recorded. time : the column that is the time. rate : samples per second [Hz] in place of
+    a time. clock : a repair of `clocks.REPAIRS`. missing : what empty cells mean, see `read_record`. decimal,
+    delimiter, encoding : of text files. sheet : of a workbook.
+    """
+
+    columns: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    scale: Mapping[str, Scale] = field(default_factory=dict)
+    constants: Mapping[str, str] = field(default_factory=dict)
+    time: str | None = None
+    rate: float | None = None
+    clock: str | None = None
+    missing: str | None = None
+    decimal: str | None = None
+    delimiter: str | None = None
+    encoding: str | None = None
+    sheet: str | None = None
+
+    def over(self, other: Reading) -> Reading:
+        """This one, and what it does not say from ``other``."""
+        merged = {}
+        for f in fields(self):
+            own, theirs = getattr(self, f.name), getattr(other, f.name)
+            merged[f.name] = {**theirs, **own} if isinstance(own, Mapping) else theirs if own is None else own
+        if self.rate is not None or self.time is not None:  # one of them decides the time
+            merged["rate"], merged["time"] = self.rate, self.time
+        return Reading(**merged)
+
+    def __bool__(self) -> bool:
+        return any(getattr(self, f.name) for f in fields(self))
+
+
+def reading_of(**said) -> Reading:
+    """A `Reading` from texts, pairs or mappings. Raises `DataError` naming the nearest right word."""
+    unknown = next((name for name in said if name not in {f.name for f in fields(Reading)}), None)
+    if unknown:
+        raise DeclarationError(f"read_record: unknown option '{unknown}'. {nearest(unknown, _all_names())}")
+    said = {name: value for name, value in said.items() if value is not None}
+    for name in ("columns", "units", "constants"):
+        if name in said:
+            said[name] = _pairs(said[name], name)
+    if "scale" in said:
+        said["scale"] = scales_of(said["scale"])
+    if "rate" in said:
+        said["rate"] = _rate(said["rate"])
+    for name, choice in (("clock", REPAIRS), ("missing", MISSING)):
+        if name in said and said[name] not in choice:
+            raise DataError(f"{name}: not a choice (got {said[name]!r}). {nearest(str(said[name]), choice)}")
+    if said.get("decimal", ".") not in SIGNS:
+        raise DataError(f"decimal: not a decimal sign (got {said['decimal']!r}). Write '.' or ','.")
+    said["delimiter"] = _delimiter(said.get("delimiter"))
+    for name, value in said.get("constants", {}).items():
+        constant(name, value)
+    for name, unit in said.get("units", {}).items():
+        _checked_unit(name, unit)
+    return Reading(**said)
+
+
+def _all_names() -> list[str]:
+    return [f.name for f in fields(Reading)]
+
+
+def _pairs(given: Mapping[str, str] | Sequence[str] | str, option: str) -> dict[str, str]:
+    """``name=value`` texts as a mapping; a value may hold '=' too."""
+    if isinstance(given, Mapping):
+        return {str(name).strip(): str(value).strip() for name, value in given.items()}
+    pairs = {}
+    for text in [given] if isinstance(given, str) else given:
+        name, equals, value = text.rpartition("=") if option == "units" else text.partition("=")
+        if not (equals and name.strip() and value.strip()):
+            raise DataError(f"{option}: no 'name=value' (got '{text}'). {_EXAMPLES[option]}")
+        pairs[name.strip()] = value.strip()
+    return pairs
+
+
+_EXAMPLES = {
+    "columns": "Write --column command=Ventil_Soll: what the model calls it, then what the file calls it.",
+    "units": "Write --unit 'Druck A=bar'.",
+    "constants": "Write --set supply_pressure=35bar.",
+}
+
+
+def _rate(text: str | float) -> float:
+    match = _VALUE.fullmatch(str(text).strip())
+    try:
+        rate = convert(float(match[1]), match[2] or "Hz", "Hz") if match else math.nan
+    except HydrotwinError as error:
+        raise DataError(f"rate: {error}") from None
+    if not (0 < rate < math.inf):
+        raise DataError(f"rate: no sampling rate (got '{text}'). Write samples per second: --rate 1000.")
+    return rate
+
+
+def _delimiter(text: str | None) -> str | None:
+    words = {"tab": "\t", "\\t": "\t", "semicolon": ";", "comma": ",", "space": " ", "blank": " ", "bar": "|"}
+    text = words.get(str(text).lower(), text)
+    if text is not None and len(text) != 1:
+        raise DataError(f"delimiter: not one sign (got {text!r}). Write ';', ',', '|', tab or space.")
+    return text
+
+
+def _checked_unit(name: str, unit: str) -> None:
+    try:
+        parse_unit(unit)
+    except HydrotwinError as error:
+        raise DataError(f"units: '{name}': {error}") from None
+
+
+def constant(name: str, text: str) -> tuple[float, str]:
+    """``"35 bar"`` -> (35.0, "bar"). Raises `DataError` for anything else."""
+    match = _VALUE.fullmatch(text.strip())
+    if not match:
+        raise DataError(f"set: '{name}' is no number with a unit (got '{text}'). {_EXAMPLES['constants']}")
+    _checked_unit(name, match[2] or "1")
+    return float(match[1]), match[2] or "1"
+
+
+def beside(path: Path) -> tuple[Reading, str]:
+    """What ``import.toml`` in the folder of a recording says about it, and its name; nothing where there is none."""
+    file = path.parent / BESIDE
+    if not file.is_file():
+        return Reading(), ""
+    found = read_import(file, path.name)
+    return (found, BESIDE) if found is not None else (Reading(), "")
+
+
+def read_import(file: Path, name: str) -> Reading | None:
+    """The `Reading` that a file of this kind states; None where its ``files`` do not match the recording ``name``.
+
+    ::
+
+        files = ["test_*.csv"]          # optional: for which recordings; all where left out
+        time = "Zeit"                   # or rate = 1000
+        clock = "spread"
+        [columns]
+        command = "Ventil_Soll"
+        [units]
+        "Druck A" = "bar"
+        [scale]
+        command = "0.05 V/%"
+        [set]
+        supply_pressure = "35 bar"
+    """
+    table = read_toml(file)
+    files = table.pop("files", ["*"])
+    files = [files] if isinstance(files, str) else files
+    said = import_from(table, str(file))
+    return said if any(fnmatch.fnmatchcase(name, str(pattern)) for pattern in files) else None
+
+
+def import_from(table: Mapping, where: str) -> Reading:
+    """The `Reading` that the keys of an ``import.toml`` state. Raises `DataError` naming the nearest right key."""
+    known = (*_TABLES, *_PLAIN)
+    for key, value in table.items():
+        if key not in known:
+            raise DataError(f"{where}: unknown key '{key}'. {nearest(key, known)}")
+        if key in _TABLES and not isinstance(value, Mapping):
+            raise DataError(f"{where}: '{key}' is a table. Write [{key}] and below it name = 'text'.")
+    said = {own: table[key] for key, own in _TABLES.items() if key in table}
+    try:
+        return reading_of(**said, **{key: table[key] for key in _PLAIN if key in table})
+    except HydrotwinError as error:
+        raise type(error)(f"{where}: {error}") from None
+
+
+def import_text(reading: Reading, files: Sequence[str] = ()) -> str:
+    """An ``import.toml`` that says what ``reading`` says."""
+    import tomlkit
+
+    document = tomlkit.document()
+    document.add(tomlkit.comment("How the recordings in this folder are read: hydrotwin finds this file beside them."))
+    if files:
+        document["files"] = list(files)
+    for key in _PLAIN:
+        if (value := getattr(reading, key)) is not None:
+            document[key] = value
+    for key, own in _TABLES.items():
+        values = getattr(reading, own)
+        if values:
+            texts = {n: f"{v.factor:g} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
+            document[key] = texts
+    return tomlkit.dumps(document)
+
+

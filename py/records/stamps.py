@@ -1,0 +1,129 @@
+"""Dates and times of day as text: which they are, and how many seconds lie between them.
+
+Everything is counted in whole nanoseconds, so that no digit of a stamp is lost.
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+DAY = 86_400 * 10**9  # ns
+_ZERO = datetime.date(1970, 1, 1).toordinal()
+_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d{1,9})\d*)?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+_ZONE = r"\s*(?:[Zz]|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?"
+_DATES = (
+    r"(?P<y>\d{4})[-/.](?P<mo>\d{1,2})[-/.](?P<d>\d{1,2})",
+    r"(?P<y>\d{4})(?P<mo>\d{2})(?P<d>\d{2})",
+    r"(?P<a>\d{1,2})(?P<by>[-/.])(?P<b>\d{1,2})[-/.](?P<y>\d{4}|\d{2})",
+    r"(?P<d>\d{1,2})[-. ](?P<name>[A-Za-zäÄ]{3,9})\.?[-. ](?P<y>\d{4}|\d{2})",
+)
+_MONTHS = {
+    "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8,
+    "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
+}  # fmt: skip
+TIME_OF_DAY = re.compile(_CLOCK)
+_LONG = re.compile(r"(?P<h>\d+):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?")  # hours of a run
+_STAMPS = [re.compile(rf"{date}(?:[T ,;_]+{_CLOCK}{_ZONE})?") for date in _DATES]
+
+
+def is_stamp(cell: str) -> bool:
+    """Whether a cell holds a time of day, a date, or both.
+
+    >>> is_stamp("10:12:33,123"), is_stamp("04.05.2021 10:12"), is_stamp("1.5"), is_stamp("3:4:1")
+    (True, True, False, False)
+    """
+    text = cell.strip().strip('"')
+    if ":" not in text and sum(text.count(c) for c in "-/.") < 2:
+        return False
+    return bool(TIME_OF_DAY.fullmatch(text) or _LONG.fullmatch(text) or any(s.fullmatch(text) for s in _STAMPS))
+
+
+def has_date(cell: str) -> bool:
+    """Whether a stamp says the day."""
+    return any(s.fullmatch(cell.strip()) for s in _STAMPS)
+
+
+def nanoseconds(cells: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Nanoseconds of every stamp since midnight or since 1970, int64 (n,), and where there is none, bool (n,).
+
+    Of two readings of 04/05/2021 the one is taken under which the stamps lie closer together. Raises ValueError with
+    the index of the first cell that is neither a stamp nor empty.
+    """
+    readings = []
+    for month_first in (False, True):
+        try:
+            readings.append(_read(cells, month_first))
+        except _NotADate as error:
+            if month_first and not readings:
+                raise ValueError(error.args[0]) from None
+    return min(readings, key=lambda found: _span(*found))
+
+
+class _NotADate(Exception):
+    """Index of a cell that cannot be read so."""
+
+
+def _span(counts: np.ndarray, absent: np.ndarray) -> float:
+    known = counts[~absent]
+    return float(np.abs(np.diff(known)).sum()) if len(known) else 0.0
+
+
+def _read(cells: Sequence[str], month_first: bool) -> tuple[np.ndarray, np.ndarray]:
+    counts, absent = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
+    known: dict[str, int] = {}
+    form = None
+    for k, cell in enumerate(cells):
+        text = cell.strip()
+        if not text:
+            absent[k] = True
+            continue
+        match = form.fullmatch(text) if form else None
+        if match is None:
+            form = next((f for f in (TIME_OF_DAY, _LONG, *_STAMPS) if f.fullmatch(text)), None)
+            if form is None:
+                raise _NotADate(k)
+            match = form.fullmatch(text)
+        of_day = _of_day(match)
+        if form in (TIME_OF_DAY, _LONG):
+            counts[k] = of_day
+            continue
+        date = text[: match.start("h")] if match["h"] else text
+        if date not in known:
+            known[date] = _day(match, month_first, k)
+        counts[k] = known[date] * DAY + of_day
+    return counts, absent
+
+
+def _of_day(match: re.Match) -> int:
+    if not match["h"]:
+        return 0
+    parts = match.groupdict()
+    hour = int(parts["h"])
+    if parts.get("half"):
+        hour = hour % 12 + (12 if parts["half"][0] in "Pp" else 0)
+    seconds = (hour * 60 + int(parts["m"])) * 60 + int(parts["s"] or 0)
+    if parts.get("sign"):
+        east = (int(parts["zh"]) * 60 + int(parts["zm"])) * 60
+        seconds -= east if parts["sign"] == "+" else -east
+    return seconds * 10**9 + int((parts["f"] or "0").ljust(9, "0"))
+
+
+def _day(match: re.Match, month_first: bool, k: int) -> int:
+    parts = match.groupdict()
+    year = int(parts["y"]) + (2000 if len(parts["y"]) == 2 else 0)
+    if parts.get("name"):
+        month, day = _MONTHS.get(parts["name"].lower()[:3], 0), int(parts["d"])
+    elif parts.get("a"):
+        swapped = month_first and parts["by"] != "."  # with points the day comes first
+        first, second = int(parts["a"]), int(parts["b"])
+        day, month = (second, first) if swapped else (first, second)
+    else:
+        month, day = int(parts["mo"]), int(parts["d"])
+    try:
+        return datetime.date(year, month, day).toordinal() - _ZERO
+    except ValueError:
+        raise _NotADate(k) from None

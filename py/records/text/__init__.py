@@ -1,0 +1,1 @@
+"""Text files of numbers, as loggers and spreadsheets write them."""

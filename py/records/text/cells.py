@@ -1,0 +1,202 @@
+"""The cells of a block of numbers, column by column: numbers, or what they say instead."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError
+
+from ..decimal_sign import MISSING_TEXTS, number_in, other_sign, without_groups
+from ..stamps import is_stamp
+from .layout import Layout, cells_of
+
+LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
+_SHOWN = 40  # characters of a cell in a sentence
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What stands in a block: a column each.
+
+    values : (n,) float, NaN for what is missing. texts : the cells as written, of columns that hold no numbers only.
+    problems : why a column holds none, "" where it does. row : index of a sample -> number of its line.
+    """
+
+    values: Sequence[np.ndarray]
+    texts: Sequence[Sequence[str] | None]
+    problems: Sequence[str]
+    row: Callable[[int], int]
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a block stands: the file, its first line (from 1), its layout, the decimal sign, names of its columns."""
+
+    path: object
+    first_row: int
+    layout: Layout
+    decimal: str
+    names: Sequence[str]
+
+
+def block_of(body: str, place: Place) -> Block:
+    """The block of a text. Raises `DataError` for rows that are too short or too long, with row and column."""
+    layout = place.layout
+    if not body or body.isspace():
+        none = [np.empty(0)] * layout.width
+        return Block(none, [None] * layout.width, [""] * layout.width, lambda k: place.first_row + k)
+    try:
+        found = _quick(body, place)
+    except (ValueError, UnicodeError):  # pyarrow's errors are ValueErrors
+        found = None
+    return found or _carefully(body, place)
+
+
+def column_cells(body: str, layout: Layout, column: int) -> Iterator[str]:
+    """The cells of one column, as they are written."""
+    for line in body.split("\n"):
+        if line.strip():
+            cells = cells_of(line, layout.delimiter)
+            yield cells[column] if column < len(cells) else ""
+
+
+# -- quickly -----------------------------------------------------------------------------------------------------------
+def _quick(body: str, place: Place) -> Block | None:
+    """The block where its columns are plain numbers, or a few of them text; None for anything else."""
+    layout, quoted = place.layout, '"' in body
+    if place.decimal == layout.delimiter or (quoted and len(body) < LARGE):
+        return None
+    plain = body if (layout.delimiter, place.decimal) == (",", ".") else without_groups(body, place.decimal)
+    if plain is None:
+        return None
+    if layout.delimiter == " ":
+        plain = "\n".join(re.sub(r"[ \t]+", " ", line.strip(" \t")) for line in plain.split("\n"))
+    if len(body) >= LARGE:
+        return _with_arrow(plain, body, place)
+    values = np.loadtxt(io.StringIO(plain), delimiter=layout.delimiter, comments=None, ndmin=2)
+    if values.shape[1] != layout.width:
+        return None
+    n = layout.width
+    return Block(list(values.T), [None] * n, [""] * n, _row_finder(body, place.first_row))
+
+
+def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
+    import pyarrow
+    from pyarrow import csv as arrow_csv
+
+    layout = place.layout
+    plain = plain.lstrip("\n")
+    count = plain[: plain.find("\n")].count(layout.delimiter) + 1 if layout.width > 1 else 1
+    if count < layout.width:
+        return None
+    names = [str(k) for k in range(count)]
+    kinds = {n: pyarrow.float64() if k in layout.numeric else pyarrow.string() for k, n in enumerate(names)}
+    read = arrow_csv.ReadOptions(column_names=names, block_size=1 << 24)
+    missing = [text for word in MISSING_TEXTS for text in {word, word.upper(), word.capitalize(), _camel(word)}]
+    convert = arrow_csv.ConvertOptions(column_types=kinds, null_values=missing, strings_can_be_null=False)
+    parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
+    table = arrow_csv.read_csv(pyarrow.BufferReader(plain.encode()), read, parse, convert)
+    if any(table.column(k).null_count < len(table) for k in range(layout.width, count) if k in layout.numeric):
+        return None
+    columns = [table.column(k) for k in range(layout.width)]
+    texts = [None if k in layout.numeric else column.to_pylist() for k, column in enumerate(columns)]
+    rows = _row_finder(body, place.first_row)
+    values = [c.to_numpy() if t is None else np.full(len(c), np.nan) for c, t in zip(columns, texts, strict=True)]
+    problems = ["" if t is None else _is_text(place, k, t, rows) for k, t in enumerate(texts)]
+    return Block(values, texts, problems, rows)
+
+
+def _camel(word: str) -> str:
+    return "NaN" if word == "nan" else word
+
+
+def _row_finder(body: str, first_row: int) -> Callable[[int], int]:
+    """Sample index -> line number; blank lines count in the file and hold no sample."""
+
+    def row(k: int) -> int:
+        filled = [number for number, line in enumerate(body.split("\n"), start=first_row) if line.strip()]
+        return filled[k] if k < len(filled) else filled[-1] + 1
+
+    return row
+
+
+# -- carefully ---------------------------------------------------------------------------------------------------------
+def _carefully(body: str, place: Place) -> Block:
+    """Cell by cell: a row of another width is refused, a column with another thing than numbers says so."""
+    width, rows, table = place.layout.width, [], []
+    lines = body.split("\n")
+    cut_off = len(lines) - 1 if lines[-1].strip() else None  # a last line without its end
+    for k, line in enumerate(lines):
+        if not line.strip():
+            continue
+        cells = cells_of(line, place.layout.delimiter)
+        while len(cells) > width and not any(c.isdigit() for c in cells[-1]):
+            cells.pop()  # an end of the row, or a remark
+        if len(cells) != width:
+            _fail_ragged(place, k, cells, cut_off == k)
+        table.append(cells)
+        rows.append(place.first_row + k)
+    columns = [_column(place, j, [cells[j] for cells in table], rows) for j in range(width)]
+    values, texts, problems = zip(*columns, strict=True)
+    return Block(values, texts, problems, lambda k: rows[k] if k < len(rows) else rows[-1] + 1)
+
+
+def _column(place: Place, j: int, cells: list[str], rows: Sequence[int]):
+    """Values, the cells where they are no numbers, and why."""
+    numbers = [number_in(cell, place.decimal) for cell in cells]
+    if None not in numbers:
+        return np.array(numbers, dtype=float), None, ""
+    values = np.array([np.nan if number is None else number for number in numbers], dtype=float)
+    wrong = [k for k, number in enumerate(numbers) if number is None]
+    filled = sum(cell != "" for cell in cells)
+    if len(wrong) > filled / 2 and not _flawed_number(cells[wrong[0]]):
+        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, lambda k: rows[k])
+    k, other = wrong[0], other_sign(place.decimal)
+    one = cells[k].count(other) == 1
+    state = f" Or state the other sign: --decimal '{other}', or '# decimal={other}' above the header." if one else ""
+    return values, cells, (
+        f"{place.path}: row {rows[k]}, column '{place.names[j]}': not a number (got '{cells[k][:_SHOWN]}'). Write a "
+        f"decimal {'point' if place.decimal == '.' else 'comma'}; '{other}' may only part groups of three digits; no "
+        f"unit in the cell.{state}"
+    )
+
+
+def _flawed_number(cell: str) -> bool:
+    """Whether a cell was meant for a number: it is made of digits and signs only, and no date or time."""
+    return not is_stamp(cell) and not any(c.isalpha() for c in cell) and any(c.isdigit() for c in cell)
+
+
+def _is_text(place: Place, j: int, cells: Sequence[str], row: Callable[[int], int]) -> str:
+    k = next((k for k, cell in enumerate(cells) if cell and number_in(cell, place.decimal) is None), None)
+    if k is None:
+        return f"{place.path}: column '{place.names[j]}' is empty. Record it, or take another column."
+    kind = "dates or times" if is_stamp(cells[k]) else "text"
+    return (
+        f"{place.path}: row {row(k)}, column '{place.names[j]}': {kind}, not numbers (got '{cells[k][:_SHOWN]}'). "
+        "Write numbers, or take another column."
+    )
+
+
+def _fail_ragged(place: Place, k: int, cells: list[str], cut_off: bool) -> None:
+    width, row = place.layout.width, place.first_row + k
+    names = "the header names" if place.layout.names else "the rows before have"
+    counted = f"(got {len(cells)} values, {names} {width})"
+    if len(cells) > width:
+        raise DataError(
+            f"{place.path}: row {row}, column {width + 1}: a value without a column {counted}. "
+            "Remove it, or look for a decimal comma in this row."
+        )
+    column = place.names[len(cells)]
+    if cut_off:
+        raise DataError(
+            f"{place.path}: row {row}, column '{column}': the file ends in the middle of this row {counted}. "
+            "It was cut off while it was written or copied: copy it again, or delete this row."
+        )
+    raise DataError(
+        f"{place.path}: row {row}, column '{column}': the row is too short {counted}. Repair or delete this row."
+    )

@@ -1,0 +1,286 @@
+"""Where the numbers of a text file begin and end, what parts its cells, and which rows above name them.
+
+The block of numbers is what the file is about; everything else is found from it. Text above it is a preamble, text
+below it a footer.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hydrotwin.models.language.errors import DataError
+
+from ..decimal_sign import number_in
+from ..headings import is_units_row
+from ..stamps import is_stamp
+
+DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "blanks"}
+LOOKED_AT = 400  # lines from which the block of numbers is told, and as many before the end of the file
+NUMERIC = 0.8  # of the rows of a block: from so many on a column with numbers in them is one of numbers
+COMMENTS = ("#", "%", "//", "'", "!")
+MOST_ROWS_ABOVE = 6  # with the cells of the block: names, units, and what a logger writes beside them
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the lines of a text are to be read. Lines count from 0.
+
+    first : the line of the first numbers. last : one behind the last. delimiter : a single character, a blank for any
+    number of them. width : cells of a row, without an empty one at the end. names, units : the cells of those rows, if
+    any. names_at, units_at : their lines. numeric : columns that hold numbers or times.
+    """
+
+    first: int
+    last: int
+    delimiter: str
+    width: int
+    names: tuple[str, ...] | None = None
+    units: tuple[str, ...] | None = None
+    names_at: int | None = None
+    units_at: int | None = None
+    numeric: frozenset[int] = frozenset()
+
+    def said(self) -> str:
+        """In words, for a person."""
+        words = [DELIMITERS.get(self.delimiter, repr(self.delimiter)) if self.width > 1 else "one column"]
+        words += [f"names in row {self.names_at + 1}"] if self.names_at is not None else ["no names"]
+        words += [f"units in row {self.units_at + 1}"] if self.units_at is not None else []
+        return ", ".join(words)
+
+
+class Lines(Sequence):
+    """The lines of a text at its beginning and at its end, by their numbers: a long middle is not taken apart."""
+
+    ENDS = 2_000_000  # characters
+
+    def __init__(self, text: str):
+        cut = text.find("\n", self.ENDS) if len(text) > 2 * self.ENDS else -1
+        begin = text.rfind("\n", 0, len(text) - self.ENDS) + 1 if cut >= 0 else 0
+        self.text = text
+        self.head = text[:cut].split("\n") if 0 <= cut < begin else text.split("\n")
+        self.tail = text[begin:].split("\n") if 0 <= cut < begin else []
+        skipped = text.count("\n", cut + 1, begin) if self.tail else 0
+        self.tail_at = len(self.head) + skipped
+
+    def __len__(self) -> int:
+        return self.tail_at + len(self.tail)
+
+    def __getitem__(self, k: int) -> str:
+        if k < len(self.head):
+            return self.head[k]
+        if k < self.tail_at:
+            raise IndexError(k)
+        return self.tail[k - self.tail_at]
+
+    def line_with(self, beginning: str, after: int) -> int | None:
+        """Number of the first line behind line ``after`` that begins so."""
+        at = sum(len(line) + 1 for line in self.head[: after + 1]) - 1
+        found = self.text.find(f"\n{beginning}", at)
+        return None if found < 0 else self.text.count("\n", 0, found + 1)
+
+    def body(self, first: int, last: int) -> str:
+        """The text of lines ``first`` to before ``last``, the end of the last one as it is."""
+        begin = sum(len(line) + 1 for line in self.head[:first])
+        behind = sum(len(self[k]) + 1 for k in range(last, len(self)))
+        return self.text[begin : len(self.text) - behind + 1 if behind else None]
+
+
+def cells_of(line: str, delimiter: str) -> list[str]:
+    """The cells of a line."""
+    if delimiter == " ":
+        line = re.sub(r"[ \t]+", " ", line.strip(" \t"))
+        return line.split(" ") if '"' not in line else next(csv.reader([line], delimiter=" "))
+    if '"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
+
+
+def layout_of(lines: Sequence[str], path, delimiter: str | None = None) -> Layout:
+    """The layout of a text; ``delimiter`` states it. Raises `DataError` for a text without a block of numbers."""
+    stated = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0], re.IGNORECASE) if lines else None
+    delimiter = delimiter or (stated[1] if stated else None)
+    begin = 1 if stated else 0
+    tried = [delimiter] if delimiter else list(DELIMITERS)
+    found = [layout for d in tried if (layout := _with_delimiter(lines, begin, d))]
+    if not found:
+        return _without_numbers(lines, begin, delimiter, path)
+    return max(found, key=_rank)
+
+
+def _rank(layout: Layout) -> tuple:
+    """A better layout explains more: its names have its width, its cells are numbers, and there are more of them."""
+    named = layout.names is not None
+    return (named, len(layout.numeric) / layout.width if not named else 1.0, len(layout.numeric), layout.width)
+
+
+def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout | None:
+    """The layout under one delimiter; None where no two lines in a row would hold numbers."""
+    looked = [(k, cells_of(lines[k], delimiter)) for k in _filled(lines, range(begin, len(lines)), LOOKED_AT)]
+    width = _usual_width(looked)
+    block = [(k, _trimmed(cells, width)) for k, cells in looked]
+    rows = [cells for _, cells in block if len(cells) == width and any(map(_is_number, cells))]
+    if not rows:
+        return None
+    numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in rows]))
+    if not numeric:
+        return None
+    start = _start(block, width, numeric)
+    if start is None:
+        return None
+    first = block[start][0]
+    above = [(k, cells) for k, cells in block[:start] if len(cells) == width]
+    if delimiter == " ":
+        above += [(k, whole) for k, _ in block[:start] if len(whole := _with_units_attached(lines[k])) == width]
+    uncommented = [(k, cells) for k, cells in above if not lines[k].startswith(COMMENTS)]
+    names_at, units_at, names, units = _named(uncommented or _uncommented(lines, first, width, delimiter), numeric)
+    last = _end(lines, first, delimiter, width, numeric)
+    return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
+
+
+def _filled(lines: Sequence[str], which: range, most: int) -> list[int]:
+    """Lines of ``which`` that are not blank, ``most`` of them."""
+    found = []
+    for k in which:
+        if lines[k].strip():
+            found.append(k)
+            if len(found) == most:
+                break
+    return found
+
+
+def _usual_width(looked: Sequence[tuple[int, list[str]]]) -> int:
+    """The usual number of cells of lines with numbers, without one behind a trailing delimiter that nothing fills."""
+    numbers = [any(map(_is_number, cells)) for _, cells in looked]
+    rows = [cells for (_, cells), has in zip(looked, numbers, strict=True) if has]
+    counts = Counter(len(cells) for cells in rows[len(rows) // 2 :])
+    if not counts:
+        return 1
+    width = max(counts, key=lambda n: (counts[n], n))
+    named = any(len(cells) == width and cells[-1] for (_, cells), has in zip(looked, numbers, strict=True) if not has)
+    filled = named or any(cells[-1] for cells in rows if len(cells) == width)
+    return width if filled or width == 1 else width - 1
+
+
+def _trimmed(cells: list[str], width: int) -> list[str]:
+    """Without empty cells behind the last column."""
+    while len(cells) > width and cells[-1] == "":
+        cells = cells[:-1]
+    return cells
+
+
+def _is_number(cell: str) -> bool:
+    return bool(cell) and any(c.isdigit() for c in cell) and (_value(cell) or is_stamp(cell))
+
+
+def _value(cell: str) -> bool:
+    return number_in(cell, ".") is not None or number_in(cell, ",") is not None
+
+
+def _is_numeric(cells: Sequence[str]) -> bool:
+    numbers = sum(map(_is_number, cells))
+    return numbers > 0 and numbers >= NUMERIC * sum(cell != "" and not _is_missing(cell) for cell in cells)
+
+
+def _is_missing(cell: str) -> bool:
+    return number_in(cell, ".") is not None and not any(c.isdigit() for c in cell)
+
+
+def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozenset[int]) -> int | None:
+    """Index in the block of the first line of numbers that another one follows, or that ends the text."""
+
+    def holds(cells: list[str]) -> bool:
+        if len(cells) != width:
+            return False
+        inside = [cells[j] for j in numeric]
+        numbers = sum(map(_is_number, inside))
+        return numbers > 0 and 2 * numbers >= sum(cell != "" and not _is_missing(cell) for cell in inside)
+
+    for k, (_, cells) in enumerate(block):
+        if holds(cells) and (k + 1 == len(block) or holds(block[k + 1][1]) or _flawed(block, k + 1, width, holds)):
+            return k
+    return None
+
+
+def _flawed(block, k: int, width: int, holds) -> bool:
+    """Whether a line that holds no row of numbers stands among lines that do: it is a flaw, and no preamble."""
+    following = block[k + 1 : k + 4]
+    return bool(following) and sum(holds(cells) for _, cells in following) >= (len(following) + 1) // 2 and any(
+        map(_is_number, block[k][1])
+    )
+
+
+def _with_units_attached(line: str) -> list[str]:
+    """Cells of a line of names parted by blanks, units in brackets behind them."""
+    return re.findall(r"\S+\s*\[[^\]]*\]|\S+\s*\([^)]*\)|\S+", line)
+
+
+def _uncommented(lines: Sequence[str], first: int, width: int, delimiter: str) -> list[tuple[int, list[str]]]:
+    """Rows of names that stand behind a sign of comment."""
+    found = []
+    for k in range(max(0, first - MOST_ROWS_ABOVE), first):
+        sign = next((c for c in COMMENTS if lines[k].startswith(c)), None)
+        if sign:
+            bare = lines[k].removeprefix(sign).strip()
+            options = [cells_of(bare, delimiter), *([_with_units_attached(bare)] if delimiter == " " else [])]
+            found += [(k, cells) for cells in options if len(_trimmed(cells, width)) == width][:1]
+    return found
+
+
+def _named(above: Sequence[tuple[int, list[str]]], numeric: frozenset[int]):
+    """Lines and cells of the names and of the units, out of the rows above that are as wide as the block."""
+    rows = [(k, cells) for k, cells in above if not any(_is_number(cells[j]) for j in numeric) and any(cells)]
+    rows = rows[-MOST_ROWS_ABOVE:]
+    if not rows:
+        return None, None, None, None
+    units = [row for row in rows if len(rows) > 1 and is_units_row(row[1])]
+    others = [row for row in rows if row not in units]
+    if not others:  # names that could all be units: the upper row names
+        others, units = units[:1], units[1:]
+    names = max(others, key=lambda row: (_naming(row[1]), -row[0]))
+    unit = units[-1] if units else None
+    return names[0], unit and unit[0], tuple(names[1]), unit and tuple(unit[1])
+
+
+def _naming(cells: Sequence[str]) -> int:
+    """How many columns a row tells apart."""
+    return len({cell for cell in cells if cell})
+
+
+def _end(lines: Sequence[str], first: int, delimiter: str, width: int, numeric: frozenset[int]) -> int:
+    """One behind the last line of numbers: lines of words at the end are a footer."""
+    end = len(lines)
+    while end > first and not lines[end - 1].strip():
+        end -= 1
+    for k in range(end - 1, max(first, end - LOOKED_AT), -1):
+        if lines[k].strip() and not _is_footer(_trimmed(cells_of(lines[k], delimiter), width), width, min(numeric)):
+            return k + 1
+    return end
+
+
+def _is_footer(cells: list[str], width: int, column: int) -> bool:
+    """Whether a line at the end is none of the block: a word stands where its first numbers are, or no number is."""
+    at = cells[min(column, len(cells) - 1)]
+    word = bool(re.search(r"[^\W\d_]{3}", at)) and not is_stamp(at) and not _value(at)
+    return word or (not any(map(_is_number, cells)) and len(cells) != width)
+
+
+def _without_numbers(lines: Sequence[str], begin: int, delimiter: str | None, path) -> Layout:
+    """The layout of a header with nothing below it; `DataError` where there is not even that."""
+    bare = [k for k in _filled(lines, range(begin, len(lines)), LOOKED_AT) if not lines[k].startswith(COMMENTS)]
+    if not bare:
+        raise DataError(f"{path}: row 1: there are only comments. Write a header 'time [s],name [unit],...'.")
+    line = lines[bare[0]]
+    outside_units = re.sub(r"\[[^\]]*\]", "", line)
+    delimiter = delimiter or max(",;\t", key=outside_units.count)
+    names = cells_of(line, delimiter)
+    if len(bare) > 1:
+        raise DataError(
+            f"{path}: row {bare[0] + 1}: no block of numbers was found below '{line.strip()[:40]}'. A recording has "
+            "two rows of numbers or more, as many cells in each. Open the file in an editor, or state what parts its "
+            "cells: --delimiter ';'."
+        )
+    return Layout(len(lines), len(lines), delimiter, len(names), tuple(names), names_at=bare[0])

@@ -1,4 +1,4 @@
-"""Parquet: a table of typed columns; and what every reader of binary files needs."""
+"""Parquet and Arrow: tables of typed columns; and what every reader of binary files needs."""
 
 from __future__ import annotations
 
@@ -28,6 +28,23 @@ def read_parquet(path: Path) -> Table:
         arrow = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content)).read()
     except (pyarrow.ArrowException, OSError) as error:
         raise unreadable(path, "Parquet", error) from None
+    return _table(path, arrow, content)
+
+
+def read_arrow(path: Path) -> Table:
+    """The table of an Arrow file, which Feather is too: a file or a stream."""
+    import pyarrow
+
+    content = content_of(path)
+    try:
+        opened = pyarrow.ipc.open_file if content.startswith(b"ARROW1") else pyarrow.ipc.open_stream
+        arrow = opened(pyarrow.BufferReader(content)).read_all()
+    except (pyarrow.ArrowException, OSError) as error:
+        raise unreadable(path, "Arrow", error) from None
+    return _table(path, arrow, content)
+
+
+def _table(path: Path, arrow, content: bytes) -> Table:
     columns = [_column(path, field, values) for field, values in zip(arrow.schema, arrow.columns, strict=True)]
     columns = _with_index(columns, arrow.schema)
     return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())

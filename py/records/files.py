@@ -11,7 +11,7 @@ from hydrotwin.models.language.errors import DataError, nearest
 from hydrotwin.models.language.units import convert
 from hydrotwin.models.language.writing import replacing
 
-from .binary_files import read_parquet, write_parquet
+from .binary_files import read_arrow, read_parquet, write_parquet
 from .columns import Table
 from .mat_file import read_mat, write_mat, write_mat73
 from .mdf_file import is_mdf, read_mdf, write_mdf
@@ -26,7 +26,8 @@ from .workbook import read_workbook
 _TEXT = (".csv", ".txt", ".tsv", ".dat", ".asc", ".lvm", ".prn")
 _PACKED = ".gz"
 _BINARY = {".parquet": read_parquet, ".mat": read_mat, ".mf4": read_mdf, ".mdf": read_mdf, ".tdms": read_tdms}
-_WORKBOOKS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+_BINARY |= {".feather": read_arrow, ".arrow": read_arrow, ".h5": read_mat, ".hdf5": read_mat}
+_WORKBOOKS = (".xlsx", ".xlsm", ".xls", ".ods")
 _WRITERS = {".csv": write_csv, ".txt": write_csv, ".parquet": write_parquet, ".mat": write_mat}
 _WRITERS |= {".mf4": write_mdf, ".mdf": write_mdf}
 SUFFIXES = (*_TEXT, *_BINARY, *_WORKBOOKS, *(f"{suffix}{_PACKED}" for suffix in _TEXT))

@@ -1,7 +1,7 @@
-"""MAT files of every version. What others store is found by its layout (`mat_layouts`); hydrotwin writes v5 and v7.3.
+"""MAT files of every version, and other HDF5: what others store is found by its layout (`mat_layouts`).
 
-In its own files every signal is one variable, and the text ``columns`` has one line ``variable: name [unit]`` per
-column, because a MATLAB variable cannot be called ``cylinder.cap_pressure``.
+hydrotwin writes v5 and v7.3. There every signal is one variable, and the text ``columns`` has one line
+``variable: name [unit]`` per column, because a MATLAB variable cannot be called ``cylinder.cap_pressure``.
 """
 
 from __future__ import annotations

@@ -196,7 +196,8 @@ class _Hdf5:
         values = item[()]
         if _holds_references(item):
             return [self._node(self._file[r], depth + 1) for r in values.ravel()]  # the order of MATLAB
-        return _hdf5_array(values, kind)
+        array, unit = _hdf5_array(values, kind), item.attrs.get("unit", item.attrs.get("units"))
+        return array if unit is None else Struct({"value": array, "unit": _text(unit)})
 
     def _struct(self, group, depth: int) -> Struct | list:
         """A struct; an array of structs where its fields are references that belong to no cell."""

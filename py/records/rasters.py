@@ -61,7 +61,8 @@ def table_of(path: Path, signals: list[Signal], digest: str, axis: Axis | None =
     length = len(axis.values) if axis else _usual_length(single)
     columns = [] if axis is None else [Column(axis.name, axis.unit, axis.values)]
     columns += [_column(path, s, axis, length) for s in _distinct(single, {c.name for c in columns})]
-    return Table(str(path), tuple(columns), lambda k: k + 1, digest, marks_unknown=len(axes) > 1)
+    said = f"{len(axes)} time axes on the union of their times" if len(axes) > 1 else ""
+    return Table(str(path), tuple(columns), lambda k: k + 1, digest, marks_unknown=len(axes) > 1, understood=said)
 
 
 def _in_numbers_of_time(signals: list[Signal], axis: Axis | None) -> tuple[list[Signal], Axis | None]:

@@ -115,14 +115,27 @@ def _check_size(path: Path, content: bytes) -> None:
                 f"{_UNPACKED / 1e9:.2g} GB. Export it as CSV or Parquet."
             )
         for member in archive.infolist():
-            if re.fullmatch(r"xl/worksheets/[^/]+\.xml", member.filename):
+            if re.fullmatch(r"xl/worksheets/[^/]+\.xml|content\.xml", member.filename):
                 with archive.open(member) as sheet:
-                    rows, columns = _extent(sheet)
+                    rows, columns = (_repeated if member.filename == "content.xml" else _extent)(sheet)
                 if rows * columns > _CELLS:
                     raise DataError(
                         f"{path}: {member.filename} reaches to row {rows} in {columns} columns, too many cells. "
                         "Delete what lies outside the recording, or export it as CSV or Parquet."
                     )
+
+
+def _repeated(sheet) -> tuple[int, int]:
+    """How often a row, and how often a filled cell, is repeated at most in a sheet of LibreOffice."""
+    rows, columns, before = 1, 1, b""
+    while chunk := sheet.read(_CHUNK):
+        text = before + chunk
+        rows = max(rows, *map(int, re.findall(rb'number-rows-repeated="(\d+)"', text)), 1)
+        for cell in re.findall(rb"<table:table-cell [^>]*repeated=[^>]*>", text):
+            if b"office:" in cell:
+                columns = max(columns, int(re.search(rb'repeated="(\d+)"', cell)[1]))
+        before = text[-1024:]
+    return rows, columns
 
 
 def _extent(sheet) -> tuple[int, int]:

@@ -281,3 +281,18 @@ def test_a_record_needs_no_more_than_units(tmp_path):
     record = read_record(tmp_path / "a.mat", units={"p": "bar", "q": "V"})
     np.testing.assert_allclose(record["p"], P * 1e5)
     np.testing.assert_array_equal(record.time, T)
+
+
+def test_hdf5_of_others_reads_alike_with_the_units_of_its_attributes(tmp_path):
+    import h5py
+
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["run/time"], file["run/pump/p"], file["run/y"] = T, P, PQ
+        file["run/time"].attrs["units"], file["run/pump/p"].attrs["unit"] = "ms", np.bytes_("bar")
+        file["run/mode"] = np.array(["auto"] * 6, h5py.string_dtype())
+    columns = {c.name: c for c in read_mat(tmp_path / "a.h5").columns}
+    assert {n: c.unit for n, c in columns.items() if not c.unusable} == {
+        "time": "ms", "pump.p": "bar", "y[0]": None, "y[1]": None
+    }  # fmt: skip
+    np.testing.assert_array_equal(columns["y[1]"].values, Q)
+    assert "no numbers (got 'auto')" in columns["mode"].unusable

@@ -8,6 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import read_record
 from hydrotwin.records.binary_files import read_parquet
 
 pd = pytest.importorskip("pandas")
@@ -91,3 +93,23 @@ def test_decimals_truth_values_and_what_is_absent_are_numbers(tmp_path):
     np.testing.assert_array_equal(found["count"], [1, np.nan, 3, 4])
     np.testing.assert_array_equal(found["large"], [float(2**63 + 4096)] * 4)
     assert np.isnan(found["empty"]).all()
+
+
+@pytest.mark.parametrize("how", ["feather", "stream"])
+def test_arrow_files_read_alike(how, tmp_path):
+    import pyarrow as pa
+    import pyarrow.feather
+
+    frame = pd.DataFrame({"p [bar]": P, "mode": list("abab")}, index=pd.to_timedelta(SECONDS, unit="s"))
+    table = pa.Table.from_pandas(frame)
+    path = tmp_path / "a.arrow"
+    if how == "stream":
+        with pa.ipc.new_stream(path, table.schema) as writer:
+            writer.write_table(table)
+    else:
+        pyarrow.feather.write_feather(table, path)
+    record = read_record(path)
+    assert record.time.tolist() == SECONDS and record.names == ("p",)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(DataError, match="not a whole Arrow file"):
+        read_record(path)

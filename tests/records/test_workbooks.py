@@ -156,3 +156,36 @@ def test_a_zip_that_is_no_workbook_is_refused(tmp_path):
     (tmp_path / "a.xlsx").write_bytes(content.getvalue())
     with pytest.raises(DataError, match="not a whole Excel file"):
         read_sheet(tmp_path / "a.xlsx")
+
+
+def open_document(path, rows):
+    spaces = " ".join(f'xmlns:{n}="urn:oasis:names:tc:opendocument:xmlns:{n}:1.0"' for n in ("office", "table", "text"))
+    sheet = f'<office:spreadsheet><table:table table:name="A">{rows}</table:table></office:spreadsheet>'
+    content = f'<office:document-content {spaces} office:version="1.2"><office:body>{sheet}</office:body>'
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("mimetype", "application/vnd.oasis.opendocument.spreadsheet")
+        archive.writestr("META-INF/manifest.xml", "<manifest/>")
+        archive.writestr("content.xml", f"{content}</office:document-content>")
+    return path
+
+
+NUMBER = '<table:table-cell office:value-type="float" office:value="{0}" {1}><text:p>{0}</text:p></table:table-cell>'
+
+
+def test_an_open_document_sheet_with_its_endless_empty_rows_is_read(tmp_path):
+    name = '<table:table-cell office:value-type="string"><text:p>{0}</text:p></table:table-cell>'
+    rows = [[name.format(n) for n in ("Zeit [s]", "p [bar]")]]
+    rows += [[NUMBER.format(k / 10, ""), NUMBER.format(k, "")] for k in range(4)]
+    body = "".join(f"<table:table-row>{''.join(row)}</table:table-row>" for row in rows)
+    endless = '<table:table-cell table:number-columns-repeated="16384"/>'
+    body += f'<table:table-row table:number-rows-repeated="1048571">{endless}</table:table-row>'
+    record = read_record(open_document(tmp_path / "a.ods", body))
+    np.testing.assert_allclose(record.time, [0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(record["p"], np.arange(4) * 1e5)
+
+
+def test_a_filled_cell_repeated_without_end_is_refused(tmp_path):
+    cell = NUMBER.format(1, 'table:number-columns-repeated="16384"')
+    body = f'<table:table-row table:number-rows-repeated="1048576">{cell}</table:table-row>'
+    with pytest.raises(DataError, match="too many cells"):
+        read_record(open_document(tmp_path / "a.ods", body))

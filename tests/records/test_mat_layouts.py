@@ -296,3 +296,26 @@ def test_hdf5_of_others_reads_alike_with_the_units_of_its_attributes(tmp_path):
     }  # fmt: skip
     np.testing.assert_array_equal(columns["y[1]"].values, Q)
     assert "no numbers (got 'auto')" in columns["mode"].unusable
+
+
+def test_time_without_a_unit_is_in_seconds_and_said_to_be(tmp_path):
+    write_v5(tmp_path / "a.mat", {"zeit": T, "p": P, "units": {"p": "bar"}})
+    record = read_record(tmp_path / "a.mat")
+    np.testing.assert_array_equal(record.time, T)
+    assert "zeit in s, as MATLAB counts it" in record.understood
+    assert read_record(tmp_path / "a.mat", units={"zeit": "ms"}).time[-1] == pytest.approx(T[-1] / 1000)
+
+
+def test_days_of_matlab_and_counts_since_1970_are_told_by_their_size(tmp_path):
+    for time in (739_000.5 + T / 86_400, (1_700_000_000_000 + 1000 * T).astype("i8")):
+        write_v5(tmp_path / "a.mat", {"time": time, "p": P, "units": {"p": "bar"}})
+        record = read_record(tmp_path / "a.mat")
+        np.testing.assert_allclose(record.time - record.time[0], T, atol=2e-5)
+
+
+def test_a_cell_of_dates_is_the_time(table, tmp_path):
+    stamps = tuple(f"04.05.2026 10:00:00.{k:02d}" for k in range(6))
+    table({"Zeit": stamps, "p": P, "units": {"p": "bar"}})
+    record = read_record(tmp_path / "a.mat")
+    np.testing.assert_allclose(record.time, T, atol=1e-12)
+    np.testing.assert_allclose(record["p"], P * 1e5)

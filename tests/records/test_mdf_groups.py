@@ -120,3 +120,10 @@ def test_a_channel_of_arrays_is_one_column_per_element(shape, tmp_path):
     assert record.units[next(iter(columns))] == "Pa"
     for name, values in columns.items():
         np.testing.assert_allclose(record[name], values * 1e5)
+
+
+def test_a_file_that_is_mdf_and_called_dat_is_read_as_mdf(tmp_path):
+    with mdf.MDF(version="3.30") as file:
+        file.append([channel("p", [0, 0.1, 0.2], [1, 2, 3])])
+        path = Path(file.save(tmp_path / "a.mdf", overwrite=True)).rename(tmp_path / "a.dat")
+    np.testing.assert_allclose(read_record(path)["p"], [1e5, 2e5, 3e5])

@@ -113,3 +113,12 @@ def test_arrow_files_read_alike(how, tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(DataError, match="not a whole Arrow file"):
         read_record(path)
+
+
+def test_dates_as_text_are_the_time(tmp_path):
+    path = tmp_path / "a.parquet"
+    stamps = [f"2026-05-04T10:00:00.{k:02d}Z" for k in range(4)]
+    pl.DataFrame({"timestamp": stamps, "p [bar]": P}).write_parquet(path)
+    record = read_record(path)
+    np.testing.assert_allclose(record.time, SECONDS, atol=1e-12)
+    np.testing.assert_allclose(record["p"], P * 1e5)

@@ -141,3 +141,9 @@ def test_it_is_read_and_not_written(tmp_path):
     record = Record([0.0, 1.0], {"p": [1.0, 2.0]}, {"p": "Pa"})
     with pytest.raises(DataError, match=r"not a format that is written \(got '.tdms'\)"):
         write_record(record, tmp_path / "a.tdms")
+
+
+def test_dates_as_text_are_the_time(tmp_path):
+    stamps = nptdms.ChannelObject("Messung", "Zeitstempel", [f"04.05.2026 10:00:00,{k:02d}" for k in range(3)])
+    path = written(tmp_path, stamps, channel("p [bar]", np.arange(3.0)))
+    np.testing.assert_allclose(read_record(path).time, [0, 0.01, 0.02], atol=1e-12)

@@ -31,15 +31,20 @@ def read_mat(path: Path) -> Table:
     content = content_of(path)
     try:
         tree = read_tree(path, content)
+        signals = _signals(tree, path)
+    except DataError:
+        raise
     except Exception as error:  # the parsers raise many kinds for a damaged file
         raise unreadable(path, "MAT", error) from None
-    if _is_written_here(tree):
-        signals = _written_here(tree, path)
-    else:
-        signals = signals_of_trajectory(tree) if is_trajectory(tree) else signals_of(tree)
     if not any(not s.unusable for s in signals):
         raise DataError(f"{path}: {_why_empty(tree, signals)}")
     return _in_seconds(table_of(path, signals, hashlib.sha256(content).hexdigest()))
+
+
+def _signals(tree: Struct, path: Path) -> list[Signal]:
+    if _is_written_here(tree):
+        return _written_here(tree, path)
+    return signals_of_trajectory(tree) if is_trajectory(tree) else signals_of(tree)
 
 
 def _in_seconds(table: Table) -> Table:

@@ -15,7 +15,7 @@ from .headings import split_header
 from .mat_tree import Struct, Unread
 from .rasters import Axis, Signal
 
-_TIME_UNITS = {"weeks": "week", "days": "day", "hours": "h", "minutes": "min", "seconds": "s"}
+_TIME_UNITS = {"days": "d", "hours": "h", "minutes": "min", "seconds": "s"}
 _TIME_UNITS |= {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
 _PORT = re.compile(r"(out|in)\d*|value|signal", re.IGNORECASE)  # names nothing; its block does
 
@@ -51,15 +51,15 @@ def _in_struct(struct: Struct, name: str, path: str, axis: Axis | None) -> list[
     units = struct.get("units") if isinstance(struct.get("units"), Struct) else {}
     own = _own_time(struct)
     if own is not None:
-        axis, name = _axis(own, struct[own], units.get(own)), ""
+        axis, name = _axis(own, struct[own], _first_text(units.get(own))), ""
     found = []
     for field, node in struct.items():
         if field == own or node is units:
             continue
         below = [f"{start}.{field}" if start else field for start in (name, path)]
         signals = _in_node(node, *below, axis)
-        unit = units.get(field)
-        found += [replace(s, unit=unit) if unit and s.unit is None else s for s in signals]
+        unit = _first_text(units.get(field)) or None
+        found += [replace(s, unit=s.unit or unit) for s in signals]
     return found
 
 
@@ -97,7 +97,7 @@ def _axis(field: str, node, unit: str | None) -> Axis:
     values = _values_of(node).ravel()
     if field == "tout":
         return Axis(values)
-    return Axis(values, unit or (_unit_of(node) if isinstance(node, Struct) else None), field)
+    return Axis(values, (unit or (_unit_of(node) if isinstance(node, Struct) else None)) or None, field)
 
 
 def _values_of(node):
@@ -135,7 +135,9 @@ def _simulink_structure(node: Struct, name: str, path: str, axis: Axis | None) -
     """Simulink's "Structure" and "Structure With Time": time, signals(k).values, .label, .blockName."""
     signals = node.get("signals")
     signals = [signals] if isinstance(signals, Struct) else signals
-    if not isinstance(signals, list) or "time" not in node or not all("values" in s for s in signals):
+    if not isinstance(signals, list) or not all(isinstance(s, Struct) and "values" in s for s in signals):
+        return None
+    if "time" not in node:
         return None
     if _is_vector(node["time"]):
         axis = Axis(node["time"].ravel())
@@ -154,8 +156,8 @@ def _capture(node: Struct, name: str, path: str, axis: Axis | None) -> list[Sign
     axes = [Axis(_vector(x["Data"]), _text_of(x, "unit") or "s") for x in times]
     found = []
     for k, signal in enumerate(signals):
-        index = int(_vector(signal.get("XIndex", np.ones(1)))[0]) if len(axes) > 1 else 1
-        own = axes[min(max(index, 1), len(axes)) - 1]
+        index = int(next(iter(_vector(signal.get("XIndex"))), 1))
+        own = axes[index - 1] if 0 < index <= len(axes) else axes[0]
         named = Struct({**signal, "Name": _name_in_capture(signal)})
         found += _channel(named, f"{name}_{k + 1}", f"{path}.Y({k + 1})", own)
     return found
@@ -188,11 +190,17 @@ def _lone_channel(node: Struct, name: str, path: str, axis: Axis | None) -> list
     if data is None or not (_MARKS & set(fields) or _time_of(fields, axis) is not axis):
         return None
     beside = {f for f, n in fields.items() if _is_vector(n) and n is not data and n.size == max(data.shape)}
-    return _channel(node, name, path, axis) if beside <= _KNOWN else None
+    if not beside <= _KNOWN:
+        return None
+    is_field = "." in path and not path.endswith("]")  # of a struct, which is how people name it
+    return _channel(node, name, path, axis, named=is_field)
 
 
-def _channel(node: Struct, name: str, path: str, axis: Axis | None) -> list[Signal]:
-    """The signal of a struct with its data, and maybe name, unit and time; one per label where it has several."""
+def _channel(node: Struct, name: str, path: str, axis: Axis | None, named: bool = False) -> list[Signal]:
+    """The signal of a struct with its data, and maybe name, unit and time; one per label where it has several.
+
+    ``named``: ``name`` is its name, whatever it calls itself.
+    """
     fields = {field.lower(): node[field] for field in node}
     data, axis, label = _data_of(fields), _time_of(fields, axis), fields.get("label")
     if data is None:
@@ -201,8 +209,9 @@ def _channel(node: Struct, name: str, path: str, axis: Axis | None) -> list[Sign
     if _is_texts(label) and 1 < len(label) in data.shape:
         columns = data if data.shape[-1] == len(label) else data.T
         return [_named(n or f"{name}[{k}]", node, columns[..., k], axis, path) for k, n in enumerate(label)]
-    own = _own_name(node)
-    return [_named(name if not own or "." in name else own, node, data, axis, path)]
+    if data.size == 1 and not (axis and len(axis.values) == 1):
+        return []  # a setting
+    return [_named(name if named else _own_name(node) or name, node, data, axis, path)]
 
 
 _MARKS = {"name", "label", "unit", "units"}  # of a struct that is one signal

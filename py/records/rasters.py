@@ -42,22 +42,21 @@ class Signal:
     unusable: str = ""
 
 
-def table_of(path: Path, signals: list[Signal], digest: str, axis: Axis | None = None) -> Table:
+def table_of(path: Path, signals: list[Signal], digest: str) -> Table:
     """The table of a file: its signals on the union of their times, unknown (NaN) where one has no sample.
 
-    ``axis`` is the time of those that have none of their own. A signal that cannot be used says why in its column.
+    A signal without a time is on that of the others, where they have one. One that cannot be used says why.
     """
     if not signals:
         raise DataError(f"{path}: row 1: no signal over time. Check the file in a viewer, or export it again.")
-    signals, axis = _in_numbers_of_time(signals, axis)
-    single = [element for s in signals for element in _elements(replace(s, axis=s.axis or axis))]
+    single = [element for s in _with_times_in_numbers(signals) for element in _elements(s)]
     axes = {s.axis.values.tobytes(): s.axis for s in single if s.axis and not s.unusable}
     if len(axes) > 1:
         single = [_on_seconds(s) for s in single]
         known = [s.axis.values for s in single if not s.unusable]
         axis = Axis(union_of_times(known) if known else np.empty(0))
     else:
-        axis = next(iter(axes.values()), axis)
+        axis = next(iter(axes.values()), next((s.axis for s in single if s.axis), None))
     length = len(axis.values) if axis else _usual_length(single)
     columns = [] if axis is None else [Column(axis.name, axis.unit, axis.values)]
     columns += [_column(path, s, axis, length) for s in _distinct(single, {c.name for c in columns})]
@@ -65,9 +64,9 @@ def table_of(path: Path, signals: list[Signal], digest: str, axis: Axis | None =
     return Table(str(path), tuple(columns), lambda k: k + 1, digest, marks_unknown=len(axes) > 1, understood=said)
 
 
-def _in_numbers_of_time(signals: list[Signal], axis: Axis | None) -> tuple[list[Signal], Axis | None]:
+def _with_times_in_numbers(signals: list[Signal]) -> list[Signal]:
     """The same with every axis as numbers; dates and stamps count from the first one of all axes."""
-    axes = {id(a): a for a in (axis, *(s.axis for s in signals)) if a is not None}
+    axes = {id(a): a for s in signals if (a := s.axis) is not None}
     stamps = [a.values[~np.isnat(a.values)] for a in axes.values() if a.values.dtype.kind == "M"]
     first = min((s.min() for s in stamps if len(s)), default=None)
     for key, own in axes.items():
@@ -75,7 +74,7 @@ def _in_numbers_of_time(signals: list[Signal], axis: Axis | None) -> tuple[list[
             axes[key] = Axis(in_seconds(own.values, first), "s", own.name)
         else:
             axes[key] = replace(own, values=own.values.astype(float, copy=False))
-    return [replace(s, axis=axes.get(id(s.axis))) for s in signals], axes.get(id(axis))
+    return [replace(s, axis=axes.get(id(s.axis))) for s in signals]
 
 
 def in_seconds(values: np.ndarray, first: np.datetime64 | None = None) -> np.ndarray:

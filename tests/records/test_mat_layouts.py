@@ -112,6 +112,14 @@ LAYOUTS = {
         {"v": {"Data": np.stack([PQ.T], axis=0), "Time": column(T)}},
         {**TIME, "v[0]": P, "v[1]": Q},
     ),
+    "structures in a struct": (
+        {"out": {"scope": {"time": column(T), "signals": signals("p", "q"), "blockName": "m/Scope"}, "Ts": 0.01}},
+        {**TIME, "p": P, "q": Q},
+    ),
+    "settings with units": (
+        {"time": T, "p": P, "supply": {"value": 200.0, "unit": "bar"}, "fit": {"data": 1.0, "name": "gain"}},
+        {**TIME, "p": P},
+    ),
     "a cell of timeseries": (
         {"logs": tuple({"Name": n, "Data": column(v), "Time": column(T)} for n, v in (("p", P), ("q", Q)))},
         {**TIME, "p": P, "q": Q},

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import read_record
 from hydrotwin.records.mat_file import read_mat
 
 pytest.importorskip("matio")
@@ -126,8 +127,13 @@ def test_a_dataset_of_bare_timeseries_and_arrays_beside_it(table):
     assert [c.name for c in columns] == ["time", "p", "q"]
 
 
-def test_minutes_of_a_timeseries_stay_minutes(table):
-    assert table(p=timeseries("p", P, units="minutes")).columns[0].unit == "min"
+@pytest.mark.parametrize(
+    ("units", "seconds"),
+    [("days", 86400), ("hours", 3600), ("minutes", 60), ("milliseconds", 1e-3), ("nanoseconds", 1e-9)],
+)
+def test_the_units_of_the_time_of_a_timeseries_are_known(units, seconds, table, tmp_path):
+    table(p=timeseries("p", P, "bar", units=units))
+    np.testing.assert_allclose(read_record(tmp_path / "a.mat").time, T * seconds, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["duration", "stamp"])

@@ -87,7 +87,8 @@ def _channel(record: Record, name: str) -> Channel:
     floor = channel_noise(*_stretches(record.time[known], values[known]))
     shown = convert(values[known], record.units[name], unit)
     one = _one(record.units[name], unit)
-    remarks = _sensor_remarks(shown, floor.quantum * one, unit)
+    noisy_at_rest = floor.white > 2 * floor.quantum
+    remarks = _sensor_remarks(shown, floor.quantum * one, noisy_at_rest, unit)
     return Channel(
         name, unit, float(shown.min()), float(shown.max()), floor.sigma * one, floor.quantum * one,
         int((~known).sum()), tuple(remarks),
@@ -109,7 +110,7 @@ def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nda
     return time[at], values[at]
 
 
-def _sensor_remarks(values: np.ndarray, step: float, unit: str) -> list[str]:
+def _sensor_remarks(values: np.ndarray, step: float, noisy_at_rest: bool, unit: str) -> list[str]:
     """What looks like a sensor that rests, sticks or saturates: values that are equal though there is noise."""
     low, high = float(values.min()), float(values.max())
     if low == high:
@@ -127,7 +128,7 @@ def _sensor_remarks(values: np.ndarray, step: float, unit: str) -> list[str]:
                 "samples: a sensor or converter that saturates? Leave these samples empty, or widen its range."
             )
     inside = (values[begins] != low) & (values[begins] != high) & (lengths >= STICKS)
-    if inside.any():
+    if noisy_at_rest and inside.any():  # else it may rest
         longest = int(np.argmax(np.where(inside, lengths, 0)))
         remarks.append(
             f"repeats one value {lengths[longest]} times in a row (sample {begins[longest] + 1} on), though it is "

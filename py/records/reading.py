@@ -195,12 +195,14 @@ def import_from(table: Mapping, where: str) -> Reading:
         raise type(error)(f"{where}: {error}") from None
 
 
-def import_text(reading: Reading, files: Sequence[str] = ()) -> str:
-    """An ``import.toml`` that says what ``reading`` says."""
+def import_text(reading: Reading, files: Sequence[str] = (), comments: Sequence[str] = ()) -> str:
+    """An ``import.toml`` that says what ``reading`` says; comments: sentences on what a person must add."""
     import tomlkit
 
     document = tomlkit.document()
     document.add(tomlkit.comment("How the recordings in this folder are read: hydrotwin finds this file beside them."))
+    for sentence in comments:
+        document.add(tomlkit.comment(sentence))
     if files:
         document["files"] = list(files)
     for key in _PLAIN:

@@ -19,6 +19,7 @@ import numpy as np
 
 from hydrotwin.identification.answer import answer
 from hydrotwin.identification.descent import Task, held_out_run, undecided, whole_runs
+from hydrotwin.identification.excitation import sigmas
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Shooting
@@ -27,7 +28,7 @@ from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
 from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, task_of
-from .windows import look, sigmas
+from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
 ROUNDS = 5  # of weights and minimum
@@ -66,7 +67,7 @@ def glance(job: Job) -> Look | str:
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
-    known_to = dict(zip(task.free.names, sigmas(task, found), strict=True))
+    known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
     return dataclasses.replace(
         as_look(_answer(task, found, runs)), sigmas=known_to, seconds=time.perf_counter() - began
     )

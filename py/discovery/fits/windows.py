@@ -14,6 +14,7 @@ import numpy as np
 
 from hydrotwin.identification import horizon
 from hydrotwin.identification.descent import Task, freely, undecided
+from hydrotwin.identification.excitation import sigmas
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
@@ -63,7 +64,7 @@ def _led(job: Job) -> Look:
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(task, found), strict=True))
+    new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(found, task.free), strict=True))
     return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to)
 
 
@@ -104,19 +105,6 @@ def _cut(
             lead_in = int(np.searchsorted(time, time[place.first] - delay, side="right")) - 1
             segments.append(Segment(place.recording, max(lead_in, 0), place.first, min(end, len(time))))
     return freely(task, segments, states)
-
-
-def sigmas(task: Task, found: Minimum) -> list[float]:
-    """Standard deviations of the free parameters, SI, infinite where nothing shows or a run diverged."""
-    information = found.information()
-    size = np.sqrt(np.maximum(np.diag(information), 0.0))
-    seen = size > 0
-    if not np.isfinite(information).all() or not seen.any():
-        return [np.inf] * len(size)
-    scaled = information[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
-    sigma = np.full(len(size), np.inf)
-    sigma[seen] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)), 0.0)) / size[seen]
-    return (sigma * np.abs(task.free.slope(found.q))).tolist()
 
 
 def _left(shooting: Shooting, found: Minimum) -> tuple[np.ndarray, np.ndarray]:

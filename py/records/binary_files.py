@@ -20,33 +20,31 @@ from .record import Record
 
 def read_parquet(path: Path) -> Table:
     """The table of a Parquet file; the unit of a column is its metadata ``unit``, or stands in its name."""
-    import pyarrow
     import pyarrow.parquet
 
-    content = content_of(path)
-    try:
-        arrow = pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content)).read()
-    except (pyarrow.ArrowException, OSError) as error:
-        raise unreadable(path, "Parquet", error) from None
-    return _table(path, arrow, content)
+    return _read(path, "Parquet", lambda content: pyarrow.parquet.ParquetFile(pyarrow.BufferReader(content)).read())
 
 
 def read_arrow(path: Path) -> Table:
     """The table of an Arrow file, which Feather is too: a file or a stream."""
     import pyarrow
 
+    def opened(content: bytes):
+        kind = pyarrow.ipc.open_file if content.startswith(b"ARROW1") else pyarrow.ipc.open_stream
+        return kind(pyarrow.BufferReader(content)).read_all()
+
+    return _read(path, "Arrow", opened)
+
+
+def _read(path: Path, kind: str, opened) -> Table:
     content = content_of(path)
     try:
-        opened = pyarrow.ipc.open_file if content.startswith(b"ARROW1") else pyarrow.ipc.open_stream
-        arrow = opened(pyarrow.BufferReader(content)).read_all()
-    except (pyarrow.ArrowException, OSError) as error:
-        raise unreadable(path, "Arrow", error) from None
-    return _table(path, arrow, content)
-
-
-def _table(path: Path, arrow, content: bytes) -> Table:
-    columns = [_column(path, field, values) for field, values in zip(arrow.schema, arrow.columns, strict=True)]
-    columns = _with_index(columns, arrow.schema)
+        arrow = opened(content)
+        arrow.validate(full=True)  # what leads outside the file ends the process where it is used
+        columns = [_column(path, field, values) for field, values in zip(arrow.schema, arrow.columns, strict=True)]
+        columns = _with_index(columns, arrow.schema)
+    except Exception as error:  # a damaged file fails in many ways
+        raise unreadable(path, kind, error) from None
     return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from .mat_elements import check_elements
+
 HEADER_BYTES = 512  # MATLAB's own text before the HDF5 part of a v7.3 file
 _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _NODES, _DEPTH = 1_000_000, 32  # of what people write; more is made to do harm
@@ -39,6 +41,8 @@ def read_tree(path: Path, content: bytes) -> Struct:
     """Variable -> node: `Struct`, list (a cell, an array of structs), text, array, or `Unread`."""
     starts = content[:8], content[HEADER_BYTES : HEADER_BYTES + 8]
     is_hdf5 = _HDF5_SIGNATURE in starts or b"MATLAB 7.3" in content[:16]
+    if not is_hdf5:
+        check_elements(content)
     objects = b"#subsystem#" in content if is_hdf5 else _has_subsystem(content)
     if objects and _has_matio():
         try:

@@ -63,7 +63,9 @@ def read_sheet(path: Path, name: str | None = None) -> Sheet:
         sheets = {n: book.get_sheet_by_name(n).to_python(skip_empty_area=False) for n in wanted}
     except calamine.PasswordError:
         raise DataError(f"{path}: locked by a password. Save it without one.") from None
-    except (calamine.CalamineError, zipfile.BadZipFile, OSError, EOFError, ValueError) as error:
+    except DataError:
+        raise
+    except Exception as error:  # a damaged archive fails in many ways
         raise unreadable(path, "Excel", error) from None
     name = next(iter(sheets), "") if len(sheets) < 2 else max(sheets, key=lambda n: _numbers_in(sheets[n]))
     rows = [[_cell(v) for v in row] for row in sheets.get(name, [])]

@@ -90,3 +90,32 @@ def test_a_large_file_reads_in_seconds(tmp_path):
     start = time.process_time()
     assert len(read_mat(path).columns) == 11
     assert time.process_time() - start < 1.0
+
+
+def test_a_flaw_in_the_tag_of_an_element_is_refused_and_ends_no_process(tmp_path):
+    path = tmp_path / "a.mat"
+    write_v5(path, RUN)
+    whole = path.read_bytes()
+    numbers = whole.index((9).to_bytes(4, "little") + T.nbytes.to_bytes(4, "little"))
+    for at, value in ((numbers, 208), (numbers + 1, 127), (numbers + 6, 255)):
+        path.write_bytes(whole[:at] + bytes([value]) + whole[at + 1 :])
+        with pytest.raises(DataError, match="not a whole MAT file"):
+            read_mat(path)
+
+
+@pytest.mark.parametrize("write", [write_v5, write_v73])
+def test_no_flaw_of_a_byte_raises_anything_but_a_refusal(write, tmp_path):
+    rng = np.random.default_rng(0)
+    path = tmp_path / "a.mat"
+    write(path, {"run": {"time": T[:9], "p": T[:9], "note": "rig 3"}, "c": (T[:9], "a")})
+    whole = np.frombuffer(path.read_bytes(), "u1")
+    refused = 0
+    for _ in range(150):
+        flawed = whole.copy()
+        flawed[rng.integers(len(whole), size=5)] = rng.integers(256, size=5)
+        path.write_bytes(flawed.tobytes())
+        try:
+            read_mat(path)
+        except DataError:
+            refused += 1
+    assert refused > 20

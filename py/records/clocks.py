@@ -51,6 +51,7 @@ def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int
         return names.index("time")
     said = [k for k, name in enumerate(names) if called_time(name) and _may_be_time(columns[k])]
     said = said or [k for k, n in enumerate(names) if _BEGINS.match(n.lower()) and _may_be_time(columns[k])]
+    said = said or [k for k, c in enumerate(columns) if c.unit and _has_dimension_of_time(c.unit) and _grows(c)]
     if len(said) == 1:
         return said[0]
     if said:
@@ -73,6 +74,11 @@ def _may_be_time(column: Column) -> bool:
     if column.unit is not None and not (_has_dimension_of_time(column.unit) or _holds_stamps(column)):
         return False
     return not column.unusable or _holds_stamps(column)
+
+
+def _grows(column: Column) -> bool:
+    known = column.values[np.isfinite(column.values)]
+    return len(known) > 1 and bool((np.diff(known) > 0).all())
 
 
 def _has_dimension_of_time(unit: str) -> bool:

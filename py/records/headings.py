@@ -78,10 +78,14 @@ def is_unit(text: str) -> bool:
     return bool(stripped(text))
 
 
-def is_units_row(cells: Sequence[str]) -> bool:
-    """Whether a row above the numbers holds units: each cell is one, empty or a dash, and one says something."""
+def is_units_row(cells: Sequence[str], mostly: bool = False) -> bool:
+    """Whether a row above the numbers holds units: each cell is one, empty or a dash, and one says something.
+
+    mostly : more than half of them, and at least two, will do.
+    """
     said = [stripped(cell) for cell in cells if stripped(cell).lower() not in _NO_UNIT]
-    return bool(said) and all(is_unit(cell) for cell in said)
+    units = sum(is_unit(cell) for cell in said)
+    return bool(said) and (units == len(said) or (mostly and units >= 2 and 2 * units > len(said)))
 
 
 def spelt(unit: str) -> str:

@@ -52,7 +52,6 @@ def gap_data(discovery: Discovery) -> dict:
         "waterfall": [asdict(r) for r in discovery.waterfall],
         "unknown": [asdict(u) for u in discovery.unknown],
         "findings": [str(f) for f in discovery.findings],
-        "timings": dict(discovery.timings),
         "provenance": dict(discovery.provenance),
     }
     return json_values(content)

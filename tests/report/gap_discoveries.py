@@ -212,7 +212,6 @@ def discovery(verdict, steps=(), *, after=0.0, **more):
         "fitted": 2,
         "given": {"train": 3, "validate": 2},
         "seconds": 31.4,
-        "timings": {"locate": 1.2, "look": 2.9, "fit": 19.8},
         "provenance": {"version": "0.3.0", "thresholds": {"told": 0.01}},
     }
     return Discovery(**(content | more))

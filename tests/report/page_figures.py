@@ -76,7 +76,7 @@ def gap_figures(data: dict) -> dict[str, list[dict]]:
         tables[f"recordings_{output}"] = [_output(row) for row in of]
     tables["unknown"] = data["unknown"]
     tables["noise"] = [{"noise": v} for v in data["noise"].values()]
-    tables["timings"] = [*({"seconds": s} for s in data["timings"].values()), {"seconds": data["seconds"]}]
+    tables["timings"] = [{"seconds": data["seconds"]}]
     tables["digests"] = data["fit_records"]
     return tables
 

@@ -254,7 +254,6 @@ def test_a_bare_answer_is_still_a_report(tmp_path):
         overlays=(),
         not_testable=(),
         provenance={},
-        timings={},
         fit_before=None,
         fit_after=None,
     )

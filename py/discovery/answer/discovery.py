@@ -260,7 +260,6 @@ class Discovery:
     fitted: int = 0
     given: Mapping[str, int] = field(default_factory=dict)
     seconds: float = 0.0
-    timings: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping = field(default_factory=dict)
     reason: str = ""
     probabilities: Mapping[str, float] = field(default_factory=dict)

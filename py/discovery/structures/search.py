@@ -176,7 +176,8 @@ class Search:
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:
         """Look at structures; those that promise everything are fitted as soon as they are seen."""
-        for batch in _batches([e for e in entries if e.open and not e.look], self.effort.batch):
+        size = self.effort.batch if np.isinf(self.until) else self.effort.together  # the limit is seen between batches
+        for batch in _batches([e for e in entries if e.open and not e.look], size):
             self._advance(batch, self.first)
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 self._advance(early)

@@ -109,6 +109,7 @@ def gap(
     """
     from hydrotwin.discovery.discover import discover
     from hydrotwin.discovery.work.executor import executor_for
+    from hydrotwin.discovery.work.memory import Memory
     from hydrotwin.models.effects import candidates
 
     began = time.perf_counter()
@@ -119,7 +120,7 @@ def gap(
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, reading), read_all(validate, reading)
     check_recordings(thing, train, judged)
-    memory = finished_fits(output / KEPT)
+    memory = Memory(output / KEPT)
     if not resume:
         memory.remove()
     elif len(memory):
@@ -187,18 +188,6 @@ def origin_from(thing, spec: str, folder: Path) -> str:
         return origin(spec)
     file = Path(os.path.relpath(thing.fmu.path, folder.resolve())).as_posix()
     return ":".join([file, ",".join(thing.fmu.named)]) if thing.fmu.named else file
-
-
-def finished_fits(folder: Path):
-    """The memory of a run in ``folder``: it keeps what is data. A final fit carries its equations and is made anew."""
-    from hydrotwin.discovery.work.memory import Memory
-
-    class Finished(Memory):
-        def put(self, key, answer) -> None:
-            with contextlib.suppress(TypeError):
-                super().put(key, answer)
-
-    return Finished(folder)
 
 
 @contextlib.contextmanager

@@ -27,11 +27,11 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     Raises `DataError` for several segments of numbers, whose times have origins of their own.
     """
     ends = [k for k, line in enumerate(lines.head[:400]) if line.startswith(END)]
-    if len(ends) < 2:
-        raise DataError(f"{path}: the header of a LabVIEW file has no end ('{END}'). Export it again.")
+    if len(ends) < 2 or len(lines) < ends[1] + 3:
+        raise DataError(f"{path}: the header of a LabVIEW file has no end ('{END}'), or no numbers. Export it again.")
     keys = _keys(lines.head[: ends[0]])
     delimiter = _DELIMITERS.get(keys.get("separator", ["tab"])[0].lower(), "\t")
-    decimal = keys.get("decimal_separator", ["."])[0] or "."
+    decimal = "," if keys.get("decimal_separator", ["."])[0] == "," else "."
     own = {key: [cell.strip() for cell in cells] for key, cells in _keys(lines.head[ends[0] + 1 : ends[1]]).items()}
     names = cells_of(lines[ends[1] + 1], delimiter)
     while names and names[-1] in ("Comment", ""):

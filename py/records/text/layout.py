@@ -133,10 +133,11 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
         return None
     first = block[start][0]
     above = [(k, cells) for k, cells in block[:start] if len(cells) == width]
-    if delimiter == " ":
-        above += [(k, whole) for k, _ in block[:start] if len(whole := _with_units_attached(lines[k])) == width]
+    if delimiter == " " and not above:
+        above = [(k, whole) for k, _ in block[:start] if len(whole := _with_units_attached(lines[k])) == width]
     uncommented = [(k, cells) for k, cells in above if not lines[k].startswith(COMMENTS)]
-    names_at, units_at, names, units = _named(uncommented or _uncommented(lines, first, width, delimiter), numeric)
+    rows_above = uncommented or _uncommented(lines, first, width, delimiter)
+    names_at, units_at, names, units = _named(rows_above, numeric, lines)
     last = _end(lines, first, delimiter, width, numeric)
     return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
 
@@ -230,24 +231,27 @@ def _uncommented(lines: Sequence[str], first: int, width: int, delimiter: str) -
     return found
 
 
-def _named(above: Sequence[tuple[int, list[str]]], numeric: frozenset[int]):
-    """Lines and cells of the names and of the units, out of the rows above that are as wide as the block."""
-    rows = [(k, cells) for k, cells in above if not any(_is_number(cells[j]) for j in numeric) and any(cells)]
+def _named(above: Sequence[tuple[int, list[str]]], numeric: frozenset[int], lines: Sequence[str]):
+    """Lines and cells of the names and of the units, out of the rows right above that are as wide as the block."""
+    rows = [(k, cells) for k, cells in above if not all(_is_number(cells[j]) for j in numeric) and any(cells)]
+    for at in range(len(rows) - 1, 0, -1):
+        if any(lines[k].strip() for k in range(rows[at - 1][0] + 1, rows[at][0])):  # text of another kind between them
+            rows = rows[at:]
+            break
     rows = rows[-MOST_ROWS_ABOVE:]
     if not rows:
         return None, None, None, None
-    units = [row for row in rows if len(rows) > 1 and is_units_row(row[1])]
-    others = [row for row in rows if row not in units]
-    if not others:  # names that could all be units: the upper row names
-        others, units = units[:1], units[1:]
-    names = max(others, key=lambda row: (_naming(row[1]), -row[0]))
-    unit = units[-1] if units else None
+    units = [row for row in rows if is_units_row(row[1])] if len(rows) > 1 else []
+    units = units[1:] if len(units) == len(rows) else units  # names that could all be units: the upper row names
+    names = max((row for row in rows if row not in units), key=lambda row: (_naming(row[1]), -row[0]))
+    mostly = [row for row in rows if row != names and is_units_row(row[1], mostly=True)]
+    unit = (units or mostly or [None])[-1]
     return names[0], unit and unit[0], tuple(names[1]), unit and tuple(unit[1])
 
 
 def _naming(cells: Sequence[str]) -> int:
-    """How many columns a row tells apart."""
-    return len({cell for cell in cells if cell})
+    """How many columns a row tells apart by words."""
+    return len({cell for cell in cells if cell and not _is_number(cell)})
 
 
 def _end(lines: Sequence[str], first: int, delimiter: str, width: int, numeric: frozenset[int]) -> int:

@@ -1,6 +1,6 @@
 """Record: named signals with units on one time axis; read, write, resample, filter, check, noise floor."""
 
-from .files import SUFFIXES, read_record, write_record
+from .files import SUFFIXES, WRITTEN, read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
@@ -11,6 +11,7 @@ from .scale import Scale, parse_scale
 
 __all__ = [
     "SUFFIXES",
+    "WRITTEN",
     "Gap",
     "NoiseFloor",
     "Reading",

@@ -30,6 +30,7 @@ _BINARY |= {".feather": read_arrow, ".arrow": read_arrow, ".h5": read_mat, ".hdf
 _WORKBOOKS = (".xlsx", ".xlsm", ".xls", ".ods")
 _WRITERS = {".csv": write_csv, ".txt": write_csv, ".parquet": write_parquet, ".mat": write_mat}
 _WRITERS |= {".mf4": write_mdf, ".mdf": write_mdf}
+WRITTEN = tuple(_WRITERS)
 SUFFIXES = (*_TEXT, *_BINARY, *_WORKBOOKS, *(f"{suffix}{_PACKED}" for suffix in _TEXT))
 
 

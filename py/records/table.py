@@ -185,7 +185,7 @@ def _wrong_unit(table: Table, column: Column, reading: Reading) -> str:
             return ""
         return (
             f"{where} has no unit. Write '{column.name} [unit]' in the header ([1] for a pure number), or state it: "
-            f"--unit '{column.name}=bar' (units= in Python)."
+            f"--unit '{column.name}=UNIT' (units= in Python)."
         )
     try:
         parse_unit(column.unit)

@@ -105,12 +105,24 @@ def _inspection(read: list[Record], failed: dict, thing, reading: Reading, files
     matches = tuple(matched((*flat.inputs, *flat.outputs), read[0]))
     proposed = {m.signal.name: m.column for m in matches if m.column and not m.certain}
     whole = dataclasses.replace(reading, columns={**proposed, **reading.columns})
-    comments = [m.problem for m in matches if m.problem]
+    comments = [line for m in matches if m.problem for line in (_short(m.problem, read), *_unit_to_add(m))]
     excited, said = _excitation(thing, flat, read, proposed)
     return dataclasses.replace(
         found, model=flat.name, matches=matches, excited=excited, said=said,
         toml=import_text(whole, files, comments),
     )  # fmt: skip
+
+
+def _short(sentence: str, read: list[Record]) -> str:
+    """The sentence without the path of the recording that it begins with."""
+    return sentence.removeprefix(f"{read[0].source}: ")
+
+
+def _unit_to_add(match: Match) -> list[str]:
+    """The line that states the unit of a column without one, as the model has it."""
+    if "has no unit" not in match.problem:
+        return []
+    return [f'Where it is in the unit of the model, below [units]:  "{match.column}" = "{match.signal.unit}"']
 
 
 def _excitation(thing, flat, read: list[Record], proposed: dict[str, str]):
@@ -161,8 +173,9 @@ def _print(found: Inspection) -> None:
 def _print_model(found: Inspection) -> None:
     rows = [[m.signal.name, m.signal.unit, m.column or "-", m.said] for m in found.matches]
     table(f"{found.model}: which column is what", ["signal", "unit", "column", "why"], rows)
+    told = {why for one in found.files for why in one.refused.values()}
     for m in found.matches:
-        if m.problem:
+        if m.problem and m.problem not in told:
             mark(out, "note", m.problem)
     if found.excited:
         shown = sorted(found.excited, key=lambda e: ("well", "weakly", "not").index(e.verdict))

@@ -12,7 +12,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
-from hydrotwin.records import Reading, write_record
+from hydrotwin.records import WRITTEN, Reading, write_record
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
@@ -33,8 +33,6 @@ from .shared import (
     table,
     tell_between,
 )
-
-RECORDINGS = (".csv", ".txt", ".parquet", ".mat", ".mf4")
 
 
 def register(app: typer.Typer) -> None:
@@ -73,7 +71,7 @@ def simulate(
     from hydrotwin.simulation import Block, InaccurateWarning, simulate
 
     if output:
-        check_file(output, *RECORDINGS, sources=[input])
+        check_file(output, *WRITTEN, sources=[input])
     thing = load(model)
     changes, reading = constants_among(changes, {s.name for s in as_contender(thing).inputs}, reading)
     (record,) = read_all([input], reading)

@@ -29,7 +29,7 @@ RECORDINGS = {
     "no_command.csv": lambda t: t.replace("command [V]", "comand [V]"),
     "no_unit.csv": lambda t: t.replace("command [V]", "command"),
     "odd_unit.csv": lambda t: t.replace("command [V]", "command [vlots]"),
-    "no_time.csv": lambda t: t.replace("time [s]", "clock [s]"),
+    "no_time.csv": lambda t: t.replace("time [s]", "clock [1]"),
     "time_in_volts.csv": lambda t: t.replace("time [s]", "time [V]"),
     "twice.csv": lambda t: t.replace("arm_angle [deg]", "command [deg]"),
     "no_header.csv": lambda t: t.partition("\n")[2],

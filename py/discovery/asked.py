@@ -24,7 +24,7 @@ from .fits.job import Question
 from .recordings import Split
 from .structures.table import Table
 
-NARROW, WIDE = 1.6, 30.0  # factors around the start within which a positive base parameter may move
+NARROW, WIDE = 2.0, 30.0  # factors around the start within which a positive base parameter may move
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ def bounded(model: Model, names: Sequence[str]) -> Model:
     """The model with what is to be identified free, and bounds around the start values of what is always positive.
 
     A base that lacks an effect swallows the gap with whatever lets it: a third of the dead volume, a fourth of the
-    stiffness. Volumes and pressures stay within a factor of 1.6, the rest within thirty.
+    stiffness. Volumes and pressures stay within a factor of two, to which they are known, the rest within thirty.
     """
     changes = {}
     for p in model.flat.parameters:

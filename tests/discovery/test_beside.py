@@ -15,6 +15,7 @@ from hydrotwin.discovery.structures.search import OutOfTime
 from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.outliers import Strays
 from tests.discovery.slides import begun, records
+from tests.discovery.test_standing import seen
 from tests.discovery.test_table import leaving
 
 EFFECTS = ("coulomb_friction", "stribeck_friction", "null_bias", "dead_time")
@@ -58,6 +59,7 @@ def test_where_the_best_leaves_much_nothing_is_asked_in_its_place():
 
 def test_beside_something_else_a_second_effect_must_do_more_than_follow_the_rest():
     search = filled(base=100.0, coulomb_friction=25.0, coulomb_friction_and_null_bias=20.0)
+    seen(search.table)
     said = standing(search.table)
     assert said.verdict == "unknown" and said.part
     assert [c.id for c in said.best.members] == ["coulomb_friction"]
@@ -65,6 +67,7 @@ def test_beside_something_else_a_second_effect_must_do_more_than_follow_the_rest
 
 def test_what_closes_much_more_beside_something_else_is_told_with_it():
     search = filled(base=100.0, coulomb_friction=60.0, coulomb_friction_and_null_bias=25.0)
+    seen(search.table)
     said = standing(search.table)
     assert said.part and {c.id for c in said.best.members} == {"coulomb_friction", "null_bias"}
 

@@ -19,13 +19,22 @@ def table():
     return begun(records(3), EFFECTS).table
 
 
-def fitted(table, **times):
+def fitted(table, all_seen=True, **times):
     """What a table says whose structures, ids joined by "_and_", leave so many times the noise."""
     by = {c.id: c for c in table.candidates}
     for name, left in times.items():
         members = [] if name == "base" else [by[n] for n in name.split("_and_")]
         table.entry(members).fitted = leaving(left)
+    if all_seen:
+        seen(table)
     return standing(table)
+
+
+def seen(table):
+    """Every single effect has been looked at, and those not fitted come to nothing."""
+    for c in table.candidates:
+        entry = table.entry([c])
+        entry.failed = "" if entry.fitted else "it diverges"
 
 
 def test_a_base_at_the_noise_lacks_nothing(table):
@@ -66,6 +75,13 @@ def test_what_leaves_much_of_the_gap_is_a_part_of_it_beside_something_else(table
     assert said.probability(label) == pytest.approx(0.8, abs=0.02)
     assert said.best.members[0].id == "coulomb_friction"
     assert said.posterior.else_ > 0.95
+
+
+def test_a_part_is_not_told_before_every_effect_was_looked_at(table):
+    """Another may be the whole of it."""
+    said = fitted(table, all_seen=False, base=30.0, coulomb_friction=10.0)
+    assert said.verdict == "unknown" and not said.part and said.kept is table.entry()
+    assert said.best.members[0].id == "coulomb_friction", "what comes closest is known"
 
 
 def test_what_closes_less_than_half_of_the_gap_is_not_told_as_a_part(table):

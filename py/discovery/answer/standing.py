@@ -20,7 +20,7 @@ class Standing:
     verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect, beside
     something else where that is more probable; None without any. order : its effects, the one that explains most alone
     first. class_ : structures that are told together. part : whether the best, which does not explain all, is a part of
-    what is missing.
+    what is missing; not before every single effect was looked at, for another may be the whole of it.
     """
 
     table: Table
@@ -75,7 +75,7 @@ def standing(table: Table) -> Standing:
     elif posterior.else_ > sum(effects.values()):
         verdict = "unknown"
         best = table.entries[max(effects, key=posterior.beside.__getitem__)] if effects else None
-        part = best is not None and closed(table, best) >= DECIDING.part
+        part = best is not None and table.seen_all() and closed(table, best) >= DECIDING.part
     else:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
         verdict = "class" if len(several) > 1 else "named"

@@ -76,6 +76,11 @@ class Table:
         """Known structures with some of its effects, nothing included, fitted."""
         return [e for e in self.entries.values() if e.fitted and set(e.key) < set(entry.key)]
 
+    def seen_all(self) -> bool:
+        """Whether every single effect was looked at, fitted, or cannot be."""
+        alone = (self.entries.get((c.label,)) for c in self.candidates)
+        return all(e and (e.look or e.fitted or e.failed) for e in alone)
+
     # -- what the fits say ---------------------------------------------------------------------------------------
     @property
     def fitted(self) -> list[Entry]:

@@ -7,6 +7,7 @@ import pytest
 
 from hydrotwin.discovery.evidence.score import Spectrum, spectrum
 from hydrotwin.discovery.fits.job import Fitted, Look
+from hydrotwin.discovery.fits.whole import as_look
 from tests.discovery.slides import NOISE, begun, records
 
 EFFECTS = ("coulomb_friction", "null_bias", "dead_time")
@@ -114,10 +115,15 @@ def test_what_a_base_leaves_in_windows_is_never_more_than_the_mean_of_the_output
 def test_a_look_at_whole_recordings_promises_what_it_leaves_of_them(told):
     base, (one, *_) = told.entry(), singles(told)
     base.fitted = leaving(10.0)
-    left = leaving(1.0).left
-    base.look = Look({}, left.squares.sum(axis=0)[None], left.counts.sum(axis=0)[None], left.rmse, left=left)
-    one.look = Look({}, left.squares.sum(axis=0)[None], left.counts.sum(axis=0)[None], left.rmse, left=left)
+    base.look, one.look = as_look(base.fitted), as_look(leaving(1.0))
     assert told.promise(one) < 0.01
+
+
+def test_a_look_at_a_part_of_the_recordings_is_held_against_what_the_base_leaves_there(told):
+    base, (one, *_) = told.entry(), singles(told)
+    base.fitted = leaving(10.0)
+    base.look, one.look = as_look(leaving(3.0)), as_look(leaving(3.0))
+    assert told.promise(one) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_base_that_diverged_has_no_part_in_the_floor(told):

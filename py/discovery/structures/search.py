@@ -18,11 +18,11 @@ from hydrotwin.identification.problem import free_parameters
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
-from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
-from ..fits.job import WINDOWS, Fitted, Job, Look
-from ..fits.whole import as_look, step, trajectories
+from ..fits.job import Fitted, Job, Look, Question
+from ..fits.whole import step, trajectories
+from .extent import SHORT, enough_of, telling, with_fewer_windows
 from .starts import compatible, diagonal, different, looks, seen_by, small, usual
 from .table import Entry, Table
 
@@ -51,9 +51,6 @@ EFFORTS = {
     "normal": Effort(),
     "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
 }
-SHORT = 2  # lengths of windows in which a large gap shows
-ENOUGH = 1000.0  # nats that the base leaves in the windows of a look: more would cost time and tell no more
-FEWEST = 40  # windows of a length
 BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
 FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
@@ -71,7 +68,7 @@ class Search:
     """A table, how jobs are run, and how far to go.
 
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
-    first : how many lengths of windows a first look goes through; 0: whole recordings.
+    first : how many lengths of windows a first look goes through; 0: whole recordings, or as much as ``extent`` has.
     pause : called with the search between its batches of jobs.
     """
 
@@ -83,6 +80,7 @@ class Search:
     complete: bool = True
     trajectories: list[np.ndarray] | None = None
     first: int = 0
+    extent: Question | None = None
     pause: Callable[[Search], None] | None = None
 
     def go(self) -> None:
@@ -127,7 +125,7 @@ class Search:
         """
         table, base = self.table, self.table.entry()
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
-        base.look = as_look(base.fitted)
+        self.extent, base.look = enough_of(table, lambda question: self._ran([self._glance(base, question)])[0])
         for entry in table.entries.values():
             if entry.open and entry.members:
                 entry.look = None
@@ -142,7 +140,8 @@ class Search:
         table.question = dataclasses.replace(q, lengths=lengths)
         self._advance([base], SHORT)
         self.first = telling(table)
-        self._fewer_windows()
+        if with_fewer_windows(table, self.first):
+            base.look = None  # it begins anew with those
         self._advance([base], len(lengths))
         starts = self._whole(base).starts if base.look else ({},)
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
@@ -154,14 +153,6 @@ class Search:
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
-
-    def _fewer_windows(self) -> None:
-        """Look through no more windows than show the gap well; the base begins anew with those."""
-        table, base = self.table, self.table.entry()
-        enough = int(WINDOWS * ENOUGH / table.visible(self.first - 1)) if self.first else WINDOWS
-        if enough < 0.8 * WINDOWS:
-            table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
-            base.look = None
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
@@ -279,7 +270,7 @@ class Search:
         if seen is None:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
-                return self._beside_the_base(entry, limit)
+                return self._glance(entry, self.extent)
             return self.job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
@@ -288,12 +279,13 @@ class Search:
             return self.job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self._whole(entry)
 
-    def _beside_the_base(self, entry: Entry, limit: float) -> Job:
+    def _glance(self, entry: Entry, question: Question | None) -> Job:
         """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
         known, starts = self.table.entry().fitted, self._starts(entry)
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
-        starts = [{**known.values, **start} for start in (*starts, little)]
-        return self.job(entry, starts, stages=(0, 0), seconds=limit, states=known.states, size=known.rmse)
+        starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
+        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
+        return dataclasses.replace(self.job(entry, starts, **settings), question=question or self.table.question)
 
     def _whole(self, entry: Entry) -> Job:
         """The fit to whole recordings from where its looks ended, or cheaper from where they came by or began."""
@@ -304,7 +296,8 @@ class Search:
     def _take(self, entries: Sequence[Entry], answers: Sequence) -> None:
         for entry, found in zip(entries, answers, strict=True):
             if isinstance(found, Look):
-                entry.look = found.after(entry.look)
+                part = self.extent not in (None, self.table.question)  # what does not show in it may show later
+                entry.look = dataclasses.replace(found, sigmas={}) if part else found.after(entry.look)
             elif isinstance(found, Fitted):
                 entry.fitted = found
             else:
@@ -379,18 +372,6 @@ class Search:
         model = self.table.model(self.table.entry([candidate]))
         states = [s.name for s in flat.states]
         return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
-
-
-def telling(table: Table) -> int:
-    """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
-
-    0 where short ones do not show it: the gap is small then, and the base near what it would be.
-    """
-    base = table.entries[NOTHING]
-    if not (base.look and table.question.lengths):
-        return 0
-    stages = range(min(len(base.look.squares), SHORT))
-    return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
 
 
 def _batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:

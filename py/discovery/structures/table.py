@@ -126,8 +126,10 @@ class Table:
         if entry.look is None or self.entries[NOTHING].look is None:
             return 1.0
         if entry.look.left is not None:
-            base = self.score(self.entries[NOTHING])
-            return score(entry.look.left, self.floor()) / base if base > 0 else 1.0
+            base = self.entries[NOTHING].look.left
+            whole = score(base, Floor(self.noise, self.coloured))
+            left = score(entry.look.left, Floor(self.noise, self.coloured, base.variance))
+            return left / whole if whole > 0 else 1.0
         stage = min(len(entry.look.squares), most or len(entry.look.squares)) - 1
         before = self.base_in_windows(stage)
         whole = self._in_windows(before)

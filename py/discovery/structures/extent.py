@@ -1,0 +1,62 @@
+"""How much of the recordings a look goes through: no more than shows the gap well."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from ..evidence.deciding import DECIDING
+from ..evidence.posterior import NOTHING
+from ..evidence.score import Floor, score
+from ..fits.job import WINDOWS, Look, Question
+from ..fits.whole import as_look
+from .table import Table
+
+SHORT = 2  # lengths of windows in which a large gap shows
+ENOUGH = 1000.0  # nats that the base leaves in what is looked through: more would cost time and tell no more
+FEWEST = 40  # windows of a length
+PARTS = (1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
+FAIR = 0.5  # of the gap in all recordings, in proportion: what acts later than in such a part is looked for in all
+
+
+def telling(table: Table) -> int:
+    """How many lengths of windows a first look goes through: until the base leaves enough to tell candidates apart.
+
+    0 where short ones do not show it: the gap is small then, and the base near what it would be.
+    """
+    base = table.entries[NOTHING]
+    if not (base.look and table.question.lengths):
+        return 0
+    stages = range(min(len(base.look.squares), SHORT))
+    return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
+
+
+def with_fewer_windows(table: Table, first: int) -> bool:
+    """Whether fewer windows show the gap well; the table's question has those then."""
+    enough = int(WINDOWS * ENOUGH / table.visible(first - 1)) if first else WINDOWS
+    if enough < 0.8 * WINDOWS:
+        table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
+        return True
+    return False
+
+
+def beginnings(question: Question, part: float) -> Question:
+    """The question of the first part of every recording."""
+    cut = [dataclasses.replace(r, time=r.time[:n], u=r.u[:n], y=r.y[:n])
+           for r in question.fit if (n := max(int(part * len(r.time)), 2))]  # fmt: skip
+    return dataclasses.replace(question, fit=tuple(cut))
+
+
+def enough_of(table: Table, look: Callable[[Question], object]) -> tuple[Question, Look]:
+    """The shortest beginnings of the recordings that show the gap well, and what the base leaves there.
+
+    look : of the base through the recordings of a question, from where its fit ended.
+    """
+    base = table.entry()
+    total, floor = table.score(base), Floor(table.noise, table.coloured)
+    for part in PARTS if total > ENOUGH else ():
+        question = beginnings(table.question, part)
+        found = look(question)
+        if isinstance(found, Look) and score(found.left, floor) > max(ENOUGH, FAIR * part * total):
+            return question, found
+    return table.question, as_look(base.fitted)

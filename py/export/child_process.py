@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from hydrotwin.models.language.errors import SolveError
 
 # The child needs numpy and FMPy only; importing the rest of hydrotwin would take longer than most runs.
 _BOOT = "import sys, runpy; sys.path.append(sys.argv.pop(1)); runpy.run_module('fmu_process', run_name='__main__')"
+HANG = "the FMU did not come to an end"
+LOOK = 1.0  # s between looks at the sign of life
 SHOWN = 600  # characters of what the child said last
 
 
@@ -30,8 +33,13 @@ def run_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float) -> d
             return dict(stored)
 
 
-def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, folder: Path) -> str | None:
-    """None when the job was done, else a sentence on what went wrong. Files stay in ``folder``."""
+def start_child(
+    job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, folder: Path, sign_of_life: Path | None = None
+) -> str | None:
+    """None when the job was done, else a sentence on what went wrong. Files stay in ``folder``.
+
+    The limit [s] is for all of it, or begins anew whenever the file ``sign_of_life`` grows.
+    """
     (folder / "job.json").write_text(json.dumps(dict(job)), encoding="utf-8")
     np.savez(folder / "input.npz", **arrays)
     with (folder / "said.txt").open("wb") as said:
@@ -40,10 +48,10 @@ def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, fo
             stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, cwd=folder, start_new_session=True,
         )  # fmt: skip
         try:
-            code = child.wait(timeout=limit)
+            code = _waited(child, limit, sign_of_life)
         except subprocess.TimeoutExpired:
             end_child(child)
-            return f"the FMU did not come to an end (got {limit:g} s). Raise time_limit or shorten the record"
+            return f"{HANG} (got {limit:g} s). Raise time_limit or shorten the record"
         except BaseException:
             end_child(child)
             raise
@@ -54,6 +62,19 @@ def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, fo
         told = json.loads(answer.read_text(encoding="utf-8"))
         return None if told["done"] else _with_words(told["error"], folder)
     return _with_words(f"the FMU ended its process ({way_of_death(code)})", folder)
+
+
+def _waited(child: subprocess.Popen, limit: float, sign_of_life: Path | None) -> int:
+    """Its exit code. TimeoutExpired after ``limit`` seconds without a sign of life."""
+    seen, since = 0, time.monotonic()
+    while True:
+        try:
+            return child.wait(timeout=min(LOOK, limit))
+        except subprocess.TimeoutExpired:
+            size = sign_of_life.stat().st_size if sign_of_life and sign_of_life.exists() else 0
+            seen, since = (size, time.monotonic()) if size > seen else (seen, since)
+            if time.monotonic() - since >= limit:
+                raise
 
 
 def end_child(child: subprocess.Popen):

@@ -14,6 +14,7 @@ from fmpy.model_description import BaseUnit, ModelDescription
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import parse_unit
 
+from .archive import read_file
 from .fmu_process.master import interpolates
 from .whole_numbers import Whole, whole_of
 
@@ -138,11 +139,7 @@ def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float 
     """What an FMU of hydrotwin says of itself: start parameters and what measures them, whether they are all there is,
     its period."""
     try:
-        if path.is_dir():
-            root = ET.parse(path / "modelDescription.xml").getroot()
-        else:
-            with zipfile.ZipFile(path) as archive:
-                root = ET.fromstring(archive.read("modelDescription.xml"))
+        root = ET.fromstring(read_file(path, "modelDescription.xml"))
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
         return {}, {}, False, None
     places = (

@@ -210,6 +210,7 @@ COMMANDS = {
     "export cehA --out old.zip": ["old.zip: not a name this command can write to", "Write to old.fmu"],
     "check odl.fmu": ["odl.fmu: no such file"],
     "check old.fmu --reference god.csv": ["god.csv: no such file", "Did you mean 'good.csv'?"],
+    "check old.fmu --reference bar.csv": ["bar.csv: column 'command' is in bar", "--scale"],
     # looking at a model
     "linearize cehA --at arm.angel=0.3 --out report": [
         "cehA: no input or state 'arm.angel'",
@@ -230,7 +231,6 @@ FAILURES = {
     "check text.fmu": ["text.fmu: not an FMU", "Check the download"],
     "check other.fmu": ["other.fmu: not an FMU", "modelDescription.xml"],
     "check good.csv": ["good.csv: not an FMU"],
-    "check old.fmu --reference bar.csv": ["bar.csv: column 'command' is in bar", "--scale"],
 }
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import tempfile
+import time
+from dataclasses import dataclass
 from pathlib import Path
 
 from fmpy.model_description import ModelDescription
 
-from .child_process import HANG, start_child
+from .child_process import HANG, Patience, start_child
 from .fmu_process.exchange_probes import EXCHANGE_PROBES
 from .fmu_process.gates import GATES
 from .fmu_process.probes import PROBES
@@ -34,8 +36,8 @@ def plan_of(md: ModelDescription) -> list[dict[str, str]]:
     plan = _rows("CoSimulation", PROBES, "") if slave else []
     plan += _rows("ModelExchange", EXCHANGE_PROBES, second) if exchange else []
     fmi3 = md.fmiVersion.startswith("3")
-    wanted = dict(zip(GATES, (slave, exchange, slave and not fmi3, exchange and fmi3), strict=True))
-    needs = dict(zip(GATES, (RUNS, RUNS + second, RUNS, RUNS + second), strict=True))
+    wanted = dict(zip(GATES, (slave, exchange, exchange and fmi3, slave and not fmi3), strict=True))
+    needs = dict(zip(GATES, (RUNS, RUNS + second, RUNS + second, RUNS), strict=True))
     plan += [{"row": n, "group": GATES_GROUP, "probe": n, "needs": needs[n]} for n in GATES if wanted[n]]
     return plan
 
@@ -51,16 +53,15 @@ def _rows(group: str, probes, suffix: str) -> list[dict[str, str]]:
 def tried_rows(path: Path, plan: list[dict[str, str]], elsewhere: str, limit: float) -> list[Row]:
     """Each row of the plan with its verdict; ``elsewhere`` says why none can be tried here.
 
-    One child process tries what an importer may do, another the rest, whose memory may be spoilt after it; after a
+    One child process tries them all, what no importer may do last: it may spoil the memory of what comes after. After a
     crash or a hang what is left goes on in a new one.
     """
     if elsewhere:
         return [(entry["row"], (NOT_TRIED, elsewhere)) for entry in plan]
+    ordered = sorted(plan, key=lambda entry: entry["probe"] in NOT_ALLOWED)
     found: dict[str, tuple[str, str]] = {}
-    for allowed in (True, False):
-        part = [entry for entry in plan if (entry["probe"] not in NOT_ALLOWED) == allowed]
-        while left := [entry for entry in part if entry["row"] not in found]:
-            found |= _in_child(path, left, found, limit if allowed else min(limit, BRIEF))
+    while left := [entry for entry in ordered if entry["row"] not in found]:
+        found |= _in_child(path, left, found, limit)
     return [(entry["row"], _fair(entry, *found[entry["row"]])) for entry in plan]
 
 
@@ -68,16 +69,39 @@ def _in_child(path: Path, left: list[dict[str, str]], found: dict, limit: float)
     """Rows of ``left`` as far as one child process comes."""
     spoilt = [row for row, (verdict, _) in found.items() if verdict not in GOOD]
     with tempfile.TemporaryDirectory(prefix="hydrotwin-check-", ignore_cleanup_errors=True) as folder:
-        job, lines = {"task": "probe", "path": str(path.absolute()), "plan": left}, Path(folder) / "rows.jsonl"
-        failure = start_child(job | {"spoilt": spoilt}, {}, limit, Path(folder), sign_of_life=lines)
-        text = lines.read_text(encoding="utf-8") if lines.exists() else ""
-    entries = [json.loads(line) for line in text.splitlines()]
-    rows = {e["name"]: (e["verdict"], e["detail"]) for e in entries if "name" in e}
+        job = {"task": "probe", "path": str(path.absolute()), "plan": left, "spoilt": spoilt}
+        lines = Path(folder) / "rows.jsonl"
+        failure = start_child(job, {}, _OfEach(limit, lines=lines, usual=limit), Path(folder))
+        rows = {e["name"]: (e["verdict"], e["detail"]) for e in _read(lines) if "name" in e}
     stopped = next((entry for entry in left if entry["row"] not in rows), None)
     if failure and stopped:
         slow = failure.startswith(HANG) and stopped["probe"] not in (LOADS, RUNS)
-        rows[stopped["row"]] = (NOT_TRIED if slow else FAIL, failure)
+        whose = stopped["row"] if stopped["group"] == GATES_GROUP else "the FMU"
+        rows[stopped["row"]] = (NOT_TRIED if slow else FAIL, failure.replace("the FMU", whose, 1))
     return rows
+
+
+@dataclass
+class _OfEach(Patience):
+    """Patience that begins anew with every row, and is short with what no importer may do."""
+
+    lines: Path = Path()
+    usual: float = 0.0
+    seen: int = 0
+
+    def over(self) -> bool:
+        """Whether the present row has taken too long."""
+        told = _read(self.lines)
+        if len(told) > self.seen:
+            brief = told[-1].get("begin", "").removesuffix(SECOND) in NOT_ALLOWED
+            self.seen, self.since, self.limit = len(told), time.monotonic(), BRIEF if brief else self.usual
+        return super().over()
+
+
+def _read(lines: Path) -> list[dict[str, str]]:
+    """What a child has told so far; a line that it is still writing is left out."""
+    text = lines.read_text(encoding="utf-8") if lines.exists() else ""
+    return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
 
 def _fair(entry: dict[str, str], verdict: str, detail: str) -> tuple[str, str]:

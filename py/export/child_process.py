@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,27 +20,34 @@ from hydrotwin.models.language.errors import SolveError
 # The child needs numpy and FMPy only; importing the rest of hydrotwin would take longer than most runs.
 _BOOT = "import sys, runpy; sys.path.append(sys.argv.pop(1)); runpy.run_module('fmu_process', run_name='__main__')"
 HANG = "the FMU did not come to an end"
-LOOK = 1.0  # s between looks at the sign of life
+LOOK = 1.0  # s between looks at the clock
 SHOWN = 600  # characters of what the child said last
 
 
 def run_child(job: Mapping, arrays: Mapping[str, np.ndarray], limit: float) -> dict[str, np.ndarray]:
     """Do ``job`` in a child process and return its arrays. Raises SolveError for a failure, crash or hang."""
     with tempfile.TemporaryDirectory(prefix="hydrotwin-fmu-", ignore_cleanup_errors=True) as folder:
-        failure = start_child(job, arrays, limit, Path(folder))
+        failure = start_child(job, arrays, Patience(limit), Path(folder))
         if failure:
             raise SolveError(f"{job['path']}: {failure}. Look at it with: hydrotwin check {job['path']}.")
         with np.load(Path(folder) / "output.npz", allow_pickle=False) as stored:
             return dict(stored)
 
 
-def start_child(
-    job: Mapping, arrays: Mapping[str, np.ndarray], limit: float, folder: Path, sign_of_life: Path | None = None
-) -> str | None:
-    """None when the job was done, else a sentence on what went wrong. Files stay in ``folder``.
+@dataclass
+class Patience:
+    """How long a child may take, in s from ``since``."""
 
-    The limit [s] is for all of it, or begins anew whenever the file ``sign_of_life`` grows.
-    """
+    limit: float
+    since: float = field(default_factory=time.monotonic)
+
+    def over(self) -> bool:
+        """Whether it has taken too long."""
+        return time.monotonic() - self.since >= self.limit
+
+
+def start_child(job: Mapping, arrays: Mapping[str, np.ndarray], patience: Patience, folder: Path) -> str | None:
+    """None when the job was done, else a sentence on what went wrong. Files stay in ``folder``."""
     (folder / "job.json").write_text(json.dumps(dict(job)), encoding="utf-8")
     np.savez(folder / "input.npz", **arrays)
     with (folder / "said.txt").open("wb") as said:
@@ -48,10 +56,10 @@ def start_child(
             stdin=subprocess.PIPE, stdout=said, stderr=subprocess.STDOUT, cwd=folder, start_new_session=True,
         )  # fmt: skip
         try:
-            code = _waited(child, limit, sign_of_life)
+            code = _waited(child, patience)
         except subprocess.TimeoutExpired:
             end_child(child)
-            return f"{HANG} (got {limit:g} s). Raise time_limit or shorten the record"
+            return f"{HANG} (got {patience.limit:g} s). Raise time_limit or shorten the record"
         except BaseException:
             end_child(child)
             raise
@@ -64,16 +72,13 @@ def start_child(
     return _with_words(f"the FMU ended its process ({way_of_death(code)})", folder)
 
 
-def _waited(child: subprocess.Popen, limit: float, sign_of_life: Path | None) -> int:
-    """Its exit code. TimeoutExpired after ``limit`` seconds without a sign of life."""
-    seen, since = 0, time.monotonic()
+def _waited(child: subprocess.Popen, patience: Patience) -> int:
+    """Its exit code. TimeoutExpired when patience is over."""
     while True:
         try:
-            return child.wait(timeout=min(LOOK, limit))
+            return child.wait(timeout=min(LOOK, patience.limit))
         except subprocess.TimeoutExpired:
-            size = sign_of_life.stat().st_size if sign_of_life and sign_of_life.exists() else 0
-            seen, since = (size, time.monotonic()) if size > seen else (seen, since)
-            if time.monotonic() - since >= limit:
+            if patience.over():
                 raise
 
 

@@ -139,7 +139,10 @@ def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float 
     """What an FMU of hydrotwin says of itself: start parameters and what measures them, whether they are all there is,
     its period."""
     try:
-        root = ET.fromstring(read_file(path, "modelDescription.xml"))
+        text = read_file(path, "modelDescription.xml")
+        if b"hydrotwin" not in text:
+            return {}, {}, False, None
+        root = ET.fromstring(text)
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
         return {}, {}, False, None
     places = (

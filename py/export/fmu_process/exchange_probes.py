@@ -31,7 +31,7 @@ def _runs(trial: ExchangeTrial):
     except (FMICallException, RuntimeError) as failure:
         return gives_up(failure, inputs)
     if not np.isfinite(still).all():
-        return not_finite(trial.description, still, inputs)
+        return not_finite(trial.names, still, inputs)
     done = f"{SECONDS:g} s in {SAMPLES - 1} steps with CVODES, {still.shape[1]} values finite"
     if refusal := refused(lambda: trial.run(SHARE)) if moving_inputs(trial.description) else None:
         return REMARK, f"{done} at the start values of its inputs; moved by a tenth of nominal: {refusal}"

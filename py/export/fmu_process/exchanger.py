@@ -109,17 +109,21 @@ class ExchangeTrial:
 
         return refused(ask)
 
+    @property
+    def names(self) -> list[str]:
+        """What is read of a run: outputs, or derivatives where there are none."""
+        rates = [row.variable.name for row in self.description.derivatives]
+        return [v.name for v in outputs_of(self.description)] or rates
+
     def run(self, share: float) -> np.ndarray:
         """A second of simulation with CVODES: outputs, or derivatives where there are none."""
         inputs, time = moving_inputs(self.description), np.linspace(0.0, SECONDS, SAMPLES)
         wave = share * np.sin(4 * np.pi * time)
         u = np.array([[within(v, start_of(v) + w * size_of(v)) for v in inputs] for w in wave]).reshape(SAMPLES, -1)
         names = [v.name for v in inputs]
-        rates = [row.variable.name for row in self.description.derivatives]
-        wanted = [v.name for v in outputs_of(self.description)] or rates
         instance = self.exchange()
         try:
             instance.initialise(0.0, None, {}, dict(zip(names, u[0], strict=True)))
-            return run_exchange(instance, time, u, names, wanted, names)
+            return run_exchange(instance, time, u, names, self.names, names)
         finally:
             instance.close()

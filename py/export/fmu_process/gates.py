@@ -22,6 +22,7 @@ from .trial import SHARE, STEPS, real_inputs, size_of, start_of, step_of, within
 from .verdicts import PASS, REMARK, NotTried
 
 EQUAL = 1e-9  # of the larger of the two values
+MOST_VARIABLES = 10_000  # that CasADi's importer reads in seconds
 def _fmpy(description: ModelDescription, unzipped: str, path: str, interface: str):
     """FMPy's master with its defaults, under inputs that step as those of `_libcosimpy`."""
     step, names = step_of(description), [v.name for v in outputs_of(description)]
@@ -89,6 +90,8 @@ def _casadi(description: ModelDescription, unzipped: str, path: str):
     """CasADi's functions of the FMU at the start and away from it, against the FMU asked directly."""
     if not importlib.util.find_spec("casadi"):
         raise NotTried("CasADi is not installed")
+    if len(description.modelVariables) > MOST_VARIABLES:
+        raise NotTried(f"CasADi's importer takes minutes for more than {MOST_VARIABLES} variables")
     strange = [v.name for v in description.modelVariables if v.type not in FLOATS or getattr(v, "dimensions", None)]
     if strange or description.numberOfEventIndicators:
         raise NotTried("CasADi reads smooth models of real numbers only")
@@ -140,7 +143,7 @@ def _said(finite: bool) -> str:
 GATES: Mapping[str, Callable] = {
     "FMPy Co-Simulation": partial(_fmpy, interface="CoSimulation"),
     "FMPy Model Exchange": partial(_fmpy, interface="ModelExchange"),
-    "libcosimpy": _libcosimpy,
     "CasADi importer": _casadi,
+    "libcosimpy": _libcosimpy,
 }
 """Each takes the description, the unpacked folder and the path of the FMU."""

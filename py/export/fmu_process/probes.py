@@ -10,8 +10,8 @@ import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ScalarVariable
 
-from .master import abilities_of, look_size, outputs_of
-from .trial import REPEATS, STEPS, Trial, off, real_inputs, same, size_of
+from .master import abilities_of, look_size
+from .trial import REPEATS, STEPS, Trial, off, same, size_of
 from .verdicts import FAIL, PASS, REMARK, NotTried
 
 MOVED, SMALL = 1e-3, 1e-5  # of an input's size: how far it is moved, and for differences
@@ -25,14 +25,13 @@ MOST_INPUTS = 20  # moved one by one
 
 def _runs(trial: Trial):
     """At its start values first, as any importer may; then with inputs that move."""
-    inputs = real_inputs(trial.description)
     trial.instance().close()  # one that gives no instance at all fails
     try:
         still = trial.run(share=0.0)
     except (FMICallException, RuntimeError) as failure:
-        return gives_up(failure, inputs)
+        return gives_up(failure, trial.inputs)
     if not np.isfinite(still).all():
-        return not_finite(trial.description, still, inputs)
+        return not_finite(trial.names, still, trial.inputs)
     done = f"{STEPS} steps of {trial.step:g} s, {still.shape[1]} outputs finite"
     if trial.refusal is not None:
         return REMARK, f"{done} at the start values of its inputs; moved by a tenth of nominal: {trial.refusal}"
@@ -50,9 +49,9 @@ def gives_up(failure: Exception, inputs):
     return FAIL, f"at its start values it gives up: {failure}"
 
 
-def not_finite(description, rows: np.ndarray, inputs):
+def not_finite(names: list[str], rows: np.ndarray, inputs):
     """What to say of an FMU that is content with outputs that are no numbers."""
-    name = [v.name for v in outputs_of(description)][int(np.argmin(np.isfinite(rows).all(axis=0)))]
+    name = names[int(np.argmin(np.isfinite(rows).all(axis=0)))]
     why = ", where its inputs stay at their start values" if inputs else ""
     return REMARK, f"output '{name}' is not finite within the first steps{why}, and no call says so"
 
@@ -83,20 +82,19 @@ def _second_instance(trial: Trial):
 
 
 def _nan_input(trial: Trial):
-    inputs, outputs = real_inputs(trial.description), trial.outputs
-    if not inputs:
-        raise NotTried("no real input")
-    slave = trial.instance()
+    if not trial.inputs or not trial.outputs:
+        raise NotTried("no real input, or no output that shows it")
+    slave, name = trial.instance(), trial.inputs[0].name
     trial.advance(slave)
     try:
-        slave.write({inputs[0].name: math.nan})
+        slave.write({name: math.nan})
         for k in range(STEPS, 2 * STEPS):
             slave.step(k * trial.step, trial.step)
     except FMICallException as refused:
-        return PASS, f"NaN at '{inputs[0].name}' is refused (status {refused.status})"
-    if np.isfinite(slave.read(outputs)).all():
-        return REMARK, f"NaN at '{inputs[0].name}' is taken without a word, the outputs stay finite"
-    return REMARK, f"NaN at '{inputs[0].name}' is taken as a value and reaches the outputs"
+        return PASS, f"NaN at '{name}' is refused (status {refused.status})"
+    if np.isfinite(slave.read(trial.names)).all():
+        return REMARK, f"NaN at '{name}' is taken without a word, the outputs stay finite"
+    return REMARK, f"NaN at '{name}' is taken as a value and reaches the outputs"
 
 
 def _step_before_init(trial: Trial):
@@ -139,15 +137,14 @@ def _state(trial: Trial):
 
 def _solver_alone(trial: Trial, first: np.ndarray, again: np.ndarray, third: np.ndarray) -> bool:
     """Whether runs from a saved state are one, and as far from the uninterrupted one as a solver may bring them."""
-    sizes = np.maximum([size_of(v) for v in outputs_of(trial.description)], np.abs(first).max(axis=0))
+    sizes = np.maximum([size_of(v) for v in trial.outputs], np.abs(first).max(axis=0))
     return off(again, third) <= REPEATS and bool((np.abs(first - again) / sizes <= SOLVER).all())
 
 
 def _dependencies(trial: Trial):
     """An output that does not list an input must not answer to it at once; one that lists none to nothing."""
-    description = trial.description
-    declared = {u.variable.name: u.dependencies for u in description.outputs}
-    inputs, names = _moving(trial), [v.name for v in outputs_of(description) if v.name in declared]
+    declared = {u.variable.name: u.dependencies for u in trial.description.outputs}
+    inputs, names = _moving(trial), [name for name in trial.names if name in declared]
     if not names:
         raise NotTried("no output is listed")
     if all(d is None for d in declared.values()):
@@ -169,7 +166,7 @@ def _moving(trial: Trial) -> list[ScalarVariable]:
     """The real inputs that are moved one by one. NotTried where that tells nothing."""
     if not trial.description.coSimulation.canHandleVariableCommunicationStepSize:
         raise NotTried("it takes one step size only, what follows at once cannot be told from what follows in a step")
-    inputs = real_inputs(trial.description)[:MOST_INPUTS]
+    inputs = trial.inputs[:MOST_INPUTS]
     if not inputs:
         raise NotTried("no real input")
     if trial.share == 0.0:
@@ -201,7 +198,7 @@ def _directional(trial: Trial):
     declared = abilities_of(trial.unzipped, "CoSimulation")
     if not declared & {"providesDirectionalDerivative", "providesDirectionalDerivatives"}:
         raise NotTried("not offered")
-    outputs = [v for v in outputs_of(trial.description) if v.type in ("Real", "Float64")]
+    outputs = [v for v in trial.outputs if v.type in ("Real", "Float64")]
     inputs, worst = [v for v in _moving(trial) if v.type in ("Real", "Float64")], 0.0
     if not outputs or not inputs:
         raise NotTried("no real input or no real output")

@@ -37,13 +37,20 @@ class Trial:
         """Communication step [s]: the one that the FMU names."""
         return step_of(self.description)
 
-    @property
-    def outputs(self) -> list[str]:
-        """Outputs of one number each. NotTried where there is none: nothing can be compared."""
-        names = [v.name for v in outputs_of(self.description)]
-        if not names:
-            raise NotTried("the FMU has no output that holds a number, so runs cannot be compared")
-        return names
+    @cached_property
+    def inputs(self) -> list[ScalarVariable]:
+        """Inputs that hold one real number each."""
+        return real_inputs(self.description)
+
+    @cached_property
+    def outputs(self) -> list[ScalarVariable]:
+        """Outputs that hold one number each."""
+        return outputs_of(self.description)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Of the outputs."""
+        return [v.name for v in self.outputs]
 
     @cached_property
     def share(self) -> float:
@@ -76,13 +83,14 @@ class Trial:
         """Inputs are set, a step is made, outputs are read."""
         share = self.share if share is None else share
         wave = share * math.sin(0.3 * (k + 1))
-        slave.write({v.name: within(v, start_of(v) + wave * size_of(v)) for v in real_inputs(self.description)})
+        slave.write({v.name: within(v, start_of(v) + wave * size_of(v)) for v in self.inputs})
         slave.step(k * self.step, self.step)
-        return slave.read([v.name for v in outputs_of(self.description)])
+        return slave.read(self.names)
 
     def require_repeats(self) -> np.ndarray:
         """The run of a fresh instance. NotTried where another fresh one does otherwise: nothing can be compared."""
-        _ = self.outputs
+        if not self.outputs:
+            raise NotTried("the FMU has no output that holds a number, so runs cannot be compared")
         first, again = self.run(), self.run()
         if off(first, again) > REPEATS:
             raise NotTried("two fresh instances do not repeat each other, so there is nothing to compare with")

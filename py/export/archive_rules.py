@@ -52,8 +52,8 @@ def _strange(name: str) -> bool:
 def platforms_of(path: Path) -> list[str]:
     """The folders of binaries that hold a library, by the names they have in the FMU."""
     parts = [PurePosixPath(n) for n in file_names(path)]
-    found = {p.parts[1] for p in parts if p.parts[0] == "binaries" and len(p.parts) == 3 and p.suffix in LIBRARIES}
-    return sorted(found)
+    libraries = [p.parts for p in parts if len(p.parts) == 3 and p.suffix in LIBRARIES]
+    return sorted({platform for top, platform, _ in libraries if top == "binaries"})
 
 
 def _has_sources(path: Path) -> bool:

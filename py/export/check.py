@@ -73,7 +73,8 @@ class Check:
     def summary(self) -> str:
         """One sentence."""
         counts = Counter(row.verdict for row in self.rows)
-        verdict = f"FAIL: {counts[FAIL]} rules broken" if counts[FAIL] else "no rule broken"
+        broken = f"{counts[FAIL]} rule{'s' if counts[FAIL] > 1 else ''} broken"
+        verdict = f"FAIL: {broken}" if counts[FAIL] else "no rule broken"
         return f"{verdict}; {counts[PASS]} passed, {counts[REMARK]} remarks, {counts[NOT_TRIED]} not tried"
 
     @property

@@ -72,7 +72,10 @@ def _in_child(path: Path, left: list[dict[str, str]], found: dict, limit: float)
         job = {"task": "probe", "path": str(path.absolute()), "plan": left, "spoilt": spoilt}
         lines = Path(folder) / "rows.jsonl"
         failure = start_child(job, {}, _OfEach(limit, lines=lines, usual=limit), Path(folder))
-        rows = {e["name"]: (e["verdict"], e["detail"]) for e in _read(lines) if "name" in e}
+        told = _read(lines)
+    if failure and not told:
+        return {entry["row"]: (NOT_TRIED, f"no probe could begin: {failure}") for entry in left}
+    rows = {e["name"]: (e["verdict"], e["detail"]) for e in told if "name" in e}
     stopped = next((entry for entry in left if entry["row"] not in rows), None)
     if failure and stopped:
         slow = failure.startswith(HANG) and stopped["probe"] not in (LOADS, RUNS)

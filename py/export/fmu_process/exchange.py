@@ -64,7 +64,9 @@ class Exchange(Instance):
         return self.vector(self.fmu.getContinuousStateDerivatives if self.fmi3 else self.fmu.getDerivatives)
 
     def vector(self, read) -> np.ndarray:
-        """What one of the functions over all states answers."""
+        """What one of the functions over all states answers; one without states is not asked."""
+        if not self.count:
+            return np.empty(0)
         values = (c_double * self.count)()
         read(values, self.count)
         return np.array(values)

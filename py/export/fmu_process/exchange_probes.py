@@ -56,6 +56,8 @@ def _order_of_states(trial: ExchangeTrial):
     """States and derivatives come in the order in which the derivatives are listed."""
     exchanger, rows = trial.exchanger(), trial.description.derivatives
     if not exchanger.count:
+        if refusal := refused(lambda: exchanger.fmu.getContinuousStates(None, 0)):
+            return REMARK, f"it lists no derivatives, and when it is asked for no states, it refuses: {refusal}"
         raise NotTried("no continuous state")
     rates = [u.variable for u in rows]
     if any(v.dimensions or v.derivative is None for v in rates):

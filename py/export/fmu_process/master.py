@@ -260,7 +260,9 @@ def _setter(kind: str, fmi3: bool) -> str:
     return {"Enumeration": "Int64" if fmi3 else "Integer"}.get(kind, kind)
 
 
-def _as_type(kind: str, value: float):
+def _as_type(kind: str, value: float | str):
+    if kind == "String":
+        return value
     if kind in FLOATS:
         return float(value)
     whole = round(float(value))

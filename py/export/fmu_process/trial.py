@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,6 +19,7 @@ STEPS = 20
 SHARE = 0.1  # of nominal: how far inputs are moved, within their min and max
 REPEATS = 1e-6  # of the size of an output: solvers and iterations inside an FMU may end a little elsewhere
 STEP = 0.01  # s, where the FMU names no step
+ENOUGH = 15.0  # s for moving inputs one by one
 TINY = 1e-9  # the least size of an output: below it, differences are rounding
 
 
@@ -95,6 +97,15 @@ class Trial:
         if off(first, again) > REPEATS:
             raise NotTried("two fresh instances do not repeat each other, so there is nothing to compare with")
         return first
+
+
+def in_time(items: Sequence) -> Iterator:
+    """As many of them as there is time for; the first always."""
+    began = time.monotonic()
+    for k, item in enumerate(items):
+        if k and time.monotonic() - began > ENOUGH:
+            return
+        yield item
 
 
 def refused(work: Callable[[], object]) -> str | None:

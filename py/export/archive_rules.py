@@ -8,7 +8,6 @@ from pathlib import Path, PurePosixPath
 
 from fmpy import platform as system
 from fmpy import platform_tuple
-from fmpy.model_description import ModelDescription
 
 from .archive import file_names
 from .fmu_process.verdicts import FAIL, NOT_TRIED, PASS
@@ -65,11 +64,8 @@ def _platforms(path: Path) -> tuple[str, str]:
     return PASS if found else FAIL, ", ".join(found) or "no binary and no sources for any platform"
 
 
-def why_not_here(path: Path, md: ModelDescription) -> str:
-    """Why the FMU cannot run on this machine, "" where nothing speaks against it."""
-    offered = [interface for interface in (md.coSimulation, md.modelExchange) if interface is not None]
-    if any(interface.needsExecutionTool in (True, "true", "1") for interface in offered):
-        return f"it needs {md.generationTool or 'the tool that made it'} installed (needsExecutionTool)"
+def why_not_here(path: Path) -> str:
+    """Why the FMU cannot run on this machine, with the platforms that it has; "" where it has a binary for it."""
     found = platforms_of(path)
     if {system, platform_tuple} & set(found):
         return ""

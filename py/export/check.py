@@ -17,7 +17,7 @@ from hydrotwin.records import Record, read_record
 from hydrotwin.records.between import told
 
 from .archive import file_names, read_file
-from .archive_rules import archive_rows, why_not_here
+from .archive_rules import archive_rows
 from .check_plan import SECOND, offers_both, plan_of, tried_rows
 from .description_rules import description_rows, unreadable
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
@@ -139,9 +139,8 @@ def check_fmu(
     md = description.source
     found = [("readable", (PASS, _summary(description)))]
     found += [*description_rows(path, md).items(), *archive_rows(path).items(), ("units", _units(description))]
-    elsewhere = why_not_here(path, md)
-    found += tried_rows(path, plan_of(md), elsewhere, time_limit)
-    found += _references(path, description, reference, elsewhere, time_limit, interpolation or {})
+    found += tried_rows(path, plan_of(md), description.elsewhere, time_limit)
+    found += _references(path, description, reference, time_limit, interpolation or {})
     return Check(str(path), tuple(_row(name, *rest, md.fmiVersion) for name, rest in found))
 
 
@@ -171,11 +170,11 @@ def _units(description: Description) -> tuple[str, str]:
 
 
 def _references(
-    path: Path, description: Description, reference: Record | None, elsewhere: str, limit: float, interpolation: Mapping
+    path: Path, description: Description, reference: Record | None, limit: float, interpolation: Mapping[str, str]
 ) -> list[tuple[str, tuple[str, str]]]:
     record = reference if reference is not None else _embedded_reference(path)
-    if record is None or elsewhere:
-        why = elsewhere if record is not None else "no reference record was given and none is inside"
+    if record is None or description.elsewhere:
+        why = description.elsewhere if record is not None else "no reference record was given and none is inside"
         return [("reference", (NOT_TRIED, why))]
     block = read_fmu(path, time_limit=limit, interpolation="hold")
     block = block.with_inputs(told(block.inputs, interpolation if reference is not None else {}, str(path)))

@@ -15,6 +15,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, UnitEr
 from hydrotwin.models.language.units import parse_unit
 
 from .archive import read_file
+from .archive_rules import why_not_here
 from .fmu_process.master import inputs_of, interpolates, is_scalar, unfed_of
 from .fmu_process.trial import start_of
 from .whole_numbers import Whole, whole_of
@@ -33,7 +34,7 @@ class Description:
     whole : the Integer, Boolean and Enumeration variables, and what each can take.
     starting : record name of an input -> its start value in SI.
     unfed : inputs that no column can feed, with their start values; clocks : input clocks; left_out : outputs that hold
-        no single number. All in words.
+        no single number; elsewhere : why it cannot run on this machine. All in words.
     """
 
     source: ModelDescription
@@ -54,6 +55,7 @@ class Description:
     unfed: tuple[str, ...] = ()
     clocks: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
+    elsewhere: str = ""
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -91,6 +93,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         starting={names.get(v.name, v.name): s for v in inputs_of(md) if (s := _start(v, meanings)) is not None},
         unfed=tuple(f"{v.name} ({kind_of(v)}, '{v.start}')" for v in unfed_of(md) if v.type != "Clock"),
         clocks=tuple(v.name for v in unfed_of(md) if v.type == "Clock"),
+        elsewhere=why_not_here(path),
         left_out=tuple(f"{v.name} ({kind_of(v)})" for v in outputs if not is_scalar(v)),
     )
 

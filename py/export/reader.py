@@ -175,7 +175,7 @@ class FmuBlock:
         self._check_time_axis(record)
         record = known_inputs(require(record, self.inputs, self.name), self.inputs, self.name)
         self.require_outputs()
-        self._require_no_clocks()
+        self._require_possible()
         of = self.description.fmu_names
         seen = {s.name: as_seen(s, record.time, record[s.name]) for s in self.inputs}
         seen |= {s.name: np.full(len(record), s.default) for s in self.resting}
@@ -202,8 +202,10 @@ class FmuBlock:
                 f"{steps.max():g} s. Resample the record: record.resample(period=...)."
             )
 
-    def _require_no_clocks(self):
-        """DeclarationError for an FMU whose clocks the importer must tick: what belongs to them would never move."""
+    def _require_possible(self):
+        """DeclarationError for an FMU of another system, or one whose clocks the importer must tick."""
+        if self.description.elsewhere:
+            raise DeclarationError(f"{self.path}: {self.description.elsewhere}.")
         if self.description.clocks:
             names = ", ".join(self.description.clocks[:NAMED])
             raise DeclarationError(

@@ -8,13 +8,15 @@ import zipfile
 
 import pytest
 
-from hydrotwin.export import check_fmu
+from hydrotwin.export import check_fmu, read_fmu
 from hydrotwin.export.archive import write_archive
 from hydrotwin.export.check_plan import BRIEF, _fair, _OfEach
 from hydrotwin.export.description_rules import STRUCTURED
 from hydrotwin.export.fmu_process import gates, probing
 from hydrotwin.export.standard import NOT_ALLOWED, SECTIONS, paragraph
+from hydrotwin.models.language.errors import DeclarationError
 from tests.export.foreign import CRASHES, rewritten
+from tests.export.systems import command_record
 from tests.export.test_description import read
 
 EXTRA = (
@@ -102,6 +104,8 @@ def test_an_fmu_for_another_system_says_which_and_fails_nothing(fmus, tmp_path):
     assert check["runs"].verdict == check["reset"].verdict == check["libcosimpy"].verdict == "not tried"
     assert "no binary for this machine" in check["runs"].detail and "it has win46" in check["runs"].detail
     assert str(check).count("it has win46") == 1
+    with pytest.raises(DeclarationError, match="no binary for this machine"):
+        read_fmu(other).free_run(command_record())
 
 
 def test_an_fmu_without_any_implementation_fails(fmus, tmp_path):
@@ -119,14 +123,20 @@ def test_a_library_that_this_machine_cannot_load_is_not_tried(fmus, tmp_path):
     assert check["runs"].detail == "it does not run here, see 'loads'"
 
 
-def test_an_fmu_that_needs_its_tool_is_not_tried(fmus, tmp_path):
-    told = {"<CoSimulation ": '<CoSimulation needsExecutionTool="true" '}
+@pytest.mark.parametrize("needs", [True, False])
+def test_an_fmu_that_gives_no_instance_fails_unless_it_needs_a_tool(fmus, tmp_path, needs):
     text = read(fmus["lag"])
-    if "needsExecutionTool" in text:
-        told = {'needsExecutionTool="false"': 'needsExecutionTool="true"'}
+    [guid] = re.findall(r'guid="\{(.*?)\}"', text)
+    told = {guid: guid[::-1]} | ({"<CoSimulation ": '<CoSimulation needsExecutionTool="true" '} if needs else {})
     check = check_fmu(rewritten(fmus["lag"], tmp_path / "x.fmu", xml=told))
-    assert check.passed
-    assert "installed (needsExecutionTool)" in check["runs"].detail
+    assert check["runs"].verdict == ("not tried" if needs else "FAIL")
+    assert "gives no instance" in check["runs"].detail
+    assert ("it does not run without hydrotwin" in check["runs"].detail) is needs
+
+
+def test_an_fmu_that_needs_its_tool_is_tried_all_the_same(fmus, tmp_path):
+    needs = {"<CoSimulation ": '<CoSimulation needsExecutionTool="true" '}
+    assert check_fmu(rewritten(fmus["lag"], tmp_path / "x.fmu", xml=needs))["reset"].passed
 
 
 def test_a_function_that_is_missing_fails(fmus, tmp_path):

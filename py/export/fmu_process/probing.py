@@ -37,6 +37,13 @@ class Probing:
     unzipped: str
     path: str
 
+    @property
+    def needs_tool(self) -> str:
+        """What must be installed for it to run, "" where it says that it needs nothing."""
+        offered = [kind for kind in (self.description.coSimulation, self.description.modelExchange) if kind is not None]
+        needs = any(kind.needsExecutionTool in (True, "true", "1") for kind in offered)
+        return f"{self.description.generationTool or 'the tool that made it'} (needsExecutionTool)" if needs else ""
+
     @cached_property
     def slave(self) -> Trial:
         """What the probes of Co-Simulation share."""
@@ -71,6 +78,8 @@ def run_probes(plan: Sequence[Mapping[str, str]], spoilt: set[str], probing: Pro
                 verdict, detail = NOT_TRIED, f"it does not run here, see '{entry['needs']}'"
             else:
                 verdict, detail = _judged(probing.probe(entry["group"], entry["probe"]))
+            if verdict == FAIL and entry["probe"] in (LOADS, RUNS) and probing.needs_tool:
+                verdict, detail = NOT_TRIED, f"it does not run without {probing.needs_tool}: {detail}"
             if verdict not in GOOD:
                 spoilt.add(entry["row"])
             _write(stream, {"name": entry["row"], "verdict": verdict, "detail": detail})

@@ -15,7 +15,7 @@ from hydrotwin.export.description_rules import STRUCTURED
 from hydrotwin.export.fmu_process import gates, probing
 from hydrotwin.export.standard import NOT_ALLOWED, SECTIONS, paragraph
 from hydrotwin.models.language.errors import DeclarationError
-from tests.export.foreign import CRASHES, rewritten
+from tests.export.foreign import CRASHES, DO_STEP, rewritten
 from tests.export.systems import command_record
 from tests.export.test_description import read
 
@@ -153,6 +153,31 @@ def test_a_function_that_is_missing_fails(fmus, tmp_path):
 def test_an_unpacked_archive_that_other_systems_cannot_read_fails(fmus, tmp_path):
     check = check_fmu(repacked(fmus["lag"], tmp_path / "x.fmu", **{"resources\\table.txt": b"1"}))
     assert [row.name for row in check.failures] == ["files"]
+
+
+@pytest.mark.parametrize(("fault", "verdict"), [("nan", "remark"), ("gives up", "not tried")])
+def test_what_an_fmu_may_lack_is_an_input(fmus, tmp_path, fault, verdict):
+    """At its start values it says that all is well with NaN, or gives up: both may be for want of a value."""
+    read_all = "return ht2_answer(c, ht_get(&((component *)c)->core, vr, n, value));"
+    nothing = "size_t k; for (k = 0; k < n; k++) value[k] = 0.0 / (vr[k] * 0.0); (void)c; return fmi2OK;"
+    gives_up = {DO_STEP: DO_STEP + "    if (c) return fmi2Error;\n"}
+    code = {"nan": {read_all: nothing}, "gives up": gives_up}[fault]
+    check = check_fmu(rewritten(fmus["lag"], tmp_path / "x.fmu", c=code))
+    assert check["runs"].verdict == verdict
+    assert {"nan": "is not finite", "gives up": "it may need values for command"}[fault] in check["runs"].detail
+    assert check.passed, str(check)
+
+
+def test_an_fmu_of_arrays_alone_is_run_and_not_compared(variants, tmp_path):
+    """Its states are no single numbers, which is no fault of it."""
+    good = variants["clocked mass", ("fmi", 3), ("kind", "me")]
+    outputs = re.findall(r'causality="output"', read(good))
+    arrays = rewritten(good, tmp_path / "x.fmu", xml={'causality="output"': 'causality="local"'})
+    text = read(arrays)
+    listed = "".join(re.findall(r"<Output [^>]*/>", text))
+    check = check_fmu(rewritten(arrays, tmp_path / "y.fmu", xml={o: "" for o in re.findall(r"<Output [^>]*/>", text)}))
+    assert outputs and listed
+    assert check["runs"].passed, str(check)
 
 
 def test_fmi_1_is_not_tried(fmus, tmp_path):

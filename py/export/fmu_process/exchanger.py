@@ -11,7 +11,7 @@ import numpy as np
 from fmpy.model_description import ModelDescription
 
 from .exchange import Exchange, run_exchange
-from .master import FLOATS, outputs_of
+from .master import FLOATS, is_scalar, outputs_of
 from .trial import SHARE, real_inputs, refused, size_of, start_of, within
 from .verdicts import NotTried
 
@@ -112,7 +112,7 @@ class ExchangeTrial:
     @property
     def names(self) -> list[str]:
         """What is read of a run: outputs, or derivatives where there are none."""
-        rates = [row.variable.name for row in self.description.derivatives]
+        rates = [row.variable.name for row in self.description.derivatives if is_scalar(row.variable)]
         return [v.name for v in outputs_of(self.description)] or rates
 
     def run(self, share: float) -> np.ndarray:

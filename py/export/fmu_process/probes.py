@@ -163,6 +163,8 @@ def _moving(trial: Trial) -> list[ScalarVariable]:
         raise NotTried("no real input")
     if trial.share == 0.0:
         raise NotTried(f"it does not go on when its inputs move ({trial.refusal})")
+    if not np.isfinite(trial.run()).all():
+        raise NotTried("outputs are not finite, so what moves them cannot be told")
     return inputs
 
 

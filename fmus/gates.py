@@ -16,9 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from fmpy.validation import validate_fmu
 
 from hydrotwin.export import Check, CheckRow, check_fmu
 from hydrotwin.export.build import native_platform
+from hydrotwin.export.fmu_process.verdicts import NOT_TRIED
 from hydrotwin.models.language.errors import DeclarationError, HydrotwinError
 from hydrotwin.records import read_record
 
@@ -34,8 +36,10 @@ COLUMNS = (
 EQUAL = 1e-9  # of the largest output: between machines
 PACKAGES = ("fmpy", "libcosimpy", "casadi", "ziglang")
 _SIMULATED = {"cs": "FMPy Co-Simulation", "me": "FMPy Model Exchange"}
-_OUTSIDE = ("readable", "FMPy validation", "files", "platforms", "units", "directional derivatives", "reference",
-            "libcosimpy", "CasADi importer", *_SIMULATED.values())  # fmt: skip
+_OUTSIDE = (
+    "readable", "schema", "variables", "names", "model structure", "files", "platforms", "units", "loads",
+    "directional derivatives", "reference", "libcosimpy", "CasADi importer", *_SIMULATED.values(),
+)  # fmt: skip
 FAILED = "FAIL"
 
 
@@ -72,18 +76,18 @@ def row_of(shipped: Shipped, fmi: int, kind: str) -> list[str]:
             return [*head, f"{mark} ({refusal})", *[""] * (len(COLUMNS) - 4)]
         check = check_fmu(fmu, reference)
         print(f"{' '.join(head)}: {check.failures or 'passed'}", file=sys.stderr)
+        validated = _mark(not validate_fmu(str(fmu)))
         elsewhere = [_elsewhere(fmu, platform, kind) for platform in THERE]
-    return [*head, *_cells(check, kind), *elsewhere]
+    return [*head, validated, *_cells(check, kind), *elsewhere]
 
 
 def _cells(check: Check, kind: str) -> list[str]:
-    """From the rows of `check_fmu`: validation, reference, libcosimpy, CasADi, contract, derivatives."""
+    """From the rows of `check_fmu`: reference, libcosimpy, CasADi, contract, derivatives."""
     found = {row.name: row for row in check.rows}
     simulated, reference = found[_SIMULATED[kind]], found["reference"]
-    contract = [row for row in check.rows if row.name not in _OUTSIDE and row.passed is not None]
+    contract = [row for row in check.rows if row.name not in _OUTSIDE and row.verdict != NOT_TRIED]
     done = sum(bool(row.passed) for row in contract)
     return [
-        _mark(found["FMPy validation"].passed),
         _mark(simulated.passed and reference.passed, _figure(reference.detail)),
         _other(found.get("libcosimpy")),
         _other(found.get("CasADi importer")),
@@ -95,9 +99,9 @@ def _cells(check: Check, kind: str) -> list[str]:
 def _other(row: CheckRow | None) -> str:
     if row is None:
         return "-"
-    if row.passed is None:
+    if row.verdict == NOT_TRIED:
         return f"- ({row.detail})"
-    return _mark(row.passed, _figure(row.detail))
+    return _mark(bool(row.passed), _figure(row.detail))
 
 
 def _figure(detail: str) -> str:

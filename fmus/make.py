@@ -16,6 +16,7 @@ from hydrotwin.commands.shared import out, table
 from hydrotwin.export import Check, check_fmu
 from hydrotwin.export.build import platforms_named
 from hydrotwin.export.check import SECOND
+from hydrotwin.export.fmu_process.verdicts import NOT_TRIED
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import read_record, write_record
 
@@ -75,8 +76,8 @@ def build_and_check(shipped: Shipped) -> list[list]:
         check = check_fmu(path, reference)
         for row in check.failures:
             out.print(f"failed: {path.name}: {row.name}: {row.detail}")
-        tried = [row for row in check.rows if row.passed is not None]
-        counts = f"{sum(row.passed for row in tried)} of {len(tried)} passed"
+        tried = [row for row in check.rows if row.verdict != NOT_TRIED]
+        counts = f"{sum(bool(row.passed) for row in tried)} of {len(tried)} passed"
         times = [round(built - begun, 1), round(time.perf_counter() - built, 1)]
         size = round(path.stat().st_size / 1000)
         mark = "pass" if check.passed else "FAIL"

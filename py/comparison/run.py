@@ -27,7 +27,7 @@ from .comparison import (
     mean_scores,
     relative_scores,
 )
-from .contender import Contender
+from .contender import Contender, as_contender
 from .domain import domain_shares
 from .metrics import errors_of
 from .rates import rate_signal, with_rates
@@ -208,8 +208,15 @@ def _timing(key: tuple[str, str], values: list[float]) -> Timing:
 def _settled(contenders: Sequence[Contender], records: Sequence[Record], wanted: Mapping[str, str]) -> list[Contender]:
     """The contenders with their inputs decided for all recordings together: one rule for what they share."""
     told([s for c in contenders for s in c.inputs], wanted, "none of the models")
+    contenders = [_fed(c, records) for c in contenders]
     own = [{s.name: wanted[s.name] for s in c.inputs if s.name in wanted} for c in contenders]
     return [settled(c, records, some) for c, some in zip(contenders, own, strict=True)]
+
+
+def _fed(contender: Contender, records: Sequence[Record]) -> Contender:
+    """An FMU whose inputs that nobody recorded keep their start values, under the name of its contender."""
+    fed_by = getattr(contender, "fed_by", None)
+    return contender if fed_by is None else as_contender(fed_by(records), contender.name)
 
 
 def _entrant(contender) -> Entrant:

@@ -23,10 +23,14 @@ _FILES = (".toml", ".fmu", ".npz")
 
 @dataclass(frozen=True)
 class ModelEntry:
-    """One model of a scenario: ``model`` as on the command line (name, file or ``file.py:factory``), and its label."""
+    """One model of a scenario: ``model`` as on the command line (name, file or ``file.py:factory``), and its label.
+
+    ``settings`` : parameter -> value in SI; of an FMU start values and inputs too, and texts with a unit ("35 bar").
+    """
 
     model: str
     name: str | None = None
+    settings: Mapping[str, float | str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,8 @@ def read_scenario(path: str | Path) -> Scenario:
         limits = [-5, 5]
 
     A model is written as on the command line: ``vendor.fmu:mass.s,mass.v`` has these variables as its outputs.
+    ``{model = "vendor.fmu", set = {mass = 3.0, supply = "35 bar"}}`` sets parameters, of an FMU start values and
+    inputs that nobody recorded too.
     The model ``hold_last`` is the yardstick that repeats the last sample.
 
     Raises DataError for a file that is missing or no TOML, DeclarationError for keys and modes that do not exist.
@@ -139,7 +145,7 @@ def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> lis
     contenders: list[Contender] = []
     for entry in scenario.models:
         if entry.model != HOLD_LAST:
-            thing = resolve(entry.model)
+            thing = _with_settings(resolve(entry.model), entry)
             named = in_loop(thing, scenario.loop, entry.name) if scenario.loop else as_contender(thing, entry.name)
             contenders.append(named)
     for k, entry in enumerate(scenario.models):
@@ -147,6 +153,17 @@ def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> lis
             outputs = {s.name: s for c in contenders for s in c.outputs}
             contenders.insert(k, HoldLast(tuple(outputs.values()), entry.name or "hold last sample"))
     return contenders
+
+
+def _with_settings(thing, entry: ModelEntry):
+    """What an entry sets. DeclarationError for a model that has nothing to set, or not that."""
+    if not entry.settings:
+        return thing
+    if hasattr(thing, "with_values"):
+        return thing.with_values(entry.settings)
+    if not hasattr(thing, "with_settings"):
+        raise DeclarationError(f"{entry.model}: a learned block has no parameters to set. Drop set = {{...}}.")
+    return thing.with_settings({name: {"value": value} for name, value in entry.settings.items()})
 
 
 def _read(paths: Sequence[Path], scenario: Scenario) -> list[Record]:
@@ -205,13 +222,15 @@ def _entry(value, path: Path) -> ModelEntry:
         return ModelEntry(_located(value, path))
     if not isinstance(value, dict):
         raise DeclarationError(f'{path.name}: a model is a text or a table (got {value!r}). Write "cehA".')
-    _only(value, ("model", "name"), f"{path.name}: models")
+    _only(value, ("model", "name", "set"), f"{path.name}: models")
+    if not isinstance(value.get("set", {}), dict):
+        raise DeclarationError(f"{path.name}: 'set' is no table (got {value['set']!r}). Write set = {{mass = 3.0}}.")
     if not isinstance(value.get("model"), str):
         raise DeclarationError(
             f"{path.name}: a model has no 'model'. It is a name or a file. Write {{model = 'cehA'}}."
         )
     name = value.get("name")
-    return ModelEntry(_located(value["model"], path), None if name is None else str(name))
+    return ModelEntry(_located(value["model"], path), None if name is None else str(name), value.get("set", {}))
 
 
 def _located(model: str, path: Path) -> str:

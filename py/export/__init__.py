@@ -1,7 +1,7 @@
 """Export: write FMUs that run without Python, read anybody's FMU as a contender, check an FMU."""
 
 from .check import Check, CheckRow, check_fmu
-from .reader import FmuBlock, read_fmu
+from .reader import FmuBlock, StartValueWarning, read_fmu
 from .reference import reference_run
 from .ssp import SystemArchive, SystemPart, export_ssp
 from .writer import export_fmu
@@ -10,6 +10,7 @@ __all__ = [
     "Check",
     "CheckRow",
     "FmuBlock",
+    "StartValueWarning",
     "SystemArchive",
     "SystemPart",
     "check_fmu",

@@ -1,4 +1,4 @@
-"""Zip archives that are the same bytes for the same content."""
+"""Zip archives that are the same bytes for the same content; what is in an FMU, packed or unpacked."""
 
 from __future__ import annotations
 
@@ -27,3 +27,19 @@ def _entry(name: str) -> zipfile.ZipInfo:
     entry.external_attr = REGULAR_FILE
     entry.create_system = 3
     return entry
+
+
+def file_names(path: Path) -> list[str]:
+    """Files of an FMU, an archive or a folder, with ``/``."""
+    if path.is_dir():
+        return [f.relative_to(path).as_posix() for f in path.rglob("*") if f.is_file()]
+    with zipfile.ZipFile(path) as archive:
+        return archive.namelist()
+
+
+def read_file(path: Path, name: str) -> bytes:
+    """One of them. KeyError or OSError where there is none."""
+    if path.is_dir():
+        return (path / name).read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        return archive.read(name)

@@ -14,7 +14,10 @@ from fmpy.model_description import BaseUnit, ModelDescription
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import parse_unit
 
-from .fmu_process.master import interpolates
+from .archive import read_file
+from .archive_rules import why_not_here
+from .fmu_process.master import inputs_of, interpolates, is_scalar, unfed_of
+from .fmu_process.trial import start_of
 from .whole_numbers import Whole, whole_of
 
 
@@ -29,6 +32,9 @@ class Description:
     any_step : whether it takes communication steps of any size. slopes : whether its inputs may move during a step.
     period : s between the moves of a sampled block of hydrotwin, None for everything else.
     whole : the Integer, Boolean and Enumeration variables, and what each can take.
+    starting : record name of an input -> its start value in SI.
+    unfed : inputs that no column can feed, with their start values; clocks : input clocks; left_out : outputs that hold
+        no single number; elsewhere : why it cannot run on this machine. All in words.
     """
 
     source: ModelDescription
@@ -45,6 +51,11 @@ class Description:
     whole: Mapping[str, Whole] = field(default_factory=dict)
     measured: Mapping[str, str] = field(default_factory=dict)
     slopes: bool = True
+    starting: Mapping[str, float] = field(default_factory=dict)
+    unfed: tuple[str, ...] = ()
+    clocks: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    elsewhere: str = ""
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -61,6 +72,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         )
     meanings = {v.name: _meaning(v, md, units.get(v.name)) for v in md.modelVariables}
     starts, measured, complete, period = _annotated(path)
+    outputs = [v for v in md.modelVariables if v.causality == "output"]
     plain = [p.removesuffix(".start") for p in starts] if complete else []
     states = tuple(n if n in meanings and not _is_output(md, n) else f"state.{n}" for n in plain)
     return Description(
@@ -78,7 +90,24 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         restarts=complete and md.coSimulation is not None,
         period=period,
         whole={v.name: w for v in md.modelVariables if (w := whole_of(v)) is not None},
+        starting={names.get(v.name, v.name): s for v in inputs_of(md) if (s := _start(v, meanings)) is not None},
+        unfed=tuple(f"{v.name} ({kind_of(v)}, '{v.start}')" for v in unfed_of(md) if v.type != "Clock"),
+        clocks=tuple(v.name for v in unfed_of(md) if v.type == "Clock"),
+        elsewhere=why_not_here(path),
+        left_out=tuple(f"{v.name} ({kind_of(v)})" for v in outputs if not is_scalar(v)),
     )
+
+
+def _start(variable, meanings: Mapping[str, tuple]) -> float | None:
+    """The start value of an input in SI."""
+    _, factor, offset, _ = meanings[variable.name]
+    return None if variable.start in (None, "") else factor * start_of(variable) + offset
+
+
+def kind_of(variable) -> str:
+    """What a variable that holds no single number is, in words."""
+    kind = f"an array of {variable.type}" if variable.dimensions else variable.type
+    return f"{kind} of a clock" if variable.clocks else kind
 
 
 def read_description(path: Path) -> ModelDescription:
@@ -138,11 +167,10 @@ def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float 
     """What an FMU of hydrotwin says of itself: start parameters and what measures them, whether they are all there is,
     its period."""
     try:
-        if path.is_dir():
-            root = ET.parse(path / "modelDescription.xml").getroot()
-        else:
-            with zipfile.ZipFile(path) as archive:
-                root = ET.fromstring(archive.read("modelDescription.xml"))
+        text = read_file(path, "modelDescription.xml")
+        if b"hydrotwin" not in text:
+            return {}, {}, False, None
+        root = ET.fromstring(text)
     except (OSError, KeyError, zipfile.BadZipFile, ET.ParseError):
         return {}, {}, False, None
     places = (

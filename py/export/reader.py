@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,12 +19,17 @@ from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
-from .foreign import Description, describe_fmu
+from .fmu_settings import AT_REST, LEFT_OUT, at_rest, own_value, unrecorded
+from .foreign import Description, describe_fmu, kind_of
 
 TIME_LIMIT = 120.0
 MEAN = "the FMU takes no slopes, and each of its steps sees the mean"
 LATE = "one sample late, for they follow an input at once and the FMU takes one step size only"
 NAMED = 8  # variables in a sentence
+
+
+class StartValueWarning(UserWarning):
+    """An input that is not recorded keeps its start value; the text says which and what."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +39,7 @@ class FmuBlock:
     starts : start parameter -> output whose first sample it is set to.
     values : variables set before initialization, in the FMU's own units.
     named : the variables that were named as its outputs; () where those are its own.
+    resting : inputs that keep one value, their default, in every run. notes : what a reader of its runs must know.
     """
 
     name: str
@@ -47,6 +54,8 @@ class FmuBlock:
     kind: str = "fmu"
     provenance: dict = field(default_factory=dict)
     named: tuple[str, ...] = ()
+    resting: tuple[Signal, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> FmuBlock:
         """The same FMU whose inputs do something else between samples, see `changed`.
@@ -56,15 +65,59 @@ class FmuBlock:
         other = replace(self, inputs=changed(self.inputs, changes, self.name))
         return other if self.description.slopes else replace(other, inputs=tuple(map(_seen_as_mean, other.inputs)))
 
+    def with_values(self, values: Mapping[str, float | str]) -> FmuBlock:
+        """The same FMU with other parameters, start values, and inputs that stay at one value in every run.
+
+        Numbers are in SI, texts may have a unit ("35 bar"), be true or false, or the name of an item. Raises
+        DeclarationError or UnitError for what the FMU does not have or cannot take.
+        """
+        for name in values:
+            if name not in self.description.scales:
+                settable = [v.name for v in self.description.source.modelVariables if _is_settable(v)]
+                raise DeclarationError(f"{self.path}: no variable '{name}'. {nearest(name, settable)}")
+        _check_settable(self.path, self.description.source, values)
+        own = {name: own_value(name, given, self.description) for name, given in values.items()}
+        inputs = {self.description.fmu_names[s.name]: s for s in (*self.inputs, *self.resting)}
+        fixed = [_resting(s, own[n], n, self.description) for n, s in inputs.items() if n in own]
+        rest = {n: v for n, v in own.items() if n not in inputs}
+        scales = self.description.scales
+        shown = {n: scales[n][0] * v + scales[n][1] for n, v in rest.items() if not isinstance(v, str)}
+        other = replace(
+            self, values={**self.values, **rest},
+            parameters=tuple(replace(p, value=shown.get(p.name, p.value)) for p in self.parameters),
+        )  # fmt: skip
+        return other.at_rest(fixed, [at_rest(s, (), given=True) for s in fixed])
+
+    def fed_by(self, records: Sequence[Record]) -> FmuBlock:
+        """The same FMU for these records: inputs that none of them has keep their start values, as ``notes`` say.
+
+        An input that only some of them have stays one, so that the record without it is refused.
+        """
+        gone = unrecorded(self.inputs, self.description.starting, records)
+        return self.at_rest(gone, [at_rest(s, records, given=False) for s in gone]) if gone else self
+
+    def at_rest(self, signals: Sequence[Signal], notes: Sequence[str]) -> FmuBlock:
+        """The same FMU whose inputs ``signals`` stay at their defaults."""
+        names = {s.name for s in signals}
+        kept = tuple(s for s in self.resting if s.name not in names)
+        said = "; ".join(filter(None, (self.provenance.get(AT_REST), *notes)))
+        return replace(
+            self, inputs=tuple(s for s in self.inputs if s.name not in names), resting=(*kept, *signals),
+            notes=(*self.notes, *notes), provenance={**self.provenance, **({AT_REST: said} if said else {})},
+        )  # fmt: skip
+
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
         A sampled block of hydrotwin runs at its own period, its outputs lie on the line between its samples: as
         `simulate` runs a Block.
 
-        Raises DataError or UnitError when the record lacks an input, SolveError when the FMU fails, crashes or hangs.
+        An input that the record lacks keeps its start value, with a StartValueWarning; `fed_by` says so beforehand.
+
+        Raises DataError or UnitError for an input without a start value or in another dimension, SolveError when the
+        FMU fails, crashes or hangs.
         """
-        self = settled(self, [record])
+        self = settled(self._told(record), [record])
         period = self.description.period
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
@@ -96,12 +149,19 @@ class FmuBlock:
                 "Compare it in free run, or export the model with start parameters for all states (given=...)."
             )
         record = as_needed(record, self.outputs)
-        job, arrays = settled(self, [record])._job("restart", record, record)
+        job, arrays = settled(self._told(record), [record])._job("restart", record, record)
         pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self._to_fmu(p, record, o) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
+
+    def _told(self, record: Record) -> FmuBlock:
+        """`fed_by` for whoever has not asked for it: with a warning."""
+        other = self.fed_by([record])
+        for note in other.notes[len(self.notes) :]:
+            warnings.warn(f"{self.name}: {note}", StartValueWarning, stacklevel=3)
+        return other
 
     def starts_of(self, record: Record) -> dict[str, float]:
         """What a run of ``record`` sets before initialization, in the FMU's own units."""
@@ -115,16 +175,19 @@ class FmuBlock:
         self._check_time_axis(record)
         record = known_inputs(require(record, self.inputs, self.name), self.inputs, self.name)
         self.require_outputs()
+        self._require_possible()
         of = self.description.fmu_names
         seen = {s.name: as_seen(s, record.time, record[s.name]) for s in self.inputs}
-        record = record.with_signals(seen) if seen else record
-        columns = [self._to_fmu(of[s.name], record, s.name) for s in self.inputs]
+        seen |= {s.name: np.full(len(record), s.default) for s in self.resting}
+        record = record.with_signals(seen, {s.name: s.unit for s in self.resting}) if seen else record
+        inputs = (*self.inputs, *self.resting)
+        columns = [self._to_fmu(of[s.name], record, s.name) for s in inputs]
         job = {
             "task": task,
             "path": self.path,
             "interface": self.description.interface,
             "starts": self.starts_of(first),
-            "inputs": [of[s.name] for s in self.inputs],
+            "inputs": [of[s.name] for s in inputs],
             "outputs": [of[s.name] for s in self.outputs],
             "linear": [of[s.name] for s in self.inputs if not s.held],
         }
@@ -137,6 +200,17 @@ class FmuBlock:
             raise DataError(
                 f"{record.name}: {self.name} takes one step size only, the record has steps from {steps.min():g} s to "
                 f"{steps.max():g} s. Resample the record: record.resample(period=...)."
+            )
+
+    def _require_possible(self):
+        """DeclarationError for an FMU of another system, or one whose clocks the importer must tick."""
+        if self.description.elsewhere:
+            raise DeclarationError(f"{self.path}: {self.description.elsewhere}.")
+        if self.description.clocks:
+            names = ", ".join(self.description.clocks[:NAMED])
+            raise DeclarationError(
+                f"{self.path}: the FMU has input clocks ({names}), and hydrotwin ticks none, so what belongs to them "
+                "would stand still. Export it without clocks."
             )
 
     def require_outputs(self):
@@ -227,10 +301,18 @@ def read_fmu(
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
         description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
         provenance=_provenance(md, description, [v.name for v in predicted]), named=tuple(outputs or ()),
+        notes=_notes(description, outputs),
     )  # fmt: skip
     if isinstance(interpolation, str):
         interpolation = {s.name: interpolation for s in block.inputs if s.interpolation is None}
     return block.with_inputs(told(block.inputs, interpolation or {}, str(path)))
+
+
+def _notes(description: Description, outputs: Sequence[str] | None) -> tuple[str, ...]:
+    """What it has and no recording can hold."""
+    fed = [f"no column can feed input {text}: its start value serves" for text in description.unfed]
+    left = description.left_out if outputs is None else ()
+    return (*fed, *([f"outputs that hold no single number are left out: {', '.join(left)}"] if left else []))
 
 
 def _outputs(path, md, names: Sequence[str] | None) -> list:
@@ -240,15 +322,29 @@ def _outputs(path, md, names: Sequence[str] | None) -> list:
     known = {v.name: v for v in md.modelVariables}
     for name in names:
         if not is_scalar(known[name]):
-            raise DeclarationError(f"{path}: '{name}' holds no single number (it is {known[name].type}). Name another.")
+            kind = kind_of(known[name])
+            raise DeclarationError(f"{path}: '{name}' holds no single number (it is {kind}). Name another.")
     return [known[name] for name in names]
+
+
+def _resting(signal: Signal, own: float, variable: str, description: Description) -> Signal:
+    factor, offset = description.scales[variable]
+    return replace(signal, default=factor * own + offset, interpolation="hold", chosen_by="model", why="")
+
+
+def _is_settable(variable) -> bool:
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
 
 
 def _check_settable(path, md, names) -> None:
     """An FMU may take a value for a calculated variable and ignore it without a word."""
     for variable in md.modelVariables:
-        settable = variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
-        if variable.name in names and not settable:
+        if variable.name in names and variable.causality == "structuralParameter":
+            raise DeclarationError(
+                f"{path}: '{variable.name}' is a structural parameter, which says how long arrays are, and hydrotwin "
+                "leaves those as they are. Leave it out."
+            )
+        if variable.name in names and not _is_settable(variable):
             choice = [v.name for v in md.modelVariables if v.causality == "parameter"]
             raise DeclarationError(
                 f"{path}: variable '{variable.name}' cannot be set, the FMU calculates it. "
@@ -263,6 +359,7 @@ def _signal(variable, description: Description) -> Signal:
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
         interpolation=None if moving else "hold", chosen_by=None if moving else "model",
+        default=description.starting.get(description.record_names[variable.name], 0.0),
     )  # fmt: skip
 
 
@@ -282,6 +379,7 @@ def _provenance(md, description: Description, outputs: Sequence[str]) -> dict:
     late = late_outputs(md, outputs, [v.name for v in inputs_of(md)])
     if late:
         facts[LATE] = ", ".join(late)
+    facts[LEFT_OUT] = ", ".join(description.left_out)
     if description.unknown_units:
         facts["units taken as 1"] = ", ".join(description.unknown_units)
     return {k: v for k, v in facts.items() if v}

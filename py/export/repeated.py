@@ -24,7 +24,7 @@ import numpy as np
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.records import Record
 
-from .child_process import end_child, way_of_death
+from .child_process import HANG, end_child, way_of_death
 from .reader import FmuBlock
 
 _BOOT = (
@@ -123,7 +123,7 @@ class _Process:
             line = self._lines.get(timeout=limit)
         except queue.Empty:
             self.close()
-            return f"the FMU did not come to an end (got {limit:g} s). Raise time_limit or shorten the record"
+            return f"{HANG} (got {limit:g} s). Raise time_limit or shorten the record"
         except OSError:
             line = ""
         if not line:

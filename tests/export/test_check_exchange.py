@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from hydrotwin.export import check_fmu, export_fmu, reference_run
+from hydrotwin.export.check_plan import plan_of
 from hydrotwin.export.fmu_process import gates
-from tests.export.foreign import CRASHES, KEEPS_NO_STATE, STALE_AFTER_TIME, SWALLOWS_NAN, fmi3_model_exchange, rewritten
+from hydrotwin.export.fmu_process.verdicts import NotTried
+from tests.export.foreign import KEEPS_NO_STATE, STALE_AFTER_TIME, SWALLOWS_NAN, fmi3_model_exchange, rewritten
 from tests.export.test_check import OF_EXCHANGE, ROWS
 from tests.export.test_description import read
 
@@ -46,10 +48,11 @@ def test_a_state_that_is_not_brought_back_is_found_in_model_exchange(variants, t
     assert failed == ({"state"} if key == (ME,) else {"state", "state (Model Exchange)"})
 
 
-def test_a_nan_that_reaches_the_outputs_of_model_exchange_is_found(variants, tmp_path):
+def test_a_nan_that_reaches_the_outputs_of_model_exchange_is_a_remark(variants, tmp_path):
     fmu = rewritten(variants["clocked mass", ME], tmp_path / "careless.fmu", c=SWALLOWS_NAN)
     check = check_fmu(fmu)
-    assert [row.name for row in check.failures] == ["NaN input"]
+    assert check.passed
+    assert check["NaN input"].verdict == "remark"
     assert "reaches" in check["NaN input"].detail
 
 
@@ -60,21 +63,15 @@ def test_a_wrong_reference_is_found_in_both_halves(variants, systems):
     assert {row.name for row in check.failures} == {"reference", "reference (Model Exchange)"}
 
 
-def test_derivatives_listed_in_another_order_than_they_come_are_found_by_casadis_importer(variants, tmp_path):
+def test_derivatives_listed_in_another_order_than_they_come_are_found_and_seen_by_casadis_importer(variants, tmp_path):
     good = variants["clocked mass", FMI3, ME]
     first, second = re.findall(r"<ContinuousStateDerivative [^>]*/>", read(good))
     swapped = rewritten(good, tmp_path / "swapped.fmu", xml={first: "<A/>", second: first, "<A/>": second})
     assert check_fmu(good)["CasADi importer"].passed
-    row = check_fmu(swapped)["CasADi importer"]
-    assert row.passed is False
-    assert "largest difference" in row.detail
-
-
-def test_a_crash_is_seen_by_every_program_that_steps(fmus, tmp_path):
-    check = check_fmu(rewritten(fmus["lag"], tmp_path / "crash.fmu", c=CRASHES), time_limit=20.0)
-    for name in ("FMPy Co-Simulation", "libcosimpy"):
-        assert check[name].passed is False
-        assert "SIGABRT" in check[name].detail
+    check = check_fmu(swapped)
+    assert "order of states" in [row.name for row in check.failures]
+    assert check["CasADi importer"].verdict == "remark"
+    assert "largest difference" in check["CasADi importer"].detail
 
 
 def test_casadis_own_fmu_of_model_exchange_is_taken_by_its_importer(tmp_path):
@@ -86,9 +83,8 @@ def test_casadis_own_fmu_of_model_exchange_is_taken_by_its_importer(tmp_path):
 def test_a_program_that_is_not_installed_fails_nothing(monkeypatch):
     monkeypatch.setattr(gates.importlib.util, "find_spec", lambda name: None)
     for name in ("libcosimpy", "CasADi importer"):
-        passed, detail = gates.gates_for("x.fmu")[name](None, "")
-        assert passed is None
-        assert "not installed" in detail
+        with pytest.raises(NotTried, match="not installed"):
+            gates.GATES[name](None, "", "x.fmu")
 
 
 def test_a_difference_is_relative_and_infinite_for_what_is_not_finite():
@@ -100,7 +96,8 @@ def test_gates_are_for_the_kinds_they_can_take(variants):
     from fmpy import read_model_description
 
     def names(*key):
-        return gates.applicable(read_model_description(str(variants["clocked mass", *key]), validate=False))
+        md = read_model_description(str(variants["clocked mass", *key]), validate=False)
+        return [entry["row"] for entry in plan_of(md) if entry["group"] == "gates"]
 
     assert names(BOTH) == ["FMPy Co-Simulation", "FMPy Model Exchange", "libcosimpy"]
     assert names(FMI3, ME) == ["FMPy Model Exchange", "CasADi importer"]

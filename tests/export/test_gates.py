@@ -75,7 +75,7 @@ def test_the_figure_of_a_detail_is_the_largest_difference():
     assert gates._figure("3 outputs, largest difference 2.2e-07 of the range at x") == "2.2e-07"
     assert gates._figure("20 steps, largest difference to our master 3.5e-15") == "3.5e-15"
     assert gates._figure("largest difference to finite differences 0 of nominal") == "0"
-    assert gates._other(CheckRow("x", None, "not installed")) == "- (not installed)"
+    assert gates._other(CheckRow("x", "not tried", "not installed")) == "- (not installed)"
     assert gates._other(None) == "-"
 
 

@@ -118,10 +118,8 @@ def test_names_and_units_can_be_given(fmus):
     np.testing.assert_allclose(block.free_run(renamed)["angle"], expected["angle"], rtol=1e-12)
 
 
-def test_a_missing_input_a_wrong_unit_and_a_wrong_name_are_named(fmus):
+def test_a_wrong_unit_and_a_wrong_name_are_named(fmus):
     block, record = read_fmu(fmus["cehA"]), arm_record(1.0)
-    with pytest.raises(DataError, match="command"):
-        block.free_run(record.select(["arm_angle"]))
     wrong = type(record)(record.time, {"command": record["command"]}, {"command": "Pa"})
     with pytest.raises(UnitError, match="command"):
         block.free_run(wrong)

@@ -115,7 +115,10 @@ COMMANDS = {
     f"simulate cehA {RUN} --method euler": ["cehA: no simulation method 'euler'", "Known: auto, explicit"],
     f"simulate cehA {RUN} --step -1": ["cehA: the step must be positive (got -1.0 s)", "Give seconds"],
     f"simulate block.toml {RUN} --set gain=3": ["no parameter 'gain'"],
-    f"simulate old.fmu {RUN} --set motor.gain=3": ["'old.fmu' is an FMU, which --set", "Leave them out"],
+    f"simulate old.fmu {RUN} --set motor.gain=3": ["old.fmu: no variable 'motor.gain'", "arm_angle.start"],
+    f"simulate old.fmu {RUN} --set arm_angle.start=3bar": ["'bar': cannot become 'rad'"],
+    f"simulate old.fmu {RUN} --set arm_angle.start": ["--set arm_angle.start: no 'name=value'"],
+    f"simulate old.fmu {RUN} --step 0.1": ["'old.fmu' is an FMU, which --step and --method", "Drop them"],
     f"{SIMULATE} percent.csv --scale comand='0.05 V/%'": ["no column 'comand'", "Did you mean 'command'?"],
     f"{SIMULATE} percent.csv --scale command=0.05": ["percent.csv: column 'command' is in 1, the model needs V"],
     f"{SIMULATE} percent.csv --scale twenty": ["scale: not understood (got 'twenty')", "--scale command=0.05 V/%"],
@@ -210,6 +213,7 @@ COMMANDS = {
     "export cehA --out old.zip": ["old.zip: not a name this command can write to", "Write to old.fmu"],
     "check odl.fmu": ["odl.fmu: no such file"],
     "check old.fmu --reference god.csv": ["god.csv: no such file", "Did you mean 'good.csv'?"],
+    "check old.fmu --reference bar.csv": ["bar.csv: column 'command' is in bar", "--scale"],
     # looking at a model
     "linearize cehA --at arm.angel=0.3 --out report": [
         "cehA: no input or state 'arm.angel'",
@@ -230,7 +234,6 @@ FAILURES = {
     "check text.fmu": ["text.fmu: not an FMU", "Check the download"],
     "check other.fmu": ["other.fmu: not an FMU", "modelDescription.xml"],
     "check good.csv": ["good.csv: not an FMU"],
-    "check old.fmu --reference bar.csv": ["bar.csv: column 'command' is in bar", "--scale"],
 }
 
 

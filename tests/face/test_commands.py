@@ -328,7 +328,7 @@ def test_a_check_against_another_machine_fails_with_exit_code_one(here):
     answer = hydrotwin("check", "cehA.fmu", "--reference", merged("other.csv"), "--json")
     assert answer.code == 1
     data = json.loads(answer.out)
-    assert not data["passed"] and [r["name"] for r in data["rows"] if r["passed"] is False] == ["reference"]
+    assert not data["passed"] and [r["name"] for r in data["rows"] if r["verdict"] == "FAIL"] == ["reference"]
 
 
 # -- looking at a model ----------------------------------------------------------------------------------------
@@ -414,7 +414,7 @@ def test_a_table_in_a_pipe_breaks_no_name(here):
     words = [sys.executable, "-m", "hydrotwin", "check", "cehA.fmu"]
     answer = subprocess.run(words, capture_output=True, text=True, env={**os.environ, "COLUMNS": "80"}, check=False)
     assert answer.returncode == 0, answer.stderr
-    (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass  second instance"))
+    (line,) = (line for line in answer.stdout.splitlines() if line.startswith("pass") and "second instance" in line)
     assert line.rstrip().endswith("bit by bit")
 
 

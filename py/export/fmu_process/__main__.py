@@ -15,10 +15,8 @@ from pathlib import Path
 import numpy as np
 from fmpy import extract, read_model_description
 
-from .exchange_probes import EXCHANGE_PROBES
-from .gates import gates_for
 from .master import Slave, run_steps
-from .probes import PROBES, run_probes
+from .probing import Probing, run_probes
 from .walk import free_run
 
 
@@ -57,8 +55,7 @@ def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray
 
 
 def _probe(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
-    probes = {"CoSimulation": PROBES, "ModelExchange": EXCHANGE_PROBES, "gates": gates_for(job["path"])}
-    run_probes(job["probes"], description, unzipped, folder / "rows.jsonl", probes[job["interface"]])
+    run_probes(job["plan"], set(job["spoilt"]), Probing(description, unzipped, job["path"]), folder / "rows.jsonl")
     return {}
 
 

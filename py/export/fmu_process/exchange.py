@@ -18,6 +18,10 @@ DISCARD = 2  # fmi2Discard, fmi3Discard
 SAME = 1e-9  # of a sample's length: two times this close are one
 
 
+class SolverFailure(RuntimeError):
+    """CVODES does not get on, though no call of the FMU fails."""
+
+
 class Exchange(Instance):
     """One Model Exchange instance, in continuous-time mode once it is initialised."""
 
@@ -60,7 +64,9 @@ class Exchange(Instance):
         return self.vector(self.fmu.getContinuousStateDerivatives if self.fmi3 else self.fmu.getDerivatives)
 
     def vector(self, read) -> np.ndarray:
-        """What one of the functions over all states answers."""
+        """What one of the functions over all states answers; one without states is not asked."""
+        if not self.count:
+            return np.empty(0)
         values = (c_double * self.count)()
         read(values, self.count)
         return np.array(values)
@@ -100,11 +106,12 @@ class _Solver(CVodeSolver):
 
     def __init__(self, instance: Exchange, inputs: _Inputs, start: float):
         fmu, md = instance.fmu, instance.description
+        self.ask_nominals = fmu.getNominalsOfContinuousStates
         super().__init__(
             nx=instance.count, nz=int(md.numberOfEventIndicators), get_x=fmu.getContinuousStates,
             set_x=fmu.setContinuousStates,
             get_dx=fmu.getContinuousStateDerivatives if instance.fmi3 else fmu.getDerivatives,
-            get_z=fmu.getEventIndicators, get_nominals=fmu.getNominalsOfContinuousStates, set_time=fmu.setTime,
+            get_z=fmu.getEventIndicators, get_nominals=self._nominals, set_time=fmu.setTime,
             input=inputs, startTime=start, relativeTolerance=TOLERANCE, maxNumSteps=MOST_STEPS,
         )  # fmt: skip
         self.failure: Exception | None = None
@@ -123,8 +130,14 @@ class _Solver(CVodeSolver):
         try:
             root, _, reached = self.step(time, to)
         except RuntimeError as failure:
-            raise self.failure or failure from None
+            raise self.failure or SolverFailure(str(failure)) from None
         return root, reached
+
+    def _nominals(self, values, count: int):
+        """Those of the FMU; where one is not above zero, the 1 that the standard asks for where none is known."""
+        self.ask_nominals(values, count)
+        known = np.ctypeslib.as_array(values, (count,))
+        known[~(known > 0.0)] = 1.0
 
     def _rates(self, t, *rest) -> int:
         self.input.apply(t)

@@ -1,6 +1,7 @@
 """Other programs that take an FMU: FMPy's own simulation, libcosimpy, CasADi's importer. As in `probes`.
 
-A program that is not installed, or is not made for such an FMU, makes no row that fails.
+What such a program says is a remark at most: it may be wrong itself. One that is not installed, or is not made for such
+an FMU, is not tried.
 """
 
 from __future__ import annotations
@@ -15,59 +16,48 @@ import numpy as np
 from fmpy import simulate_fmu
 from fmpy.model_description import ModelDescription, ScalarVariable
 
-from .exchange_probes import Exchanger
-from .master import FLOATS, Slave, inputs_of, is_scalar, outputs_of
+from .exchanger import Exchanger
+from .master import FLOATS, Slave, outputs_of
+from .trial import SHARE, STEPS, real_inputs, size_of, start_of, step_of, within
+from .verdicts import PASS, REMARK, NotTried
 
-STEPS = 20
 EQUAL = 1e-9  # of the larger of the two values
-GATES = ("FMPy Co-Simulation", "FMPy Model Exchange", "libcosimpy", "CasADi importer")
-
-
-def gates_for(path: str) -> Mapping[str, Callable]:
-    """The gates by name; ``path`` is the FMU's file."""
-    works = (
-        partial(_fmpy, interface="CoSimulation"), partial(_fmpy, interface="ModelExchange"),
-        partial(_libcosimpy, path=path), _casadi,
-    )  # fmt: skip
-    return dict(zip(GATES, works, strict=True))
-
-
-def _fmpy(description: ModelDescription, unzipped: str, interface: str):
+MOST_VARIABLES = 10_000  # that CasADi's importer reads in seconds
+def _fmpy(description: ModelDescription, unzipped: str, path: str, interface: str):
     """FMPy's master with its defaults, under inputs that step as those of `_libcosimpy`."""
-    step, names = _step_size(description), [v.name for v in outputs_of(description)]
+    step, names = step_of(description), [v.name for v in outputs_of(description)]
     result = simulate_fmu(
         unzipped, validate=False, fmi_type=interface, model_description=description, start_time=0.0,
         stop_time=STEPS * step, output_interval=step, output=names or None, input=_steps(description, step),
     )  # fmt: skip
     finite = all(np.isfinite(result[n]).all() for n in names)
-    return finite, f"{len(result)} points to {result['time'][-1]:g} s, {len(names)} outputs {_said(finite)}"
+    return _mark(finite), f"{len(result)} points to {result['time'][-1]:g} s, {len(names)} outputs {_said(finite)}"
 
 
 def _libcosimpy(description: ModelDescription, unzipped: str, path: str):
     """A second master takes the same steps under the same moving inputs as ours."""
     if not importlib.util.find_spec("libcosimpy"):
-        return None, "libcosimpy is not installed"
+        raise NotTried("libcosimpy is not installed")
     if Path(path).is_dir():
-        return None, "libcosimpy reads archives only"
+        raise NotTried("libcosimpy reads archives only")
     from libcosimpy.CosimExecution import CosimExecution
     from libcosimpy.CosimManipulator import CosimManipulator
     from libcosimpy.CosimObserver import CosimObserver
     from libcosimpy.CosimSlave import CosimLocalSlave
 
-    step, names = _step_size(description), [v.name for v in outputs_of(description) if v.type in FLOATS]
+    step, names = step_of(description), [v.name for v in outputs_of(description) if v.type in FLOATS]
     execution = CosimExecution.from_step_size(step_size=round(step * 1e9))
     slave = execution.add_local_slave(CosimLocalSlave(fmu_path=path, instance_name="checked"))
     observer, override = CosimObserver.create_last_value(), CosimManipulator.create_override()
     execution.add_observer(observer)
     execution.add_manipulator(override)
     references = {v.name.decode(): v.reference for v in execution.slave_variables(slave)}
-    moved = [v for v in inputs_of(description) if v.type in FLOATS]
-    found = []
+    moved, found = real_inputs(description), []
     for k in range(STEPS):
         for name, value in _inputs(moved, k).items():
             override.slave_real_values(slave, [references[name]], [value])
         if not execution.step():
-            return False, f"libcosim gave up after {len(found)} steps of {step:g} s"
+            return REMARK, f"libcosim gave up after {len(found)} steps of {step:g} s"
         found.append(observer.last_real_values(slave, [references[n] for n in names]))
     own = Slave(description, unzipped)
     own.initialise(0.0, None, {}, {})
@@ -78,12 +68,12 @@ def _libcosimpy(description: ModelDescription, unzipped: str, path: str):
         expected.append(own.read(names))
     own.close()
     difference = _difference(np.array(found), np.array(expected))
-    return difference <= EQUAL, f"{STEPS} steps of {step:g} s, largest difference to our master {difference:.2g}"
+    return _mark(difference <= EQUAL), f"{STEPS} steps of {step:g} s, largest difference to our master {difference:.2g}"
 
 
 def _steps(description: ModelDescription, step: float) -> np.ndarray | None:
     """Held inputs as FMPy takes them: every sample but the last twice, with the value before and after."""
-    moved = [v for v in inputs_of(description) if v.type in FLOATS and is_scalar(v)]
+    moved = real_inputs(description)
     if not moved:
         return None
     rows = [(j * step, *_inputs(moved, k).values()) for k in range(STEPS) for j in (k, k + 1)]
@@ -91,18 +81,20 @@ def _steps(description: ModelDescription, step: float) -> np.ndarray | None:
 
 
 def _inputs(moved: Sequence[ScalarVariable], k: int) -> dict[str, float]:
-    """A tenth of nominal around the start value, at step k."""
-    wave = 0.1 * math.sin(0.3 * (k + 1))
-    return {v.name: float(v.start or 0.0) + wave * float(v.nominal or 1.0) for v in moved}
+    """A tenth of nominal around the start value, at step k, within min and max."""
+    wave = SHARE * math.sin(0.3 * (k + 1))
+    return {v.name: within(v, start_of(v) + wave * size_of(v)) for v in moved}
 
 
-def _casadi(description: ModelDescription, unzipped: str):
+def _casadi(description: ModelDescription, unzipped: str, path: str):
     """CasADi's functions of the FMU at the start and away from it, against the FMU asked directly."""
     if not importlib.util.find_spec("casadi"):
-        return None, "CasADi is not installed"
+        raise NotTried("CasADi is not installed")
+    if len(description.modelVariables) > MOST_VARIABLES:
+        raise NotTried(f"CasADi's importer takes minutes for more than {MOST_VARIABLES} variables")
     strange = [v.name for v in description.modelVariables if v.type not in FLOATS or getattr(v, "dimensions", None)]
     if strange or description.numberOfEventIndicators:
-        return None, "CasADi reads smooth models of real numbers only"
+        raise NotTried("CasADi reads smooth models of real numbers only")
     import casadi as ca
 
     dae = ca.DaeBuilder("imported", str(unzipped))
@@ -112,14 +104,15 @@ def _casadi(description: ModelDescription, unzipped: str):
     names = (states, [v.name for v in exchanger.inputs], exchanger.outputs)
     places = [[own.index(n) for n in theirs] for own, theirs in zip(names, (dae.x(), dae.u(), dae.y()), strict=True)]
     worst = 0.0
-    for time, x, u in exchanger.points():
+    for time, x, u in exchanger.points(SHARE):
         exchanger.move(time, x, u)
         answers = exchanger.answers()
         expected = np.r_[answers[: len(states)][places[0]], answers[len(states) :][places[2]]]
         found = np.concatenate([np.array(a).ravel() for a in imported(time, x[places[0]], u[places[1]])])
         worst = max(worst, _difference(found, expected))
     exchanger.close()
-    return worst <= EQUAL, f"{len(states)} derivatives and {len(names[2])} outputs, largest difference {worst:.2g}"
+    told = f"{len(states)} derivatives and {len(names[2])} outputs, largest difference {worst:.2g}"
+    return _mark(worst <= EQUAL), told
 
 
 def applicable(description: ModelDescription) -> list[str]:
@@ -139,10 +132,18 @@ def _difference(found: np.ndarray, expected: np.ndarray) -> float:
     return float(relative.max()) if np.isfinite(relative).all() else np.inf
 
 
-def _step_size(description: ModelDescription) -> float:
-    experiment = description.defaultExperiment
-    return float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.01
+def _mark(good: bool) -> str:
+    return PASS if good else REMARK
 
 
 def _said(finite: bool) -> str:
     return "finite" if finite else "not finite"
+
+
+GATES: Mapping[str, Callable] = {
+    "FMPy Co-Simulation": partial(_fmpy, interface="CoSimulation"),
+    "FMPy Model Exchange": partial(_fmpy, interface="ModelExchange"),
+    "CasADi importer": _casadi,
+    "libcosimpy": _libcosimpy,
+}
+"""Each takes the description, the unpacked folder and the path of the FMU."""

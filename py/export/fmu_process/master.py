@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ModelDescription, ScalarVariable
 from fmpy.simulation import instantiate_fmu
 
 DISCARDS = "logStatusDiscard"  # the standard's name of the category that says why a step was discarded
 FLOATS = ("Real", "Float64", "Float32")
+ERROR, FATAL = 3, 4  # of the status that a function returns, in both versions
 NO_NUMBERS = ("String", "Binary", "Clock")
 LOOK = 1e-10  # of a communication step: the short step after which an output is read that follows a jump at once
 SPACINGS = 64  # between neighbouring numbers at the present time: no step is shorter
@@ -29,9 +32,18 @@ class Instance:
         self.description = description
         self.variables = {v.name: v for v in description.modelVariables}
         self.fmi3 = description.fmiVersion.startswith("3")
-        self.fmu = instantiate_fmu(folder, description, fmi_type=self.interface, **options)
+        self.fmu = self._instance(folder, options)
         if self.fmi3 and DISCARDS in {category.name for category in description.logCategories}:
             self.fmu.setDebugLogging(True, [DISCARDS])  # in FMI 3 only errors are told without being asked
+
+    def _instance(self, folder: str, options: dict):
+        """FMPy's. RuntimeError where the FMU gives none."""
+        try:
+            return instantiate_fmu(folder, self.description, fmi_type=self.interface, **options)
+        except FMICallException:
+            raise
+        except Exception as failure:
+            raise RuntimeError(f"the FMU gives no instance ({failure})") from None
 
     def initialise(self, start: float, stop: float | None, starts: Mapping[str, float], inputs: Mapping[str, float]):
         """From instantiated to where initialization mode has ended."""
@@ -61,10 +73,13 @@ class Instance:
         return [float(found[n]) for n in names]
 
     def close(self):
-        """Terminate and free, also after a failure."""
-        with contextlib.suppress(Exception):
-            self.fmu.terminate()
-        self.fmu.freeInstance()
+        """Terminate and free, as far as the standard allows it after the failure that is on its way, if any."""
+        status = getattr(sys.exc_info()[1], "status", 0)
+        if status < ERROR:
+            with contextlib.suppress(Exception):
+                self.fmu.terminate()
+        if status != FATAL:
+            self.fmu.freeInstance()
 
     def _references(self, names) -> list[int]:
         return [self.variables[n].valueReference for n in names]
@@ -108,8 +123,13 @@ class Slave(Instance):
 
 
 def inputs_of(description: ModelDescription) -> list[ScalarVariable]:
-    """Inputs that hold a number."""
-    return _with_causality(description, "input")
+    """Inputs that hold one number: real, integer, Boolean, enumeration."""
+    return [v for v in _with_causality(description, "input") if is_scalar(v)]
+
+
+def unfed_of(description: ModelDescription) -> list[ScalarVariable]:
+    """Inputs that no column of numbers can feed: texts, binaries, clocks, arrays, and what belongs to a clock."""
+    return [v for v in description.modelVariables if v.causality == "input" and not is_scalar(v)]
 
 
 def outputs_of(description: ModelDescription) -> list[ScalarVariable]:
@@ -118,8 +138,8 @@ def outputs_of(description: ModelDescription) -> list[ScalarVariable]:
 
 
 def is_scalar(variable: ScalarVariable) -> bool:
-    """Whether a variable holds one number."""
-    return variable.type not in NO_NUMBERS and not getattr(variable, "dimensions", None)
+    """Whether a variable holds one number at any time, and not only when a clock ticks."""
+    return variable.type not in NO_NUMBERS and not variable.dimensions and not variable.clocks
 
 
 def _with_causality(description: ModelDescription, causality: str) -> list[ScalarVariable]:
@@ -240,7 +260,9 @@ def _setter(kind: str, fmi3: bool) -> str:
     return {"Enumeration": "Int64" if fmi3 else "Integer"}.get(kind, kind)
 
 
-def _as_type(kind: str, value: float):
+def _as_type(kind: str, value: float | str):
+    if kind == "String":
+        return value
     if kind in FLOATS:
         return float(value)
     whole = round(float(value))

@@ -66,6 +66,7 @@ def compare(
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
     from hydrotwin.comparison import MODES, Scenario, read_scenario, run_scenario
+    from hydrotwin.export.fmu_settings import AT_REST
     from hydrotwin.report import write_report
 
     check_folder(output)
@@ -106,6 +107,9 @@ def compare(
 
         loaded = Loaded()
         comparison = run_scenario(described, loaded, progress=None if as_json else told)
+    for entrant in comparison.entrants:
+        if at_rest := entrant.provenance.get(AT_REST):
+            mark(err, "note", f"{entrant.name}: {at_rest}")
     if not comparison.scores:
         refuse_unscored(comparison)
     paths = write_report(comparison, output)

@@ -123,7 +123,7 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
         given, told = given_starts(thing, "measured"), equations_told(thing)
         export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told)
         answer = check_fmu(path)
-        failed = ", ".join(r.name for r in answer.rows if r.passed is False)
+        failed = ", ".join(row.name for row in answer.failures)
         verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"
         out.print(f"{path}: {path.stat().st_size / 1000:.0f} kB, {verdict}")
         answers.append(as_contender(read_fmu(path), f"{name}, as FMU"))

@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.records import Reading
 
 from ..loading import load
-from .recordings import read_all
+from .recordings import read_all, reads
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -37,7 +38,7 @@ def register(app: typer.Typer) -> None:
             "hydrotwin export cehA --method implicit --step 0.001 --out real_time.fmu",
         )
     )(export)
-    app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(check)
+    app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(reads(check))
 
 
 def export(
@@ -139,17 +140,18 @@ def check(
     reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
-    """Validate an FMU, try its interface in a child process, and compare its outputs; exit 1 when anything fails."""
+    """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken."""
     from hydrotwin.export import check_fmu
 
-    record = read_all([reference])[0] if reference else None
+    record = read_all([reference], reading)[0] if reference else None
     answer = check_fmu(fmu, reference=record, interpolation=interpolation_from(interpolation))
     if as_json:
-        rows = [{"name": r.name, "passed": r.passed, "detail": r.detail} for r in answer.rows]
+        rows = [{"name": r.name, "verdict": r.verdict, "detail": r.detail, "rule": r.rule} for r in answer.rows]
         print_json({"fmu": str(fmu), "passed": answer.passed, "rows": rows})
     else:
-        marks = {True: "pass", False: "FAIL", None: "-"}
-        table(str(fmu), ["", "check", "detail"], [[marks[r.passed], r.name, r.detail] for r in answer.rows])
+        table(str(fmu), ["", "check", "detail"], [list(row) for row in answer.told])
+        out.print(answer.summary)
     if not answer.passed:
         sys.exit(1)

@@ -102,6 +102,15 @@ def settings_from(changes: list[str] | None, option: str) -> dict[str, float]:
     return values
 
 
+def texts_from(changes: list[str] | None, option: str) -> dict[str, str]:
+    """The ``supply=35bar`` pairs of an option as they are written."""
+    pairs = [change.partition("=") for change in changes or []]
+    for (name, equals, text), change in zip(pairs, changes or [], strict=True):
+        if not (name and equals and text):
+            raise DeclarationError(f"{option} {change}: no 'name=value'. Write for example supply=35bar.")
+    return {name: text for name, _, text in pairs}
+
+
 def interpolation_from(changes: list[str] | None) -> dict[str, str]:
     """The ``force=linear`` pairs of --interpolation as a dictionary."""
     pairs = [change.rpartition("=") for change in changes or []]

@@ -32,6 +32,7 @@ from .shared import (
     settings_from,
     table,
     tell_between,
+    texts_from,
 )
 
 
@@ -58,7 +59,9 @@ def simulate(
     ] = None,
     changes: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="parameter value, SI; or an input not recorded: supply=35bar"),
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="parameter, SI (of an FMU also 2000g); an input not recorded: p=35bar"
+        ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
@@ -75,18 +78,20 @@ def simulate(
     thing = load(model)
     changes, reading = constants_among(changes, {s.name for s in as_contender(thing).inputs}, reading)
     (record,) = read_all([input], reading)
+    if hasattr(thing, "with_values"):
+        if step is not None or method != "auto":
+            raise DeclarationError(f"simulate: '{model}' is an FMU, which --step and --method do not reach. Drop them.")
+        thing = thing.with_values(texts_from(changes, "--set")).fed_by([record])
+        settings = {}
+    else:
+        settings = settings_from(changes, "--set")
+    notes = getattr(thing, "notes", ())
     thing = settled(thing, [record], interpolation_from(interpolation))
-    settings = settings_from(changes, "--set")
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InaccurateWarning)  # told below
             result = simulate(thing, record, parameters=settings, step=step, method=method)
-    elif settings or step is not None or method != "auto":
-        raise DeclarationError(
-            f"simulate: '{model}' is an FMU, which --set, --step and --method do not reach. "
-            "Leave them out, or export the model anew with other values."
-        )
     else:
         result = as_contender(thing).free_run(record)
     accuracy = getattr(result, "accuracy", None)
@@ -94,6 +99,8 @@ def simulate(
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
     tell_between(contender.inputs)
+    for note in notes:
+        mark(err, "note", f"{contender.name}: {note}")
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
@@ -108,6 +115,7 @@ def simulate(
         keys = ("output", "unit", "minimum", "maximum", "rmse")
         outputs = [dict(zip(keys, row, strict=True)) for row in rows]
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
+        answer |= {"notes": list(notes)} if notes else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)

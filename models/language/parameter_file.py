@@ -30,7 +30,7 @@ def read_toml(path: Path | str) -> dict:
     path = Path(path)
     try:
         with open(path, "rb") as file:
-            return tomllib.load(file)
+            return tomllib.loads(file.read().decode("utf-8-sig"))
     except FileNotFoundError:
         beside = [p.name for p in path.parent.glob("*.toml")] if path.parent.is_dir() else []
         raise DataError(f"{path}: no such file. {nearest(path.name, beside)}") from None

@@ -16,25 +16,30 @@ from hydrotwin.models.language.units import compatible, parse_unit
 
 from .columns import UNSEEN, Column, rounding_of
 from .decimal_sign import exact_from_first
-from .stamps import DAY, has_date, is_stamp, nanoseconds
+from .stamps import has_date, is_stamp, nanoseconds
 
-REPAIRS = ("spread", "first", "last", "unwrap", "sort")
 _NAMES = (
     "time|t|zeit|temps|tiempo|tempo|tout|xvalue|timestamps?|timestamp|zeitstempel|datetime|dateandtime|datumuhrzeit|"
     "datumzeit|uhrzeit|elapsedtime|relativetime|relativezeit|messzeit|abstime|reltime|localtime|utc|utctime|epoch|times"
 )
 _NAMED = re.compile(rf"(?:{_NAMES})")
 _BEGINS = re.compile(r"(?:time|zeit|timestamp|zeitstempel|uhrzeit|temps)\b")
+TIME_OF_DAY = "time of day"  # as what a clock is told that begins anew at midnight
+_MILLISECONDS = re.compile(r"ms|msec|millis|milliseconds?|millisekunden?")
 _DATE_NAMES = re.compile(r"(?:date|datum|tag|day|fecha)")
-# what a number without a unit counts that is as large as today in it: (least, most, most of a step, unit, words)
+# what a number without a unit counts that is as large as the years 2010 to 2035 in it:
+# (least, most, seconds of one, unit, words)
 _EPOCHS = (
-    (1e9, 4.5e9, 1e6, "s", "seconds since 1970 or 1904"),
-    (1e12, 4.5e12, 1e9, "ms", "milliseconds since 1970"),
-    (1e15, 4.5e15, 1e12, "us", "microseconds since 1970"),
-    (1e18, 4.5e18, 1e15, "ns", "nanoseconds since 1970"),
-    (2e4, 8e4, 1e-2, "d", "days as spreadsheets count them"),
-    (7e5, 8e5, 1e-2, "d", "days as MATLAB counts them"),
+    (1.26e9, 2.06e9, 1.0, "s", "seconds since 1970"),
+    (3.34e9, 4.14e9, 1.0, "s", "seconds since 1904"),
+    (1.26e12, 2.06e12, 1e-3, "ms", "milliseconds since 1970"),
+    (1.26e15, 2.06e15, 1e-6, "us", "microseconds since 1970"),
+    (1.26e18, 2.06e18, 1e-9, "ns", "nanoseconds since 1970"),
+    (40179, 49400, 86400.0, "d", "days as spreadsheets count them"),
+    (734139, 743300, 86400.0, "d", "days as MATLAB counts them"),
 )
+SLOWEST = 0.5  # s: a machine is recorded faster; numbers that would mean longer steps count something else
+MINUTES, HOURS = ("mm:ss", "m:s", "min:s", "min:sec"), ("hh:mm", "h:m", "h:min", "hh:mm:ss", "h:m:s", "hh:mm:ss.sss")
 
 
 def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int:
@@ -71,9 +76,9 @@ def called_time(name: str) -> bool:
 
 def _may_be_time(column: Column) -> bool:
     """Whether a column has a unit of time, or none; and numbers or stamps."""
-    if column.unit is not None and not (_has_dimension_of_time(column.unit) or _holds_stamps(column)):
+    if column.unit is not None and not (_has_dimension_of_time(column.unit) or holds_stamps(column)):
         return False
-    return not column.unusable or _holds_stamps(column)
+    return not column.unusable or holds_stamps(column)
 
 
 def _grows(column: Column) -> bool:
@@ -82,13 +87,16 @@ def _grows(column: Column) -> bool:
 
 
 def _has_dimension_of_time(unit: str) -> bool:
+    if unit in (*MINUTES, *HOURS):
+        return True
     try:
         return compatible(unit, "s")
     except UnitError:
         return False
 
 
-def _holds_stamps(column: Column) -> bool:
+def holds_stamps(column: Column) -> bool:
+    """Whether a column holds dates or times as text."""
     filled = next((cell for cell in column.texts or () if cell and cell.strip()), "")
     return is_stamp(filled)
 
@@ -96,7 +104,7 @@ def _holds_stamps(column: Column) -> bool:
 def in_seconds(columns: Sequence[Column], at: int, path: str, header: str) -> tuple[Column, str]:
     """The time column ``at`` in seconds, and in words what it counts. Raises `DataError`, `UnitError`."""
     column = columns[at]
-    if _holds_stamps(column):
+    if holds_stamps(column):
         return _of_stamps(columns, at, path)
     if column.unusable:
         raise DataError(column.unusable)
@@ -124,8 +132,8 @@ def _unit_of(values: np.ndarray) -> tuple[str | None, str]:
     steps = np.diff(known)
     if not len(steps):
         return None, ""
-    for least, most, step, unit, words in _EPOCHS:
-        if least <= known.min() and known.max() <= most and np.abs(steps).max() <= step:
+    for least, most, one, unit, words in _EPOCHS:
+        if least <= known.min() and known.max() <= most and np.median(np.abs(steps)) * one <= SLOWEST:
             return unit, words
     return None, ""
 
@@ -157,9 +165,17 @@ ROUGH = 1e-2  # of a step: rounding of the time that makes steps uneven
 def _of_stamps(columns: Sequence[Column], at: int, path: str) -> tuple[Column, str]:
     column, words = columns[at], "date and time"
     cells = list(column.texts)
-    if not has_date(next(cell for cell in cells if cell.strip())):
-        words = "time of day"
-        date = next((c for c in columns if _DATE_NAMES.match(c.name.lower()) and _holds_stamps(c)), None)
+    first = next(cell for cell in cells if cell.strip())
+    if not has_date(first):
+        words = TIME_OF_DAY
+        if column.unit in MINUTES:
+            cells = [f"0:{cell.strip()}" if cell.strip() else "" for cell in cells]
+        elif first.count(":") == 1 and column.unit not in HOURS:
+            raise DataError(
+                f"{path}: column '{column.name}': '{first}' may be hours and minutes, or minutes and seconds. State "
+                f"it: --unit '{column.name}=mm:ss' or --unit '{column.name}=hh:mm'."
+            )
+        date = next((c for c in columns if _DATE_NAMES.match(c.name.lower()) and holds_stamps(c)), None)
         if date is not None and date is not column:
             cells, words = [f"{d} {t}".strip() for d, t in zip(date.texts, cells, strict=True)], "date and time"
     try:
@@ -171,53 +187,19 @@ def _of_stamps(columns: Sequence[Column], at: int, path: str) -> tuple[Column, s
             "it are. Correct that cell."
         ) from None
     seconds = (counts - counts[np.argmin(absent)]) / 1e9
+    extra = next((c for c in columns if _MILLISECONDS.fullmatch(c.name.lower()) and _is_fraction(c, counts)), None)
+    if extra is not None:
+        seconds, words = seconds + (extra.values - extra.values[np.argmin(absent)]) / 1e3, f"{words} and milliseconds"
     return replace(column, values=np.where(absent, np.nan, seconds), unit="s", unusable="", texts=None), words
+
+
+def _is_fraction(column: Column, counts: np.ndarray) -> bool:
+    """Whether a column holds the milliseconds of stamps in whole seconds."""
+    values = column.values
+    whole = not (counts % 10**9).any() and np.isfinite(values).all() and len(values) == len(counts)
+    return bool(whole and (values >= 0).all() and (values < 1000).all())
 
 
 def sampled_at(rate: float, count: int) -> Column:
     """The time axis of ``count`` samples at a rate [Hz]."""
     return Column("time", "s", np.arange(count) / rate)
-
-
-def order_of(time: np.ndarray, clock: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Which samples stay, by index, and their times [s], after the repair that is asked for.
-
-    ``spread``: stamps that stand several times are spread evenly until the next one. ``first``, ``last``: of
-    samples with the same stamp one stays. ``unwrap``: after a jump back the time goes on with its usual step.
-    ``sort``: by time.
-    """
-    every = np.arange(len(time))
-    if clock == "sort":
-        order = np.argsort(time, kind="stable")
-        return order, time[order]
-    if clock in ("first", "last"):
-        changes = np.flatnonzero(np.diff(time) != 0)
-        kept = np.concatenate([[0], changes + 1]) if clock == "first" else np.concatenate([changes, [len(time) - 1]])
-        return kept, time[kept]
-    if clock == "spread":
-        return every, _spread(time)
-    if clock == "unwrap":
-        return every, _unwrapped(time)
-    return every, time
-
-
-def _spread(time: np.ndarray) -> np.ndarray:
-    begins = np.concatenate([[0], np.flatnonzero(np.diff(time) != 0) + 1])
-    lengths = np.diff(np.concatenate([begins, [len(time)]]))
-    stamps = time[begins]
-    steps = np.diff(stamps)
-    if not len(steps):
-        return time
-    usual = float(np.median(steps / lengths[:-1])) if len(steps) else 0.0
-    each = np.concatenate([steps / lengths[:-1], [usual]])
-    within = np.arange(len(time)) - np.repeat(begins, lengths)
-    return np.repeat(stamps, lengths) + within * np.repeat(each, lengths)
-
-
-def _unwrapped(time: np.ndarray) -> np.ndarray:
-    steps = np.diff(time)
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    back = steps < 0
-    whole_days = np.isclose(steps + DAY / 1e9, usual, atol=0.5) & back  # a time of day goes on after midnight
-    steps = np.where(whole_days, steps + DAY / 1e9, np.where(back, usual, steps))
-    return time[0] + np.concatenate([[0.0], np.cumsum(steps)])

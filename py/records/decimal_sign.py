@@ -16,7 +16,10 @@ from hydrotwin.models.language.errors import DataError
 SIGNS = (".", ",")
 _SPACES = " \u00a0\u202f\u2009'\u2019"  # blanks and apostrophes: they only ever group thousands
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))  # what word processors write for a minus
-MISSING_TEXTS = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+MISSING_TEXTS = {
+    "", "nan", "-nan", "na", "n/a", "n.a.", "#n/a", "#nv", "null", "none", "-", "--", "---", "1.#qnan", "-1.#qnan",
+    "1.#ind", "-1.#ind", "nan(ind)", "-nan(ind)", "#value!", "#wert!", "#div/0!",
+}  # fmt: skip
 
 
 def other_sign(decimal: str) -> str:
@@ -37,6 +40,8 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
         doubtful = doubtful or match
     if doubtful is None:
         return "."
+    if delimiter == " ":  # programs write such columns, and they group nothing
+        return "," if "," in doubtful[1] else "."
     start = doubtful.start(1)
     row = first_row + body.count("\n", 0, start)
     column = 1 + body.count(delimiter, body.rfind("\n", 0, start) + 1, start)
@@ -45,8 +50,8 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
     raise DataError(
         f"{path}: row {row}, column {column}: '{number}' may be {number.replace(sign, '')} or "
         f"{number.replace(sign, '.')}, and no number of the file tells whether '{sign}' is its decimal sign. "
-        f"State it in a line above the header, '# decimal={sign}' or '# decimal={other_sign(sign)}', or read the file "
-        "with decimal=."
+        f"State it: --decimal '{sign}' or --decimal '{other_sign(sign)}' (decimal= in Python), or write "
+        f"'# decimal={sign}' or '# decimal={other_sign(sign)}' above the header."
     )
 
 
@@ -85,6 +90,7 @@ def _plain(cell: str, decimal: str) -> str | None:
     cell = cell.strip()
     if cell.lower() in MISSING_TEXTS:
         return "nan"
+    cell = _FORTRAN.sub("e", cell)
     if _GROUPED[decimal].fullmatch(cell):
         cell = re.sub(f"[{other_sign(decimal)}{_SPACES}]", "", cell)
     return None if "_" in cell or other_sign(decimal) in cell else cell.replace(decimal, ".")
@@ -99,13 +105,14 @@ def _grouped(decimal: str) -> re.Pattern:
     return re.compile(rf"[-+]?(?!0)(?:{groups})(?:{d}\d*(?:[eE][-+]?\d+)?)?")
 
 
+_FORTRAN = re.compile(r"(?<=[\d.,])[dD](?=[-+]?\d+$)")
 _GROUPED = {decimal: _grouped(decimal) for decimal in SIGNS}
 
 
 def _cells_with_sign(body: str, delimiter: str) -> Iterator[re.Match]:
     """Cells that are a number with a point or comma in it: its digits and signs, its exponent."""
-    ends = f'{re.escape(delimiter)}\n"'
-    digits = rf"\d.,{_SPACES}"
+    ends = f'{re.escape(delimiter)}\n"' + ("\t" if delimiter == " " else "")
+    digits = r"\d.," + (_SPACES if delimiter != " " else _SPACES[1:])
     yield from re.finditer(rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body)
 
 

@@ -18,6 +18,7 @@ WORDS = {
     "mbar": "mbar", "pascal": "Pa", "newton": "N", "meter": "m", "metre": "m", "millimeter": "mm", "degree": "deg",
     "degrees": "deg", "celsius": "degC", "hertz": "Hz", "percent": "%", "prozent": "%", "inch": "in", "inches": "in",
     "bara": "bar", "psia": "psi", "umin": "rpm", "watt": "W", "kelvin": "K", "umdrehungen/min": "rpm",
+    "dimensionless": "1", "sek.": "s", "sec.": "s", "vdc": "V",
 }  # fmt: skip
 _NO_UNIT = ("", "-", "--", "---", "none", "n/a", "unitless")  # what a row of units says of a pure number, or of nothing
 _BESIDE = (
@@ -25,48 +26,96 @@ _BESIDE = (
     re.compile(r"(?P<name>.*?\S)\s+/\s*(?P<unit>\S+)", re.DOTALL),
     re.compile(r"(?P<name>.*?\S)\s+in\s+(?P<unit>\S+)", re.DOTALL),
 )
-_BEHIND = re.compile(r"(?P<name>.*[^_\W])_(?P<unit>[^\W_]+)")
+SURE = "s%°"  # single signs that are units wherever they stand behind a name
+LETTERS = "VNmKWJ"  # letters that are, where every column has a unit so; A, B, P, T, X, Y name ports
+_CURRENT = re.compile(r"curr|strom|ampere|^[iI](?![a-z])", re.IGNORECASE)
 _BRACKETS = re.compile(r"(.*?)\s*\[([^\]]*)\]\s*", re.DOTALL)
 
 
 def split_header(text: str) -> tuple[str, str | None]:
     """``"arm_angle [rad]"`` -> ``("arm_angle", "rad")``; the unit is None where none is written.
 
-    Brackets always hold a unit. Round ones, and what follows a slash or "in", do where they can be read as one.
+    Brackets always hold a unit. Round ones, and what follows a slash or "in", do where they can be read as one that is
+    more than a letter: ``pump (A)`` may be a port.
 
-    >>> split_header("Druck (bar)"), split_header("pressure (cap side)"), split_header("p / MPa")
-    (('Druck', 'bar'), ('pressure (cap side)', None), ('p', 'MPa'))
+    >>> split_header("Druck (bar)"), split_header("pressure (cap side)"), split_header("p / MPa"), split_header("p (A)")
+    (('Druck', 'bar'), ('pressure (cap side)', None), ('p', 'MPa'), ('p (A)', None))
     """
-    text = text.strip().lstrip("\ufeff").strip()
+    return _split(text, letters=False)
+
+
+def _split(text: str, letters: bool) -> tuple[str, str | None]:
+    """Name and unit; letters : whether a single letter behind a name may be a unit."""
+    text = " ".join(text.strip().lstrip("\ufeff").split())
     match = _BRACKETS.fullmatch(text)
     if match:
         return match[1].strip(), spelt(match[2].strip()) or None
     for form in _BESIDE:
         match = form.fullmatch(text)
-        if match and (spelt(match["unit"].strip()) == "1" or is_unit(match["unit"])):
+        if match and _may_be_unit(match["unit"].strip(), match["name"], letters):
             return match["name"].strip(), spelt(match["unit"].strip())
     return text, None
+
+
+def _may_be_unit(unit: str, name: str, letters: bool) -> bool:
+    """Whether what stands behind a name is a unit: no letter that is as likely a port or a quantity."""
+    if len(unit) == 1 and unit.isalpha() and unit not in SURE:
+        if unit == "A":
+            return bool(_CURRENT.search(name))
+        return letters and unit in LETTERS and is_unit(unit)
+    return is_unit(unit) or spelt(unit) == "1"
 
 
 def headings(names: Sequence[str], units: Sequence[str] | None = None) -> list[tuple[str, str | None]]:
     """``(name, unit)`` of every column; units: the cells of a row of units, where the file has one.
 
-    ``name_unit`` is read as such where every name that has no unit yet ends so: it is the habit of the file then, and
-    no part of a name.
+    Where all columns have a unit behind their names, single letters are units too. ``name_unit`` is read as such where
+    every name that has no unit yet ends so. Both are the habit of the file then, and no part of a name. With a row of
+    units only brackets say more; where they say another unit both are told, for neither can be meant.
 
-    >>> headings(["time_s", "valve_A_bar"]), headings(["time_s", "valve_A", "state"])[1]
-    ([('time', 's'), ('valve_A', 'bar')], ('valve_A', None))
+    >>> headings(["time_s", "valve_p_bar"]), headings(["time_s", "valve_A", "state"])[1]
+    ([('time', 's'), ('valve_p', 'bar')], ('valve_A', None))
+    >>> headings(["time [s]", "p [bar]"], ["s", "mbar"])[1]
+    ('p', 'bar or mbar')
     """
-    found = [split_header(name) for name in names]
-    for k, cell in enumerate(units or ()):
-        if k < len(found) and found[k][1] is None and stripped(cell).lower() not in _NO_UNIT[:1]:
-            found[k] = found[k][0], spelt(stripped(cell))
+    if units is not None:
+        row = [spelt(stripped(cell)) for cell in units] + [""] * (len(names) - len(units))
+        return [_beside_row(name, unit) for name, unit in zip(names, row, strict=True)]
+    found = [_split(name, letters=True) for name in names]
+    if any(unit is None for name, unit in found if name):
+        found = [split_header(name) for name in names]
     bare = [k for k, (name, unit) in enumerate(found) if name and unit is None]
-    behind = {k: match for k in bare if (match := _BEHIND.fullmatch(found[k][0])) and is_unit(match["unit"])}
-    if bare and units is None and len(behind) == len(bare):
-        for k, match in behind.items():
-            found[k] = match["name"], match["unit"]
+    behind = {k: match for k in bare if (match := _behind(found[k][0]))}
+    if bare and len(behind) == len(bare):
+        for k, (name, unit) in behind.items():
+            found[k] = name, unit or None
     return found
+
+
+def _beside_row(name: str, unit: str) -> tuple[str, str | None]:
+    """A name and its unit out of the row of units."""
+    match = _BRACKETS.fullmatch(name.strip())
+    if not match:
+        return " ".join(name.split()), unit or None
+    own = spelt(match[2].strip())
+    return match[1].strip(), f"{own} or {unit}" if unit and own and own != unit else unit or own or None
+
+
+def _behind(name: str) -> tuple[str, str] | None:
+    """Name and unit of ``name_unit``, where it ends in one; the unit is "" where it may be read in two ways.
+
+    ``speed_rad_s`` is in rad/s: a unit before one of time is divided by it. ``torque_N_m`` may be N.m, N/m or a
+    torque_N in metres.
+    """
+    *first, last = name.split("_")
+    timed = len(first) > 1 and last in ("min", "h") and is_unit(f"{first[-1]}/{last}")
+    if not (first and first[0] and (timed or _may_be_unit(last, "_".join(first), letters=True))):
+        return None
+    if len(first) > 1 and last in ("s", "s2", "min", "h") and is_unit(f"{first[-1]}/{last}"):
+        return "_".join(first[:-1]), f"{first[-1]}/{last}"
+    if len(first) > 1 and first[-1] in ("N", "kN") and last in ("m", "mm"):
+        return "_".join(first[:-1]), ""
+    return "_".join(first), last
 
 
 def is_unit(text: str) -> bool:
@@ -96,7 +145,7 @@ def spelt(unit: str) -> str:
     """
     if unit.lower() in ("--", "---", "none", "unitless"):
         return "1"
-    words = re.split(r"([/.*])", unit) if unit.lower() not in WORDS else [unit]
+    words = re.split(r"([/.*])", unit) if unit.lower() not in WORDS else [unit.lower()]
     return "".join("deg" if word == "Grad" else WORDS.get(word.strip().lower(), word) for word in words)
 
 

@@ -13,8 +13,9 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, Hydrot
 from hydrotwin.models.language.parameter_file import read_toml
 from hydrotwin.models.language.units import convert, parse_unit
 
-from .clocks import REPAIRS
+from .clocks import HOURS, MINUTES
 from .decimal_sign import SIGNS
+from .repairs import REPAIRS
 from .scale import Scale, scales_of
 
 BESIDE = "import.toml"
@@ -81,6 +82,8 @@ def reading_of(**said) -> Reading:
     if said.get("decimal", ".") not in SIGNS:
         raise DataError(f"decimal: not a decimal sign (got {said['decimal']!r}). Write '.' or ','.")
     said["delimiter"] = _delimiter(said.get("delimiter"))
+    if said.get("rate") and said.get("time"):
+        raise DataError("rate: a time column and a sampling rate contradict each other. Give --time or --rate.")
     for name, value in said.get("constants", {}).items():
         constant(name, value)
     for name, unit in said.get("units", {}).items():
@@ -132,6 +135,8 @@ def _delimiter(text: str | None) -> str | None:
 
 
 def _checked_unit(name: str, unit: str) -> None:
+    if unit in (*MINUTES, *HOURS):
+        return
     try:
         parse_unit(unit)
     except HydrotwinError as error:
@@ -176,6 +181,8 @@ def read_import(file: Path, name: str) -> Reading | None:
     table = read_toml(file)
     files = table.pop("files", ["*"])
     files = [files] if isinstance(files, str) else files
+    if not (isinstance(files, list) and all(isinstance(pattern, str) for pattern in files)):
+        raise DataError(f"{file}: files: no list of patterns (got {files!r}). Write files = [\"run_*.csv\"].")
     said = import_from(table, str(file))
     return said if any(fnmatch.fnmatchcase(name, str(pattern)) for pattern in files) else None
 
@@ -188,6 +195,10 @@ def import_from(table: Mapping, where: str) -> Reading:
             raise DataError(f"{where}: unknown key '{key}'. {nearest(key, known)}")
         if key in _TABLES and not isinstance(value, Mapping):
             raise DataError(f"{where}: '{key}' is a table. Write [{key}] and below it name = 'text'.")
+        if key in _PLAIN and (isinstance(value, bool) or not isinstance(value, str | int | float)):
+            raise DataError(f"{where}: {key}: no text (got {value!r}). Write {key} = \"...\".")
+        if key in _PLAIN and key != "rate" and not isinstance(value, str):
+            raise DataError(f"{where}: {key}: a text is needed (got {value!r}). Write {key} = \"{value}\".")
     said = {own: table[key] for key, own in _TABLES.items() if key in table}
     try:
         return reading_of(**said, **{key: table[key] for key in _PLAIN if key in table})

@@ -84,24 +84,26 @@ def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.
 
 
 def _scales(shown: str, signal: Signal) -> str:
-    """The scales that would do: full range in % is taken as the signal's nominal value.
+    """The scales that would do; the factor is for a person to say.
 
     Where only the angle is left out, the column may count turns (Hz does) or radians.
     """
-    give = f"--scale {signal.name}="
+    give = f"--scale '{signal.name}="
     lacks = power("rad", signal.unit) - power("rad", shown)
     if dimension(shown) == dimension(signal.unit) and si_unit(shown) != "1":
         if abs(lacks) != 1:
             return ""
         turns, radians = ("1 rev", "1 rad") if lacks > 0 else ("1 1/rev", "1 1/rad")
         if "Hz" in shown or "Hz" in signal.unit or (power("rad", shown) and "rad" not in shown):
-            return f" Give a scale: {give}{turns}."
-        return f" Give a scale: {give}{turns} where it counts turns, {give}{radians} where it counts radians."
+            return f" Give a scale: {give}{turns}'."
+        return f" Give a scale: {give}{turns}' where it counts turns, {give}{radians}' where it counts radians."
     if shown == "1":
-        return f" Give a scale: {give}{signal.nominal:g} {signal.unit}."
+        return (
+            f" Give its unit where it has one (--unit '{signal.name}={signal.unit}', for a constant "
+            f"--set '{signal.name}=VALUE {signal.unit}'), or what one of it stands for: {give}FACTOR {signal.unit}'."
+        )
     over = f"({shown})" if any(c in shown for c in "./*") else shown
-    size = signal.nominal / (100 if shown == "%" else 1)
-    return f" Give a scale: {give}{size:g} {_divided(signal.unit, over)}."
+    return f" Say what one of it stands for: {give}FACTOR {_divided(signal.unit, over)}'."
 
 
 def _divided(unit: str, over: str) -> str:

@@ -26,7 +26,7 @@ _MONTHS = {
     "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
 }  # fmt: skip
 TIME_OF_DAY = re.compile(_CLOCK)
-_LONG = re.compile(r"(?P<h>\d+):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?")  # hours of a run
+_LONG = re.compile(r"(?:(?P<days>-?\d+) days?,? )?(?P<h>\d+):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?")
 _STAMPS = [re.compile(rf"{date}(?:[T ,;_]+{_CLOCK}{_ZONE})?") for date in _DATES]
 
 
@@ -105,6 +105,7 @@ def _of_day(match: re.Match) -> int:
     hour = int(parts["h"])
     if parts.get("half"):
         hour = hour % 12 + (12 if parts["half"][0] in "Pp" else 0)
+    hour += 24 * int(parts.get("days") or 0)
     seconds = (hour * 60 + int(parts["m"])) * 60 + int(parts["s"] or 0)
     if parts.get("sign"):
         east = (int(parts["zh"]) * 60 + int(parts["zm"])) * 60

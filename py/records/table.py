@@ -5,6 +5,7 @@ A column that cannot be used refuses no file: the record keeps its sentence, and
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +13,11 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.units import parse_unit, to_si
 
-from .clocks import in_seconds, order_of, sampled_at, time_column
+from .clocks import TIME_OF_DAY, called_time, holds_stamps, in_seconds, sampled_at, time_column
 from .columns import Column, Table
 from .reading import Reading, constant
 from .record import Record
+from .repairs import order_of
 
 SLOWER = 0.05  # share of the steps that leaving rows out may lengthen; beyond, what is left is another sampling
 FEW = 3  # steps that may always be longer: a short table with a flaw or two
@@ -38,31 +40,49 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
 # -- names and units ---------------------------------------------------------------------------------------------------
 def _named(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     """Columns under the names that a person gives them; of two with one name neither can be meant."""
-    named = [c if c.name else replace(c, name=f"#{k}") for k, c in enumerate(table.columns, start=1)]
-    names = [c.name for c in named]
+    columns = table.columns
+    names = [c.name for c in columns]
     taken = {variable: _place(ref, names, table.path, variable) for variable, ref in reading.columns.items()}
-    given = [replace(named[k], name=variable) for variable, k in taken.items()]
-    rest = [c for k, c in enumerate(named) if k not in taken.values() and c.name not in taken]
+    given = [replace(columns[k], name=variable) for variable, k in taken.items()]
+    rest = [c for k, c in enumerate(columns) if c.name and k not in taken.values() and c.name not in taken]
     for n in {c.name for c in rest if [r.name for r in rest].count(c.name) > 1}:
         places = [k for k, name in enumerate(names, start=1) if name == n]
         refused[n] = (
             f"{table.path}: {table.header}, columns {' and '.join(map(str, places))} are both named '{n}'. Names must "
             f"differ: rename one, or say which is meant: --column '{n}=#{places[0]}'."
         )
-    for k, column in enumerate(table.columns, start=1):
-        if not column.name and k - 1 not in taken.values():
-            refused[f"#{k}"] = (
-                f"{table.path}: {table.header}, column {k} has no name. Write 'name [unit]' in the header, or name it: "
-                f"--column 'name=#{k}'."
-            )
-    return replace(table, columns=tuple([*given, *(c for c in rest if c.name not in refused)]))
+        if called_time(n) and not reading.rate and reading.time is None:
+            raise DataError(f"{refused[n]} Channels with times of their own belong into files of their own.")
+    kept = [*given, *(c for c in rest if c.name not in refused)]
+    for k, column in enumerate(columns, start=1):
+        if column.name or k - 1 in taken.values() or _is_empty(column):
+            continue
+        if holds_stamps(column) and not any(called_time(c.name) for c in kept):
+            kept.insert(0, replace(column, name="time"))  # the index of a data frame
+            continue
+        refused[f"#{k}"] = (
+            f"{table.path}: {table.header}, column {k} has no name. Write 'name [unit]' in the header, or name it: "
+            f"--column 'name=#{k}'."
+        )
+    own = [f"the column '{v}' of the file is not used" for v, k in taken.items() if v in names and names[k] != v]
+    said = [f"{v} is '{r}'" for v, r in reading.columns.items()]
+    return _told(replace(table, columns=tuple(kept)), *said, *own)
+
+
+def _is_empty(column: Column) -> bool:
+    return bool(np.isnan(column.values).all()) and not any(cell and cell.strip() for cell in column.texts or ())
+
+
+def _told(table: Table, *words: str) -> Table:
+    """The table with further words on how it was read."""
+    return replace(table, understood=", ".join(w for w in (table.understood, *words) if w))
 
 
 def _place(reference: str, names: list[str], path: str, variable: str) -> int:
     """Index of the column that is meant, by its name or as ``#3``."""
     if names.count(reference) == 1:
         return names.index(reference)
-    if reference.startswith("#") and reference[1:].isdigit() and 0 < int(reference[1:]) <= len(names):
+    if re.fullmatch(r"#[0-9]+", reference) and 0 < int(reference[1:]) <= len(names):
         return int(reference[1:]) - 1
     if reference in names:
         raise DataError(
@@ -86,7 +106,9 @@ def _with_units(table: Table, reading: Reading) -> Table:
         keys = [k for k in (column.name, back.get(column.name)) if k in reading.units]
         return replace(column, unit=reading.units[keys[0]]) if keys else column
 
-    return replace(table, columns=tuple(map(stated, table.columns)))
+    words = [f"{name} in {unit}" for name, unit in reading.units.items()]
+    words += [f"{name} times {s.factor:g} {s.unit}" for name, s in reading.scale.items()]
+    return _told(replace(table, columns=tuple(map(stated, table.columns))), *words)
 
 
 def _scale_of(name: str, reading: Reading):
@@ -101,8 +123,11 @@ def _with_time(table: Table, reading: Reading) -> Table:
         raise DataError(f"{table.path}: {table.header} names no column. The first one must be 'time [s]'.")
     if reading.rate:
         count = max(len(c.values) for c in columns)
-        columns = [c for c in columns if c.name not in ("time", reading.time)]
-        return replace(table, columns=(sampled_at(reading.rate, count), *columns))
+        times = [c.name for c in columns if c.name == "time" or called_time(c.name)]
+        columns = [c for c in columns if c.name not in times]
+        instead = f" in place of {', '.join(times)}" if times else ""
+        table = replace(table, columns=(sampled_at(reading.rate, count), *columns))
+        return _told(table, f"sampled at {reading.rate:g} Hz{instead}")
     renamed = {reference: variable for variable, reference in reading.columns.items()}
     wanted = renamed.get(reading.time, reading.time) if reading.time else None
     at = time_column(columns, wanted, f"{table.path}: {table.header}")
@@ -133,7 +158,7 @@ def _check_length(table: Table) -> None:
 def _with_clock(table: Table, clock: str | None) -> Table:
     """The samples in the order and at the times that the clock's repair makes of them; time must grow then."""
     time = table.columns[0]
-    order, times = order_of(time.values, clock)
+    order, times = order_of(time.values, clock, TIME_OF_DAY in table.understood)
     row = table.row
     columns = [replace(time, values=times), *(replace(c, values=c.values[order]) for c in table.columns[1:])]
     words = ", ".join(w for w in (table.understood, f"clock: {clock}" if clock else "") if w)
@@ -187,6 +212,8 @@ def _wrong_unit(table: Table, column: Column, reading: Reading) -> str:
             f"{where} has no unit. Write '{column.name} [unit]' in the header ([1] for a pure number), or state it: "
             f"--unit '{column.name}=UNIT' (units= in Python)."
         )
+    if " or " in column.unit:
+        return f"{where}: its unit is {column.unit}, the file does not tell. State it: --unit '{column.name}=UNIT'."
     try:
         parse_unit(column.unit)
     except UnitError as error:
@@ -231,13 +258,14 @@ def _without_rows(table: Table, absent: np.ndarray) -> Table:
     _check_rate(table, absent, kept)
     row = table.row
     columns = tuple(replace(c, values=c.values[kept]) for c in table.columns)
-    return replace(table, columns=columns, row=lambda k: row(int(kept[min(k, len(kept) - 1)])))
+    table = replace(table, columns=columns, row=lambda k: row(int(kept[min(k, len(kept) - 1)])))
+    return _told(table, f"{absent.shape[1] - len(kept)} of {absent.shape[1]} rows left out")
 
 
 def _check_rate(table: Table, absent: np.ndarray, kept: np.ndarray) -> None:
     """Refuse to leave out so many rows that every column, inputs too, would be sampled more slowly."""
     longer = int((np.diff(kept) > 1).sum())
-    if longer <= max(FEW, SLOWER * len(kept)):
+    if longer <= max(FEW, SLOWER * len(kept)) and 2 * len(kept) > absent.shape[1]:
         return
     time = table.columns[0].values
     before, after = (float(np.nanmedian(np.diff(t))) for t in (time, time[kept]))

@@ -10,10 +10,12 @@ import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError, nearest
 
 from .binary_files import content_of, unreadable
-from .columns import Table
+from .columns import Column, Table
 from .text.read import Stated, table_of_text
 
 Cell = str | float | datetime.datetime | None
@@ -27,8 +29,16 @@ def read_workbook(path: Path, sheet: str | None = None) -> Table:
     """The table of a sheet, the one with most numbers where none is named; names and units are found as in a text."""
     found = read_sheet(path, sheet)
     table = table_of_text("\n".join(map(_line, found.rows)), path, Stated(delimiter="\t", decimal="."))
+    columns = tuple(replace(c, unit="% or 1") if _may_be_share(c) else c for c in table.columns)
+    table = replace(table, columns=columns)
     said = f"{found.title}, {table.understood.removeprefix('tab, ')}"
     return replace(table, digest=found.digest, header=f"{found.title}, {table.header}", understood=said)
+
+
+def _may_be_share(column: Column) -> bool:
+    """Whether numbers in % are all so small that their cells may be shares, shown as %."""
+    known = column.values[np.isfinite(column.values)]
+    return column.unit == "%" and len(known) > 0 and bool(np.abs(known).max() <= 1.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -155,6 +155,17 @@ LAYOUTS = {
     + "\n".join(f"10:12:33.{100 * TIME[k]:02.0f},{r}" for k, r in enumerate(rows().splitlines())) + "\n",
     "exponents": PLAIN + rows(time=[f"{t:.6e}" for t in TIME]),
     "plus signs": PLAIN + rows(time=[f"+{t:.2f}" for t in TIME]),
+    "row names, one name less": '"time[s]" "command[V]" "arm_angle[deg]" "pressure_cap[bar]"\n'
+    + "".join(f'"{k}" {row}\n' for k, row in enumerate(rows(delimiter=" ").splitlines())),
+    "the index of a data frame is its time": PLAIN.replace("time [s]", "")
+    + rows(time=[f"2021-05-04 10:12:33.{100 * t:02.0f}0000" for t in TIME]),
+    "time since the start of a data frame": PLAIN.replace("time [s]", "")
+    + rows(time=[f"0 days 00:00:00.{100 * t:02.0f}0000" for t in TIME]),
+    "Fortran": PLAIN + rows(time=[f"{t:.6E}".replace("E", "D") for t in TIME]),
+    "a name over two lines": PLAIN.replace("time [s]", '"time\n[s]"') + rows(),
+    "milliseconds of their own": "Datum;Uhrzeit;Millisekunden;command [V];arm_angle [°];pressure_cap [bar]\n"
+    + german(time=[f"04.05.2021;10:12:33;{1000 * t:.0f}" for t in TIME]),
+    "an oscilloscope": "Vertical Units,V,deg,bar\nModel,X,Y,Z\n\n" + PLAIN + rows(),
     "LabVIEW": LABVIEW.format(decimal=",", columns="One") + rows(",", "\t"),
     "LabVIEW with comments": LABVIEW.format(decimal=".", columns="One") + rows(delimiter="\t", end="\tok"),
     "LabVIEW without time": LABVIEW.format(decimal=".", columns="No")
@@ -178,7 +189,8 @@ def test_a_layout_is_read_right_with_no_edit(name, tmp_path):
 def test_a_packed_file_is_read_as_what_it_holds(tmp_path):
     (tmp_path / "run.csv.gz").write_bytes(gzip.compress((BAR + german()).encode("latin-1")))
     record = whole(tmp_path / "run.csv.gz")
-    assert record.name == "run" and record.understood == "cp1252, semicolon, names in row 1, decimal comma"
+    assert record.name == "run"
+    assert record.understood == "cp1252 (or --encoding), semicolon, names in row 1, decimal comma"
     (tmp_path / "run.csv.gz").write_bytes(gzip.compress((BAR + german()).encode())[:-30])
     with pytest.raises(DataError, match="packed file ends too early"):
         whole(tmp_path / "run.csv.gz")
@@ -308,3 +320,4 @@ def test_a_column_that_cannot_be_used_is_never_taken_for_one_that_is_absent(tmp_
         with pytest.raises(DataError, match="row 3, column 'p': no value"):
             ask()
     assert "q" not in record and "p" in record.with_signals({"p": np.zeros(2)}, {"p": "Pa"})
+

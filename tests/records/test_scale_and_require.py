@@ -70,13 +70,18 @@ def test_a_model_gets_its_columns_in_its_order(train):
     assert record.source == str(train)
 
 
+def proposed(error) -> str:
+    """The scale that a sentence ends with, as a shell hands it on."""
+    return str(error.value).rpartition("--scale '")[2].rstrip(".'")
+
+
 def test_percent_for_volts_asks_for_a_scale_with_the_right_example(train):
     with pytest.raises(UnitError) as error:
         require(read_record(train), [COMMAND], "cehA")
     assert str(error.value).endswith(
-        "train_2.csv: column 'command' is in %, the model needs V. Give a scale: --scale command=0.05 V/%."
+        "column 'command' is in %, the model needs V. Say what one of it stands for: --scale 'command=FACTOR V/%'."
     )
-    example = str(error.value).rpartition("--scale ")[2].rstrip(".")
+    example = proposed(error).replace("FACTOR", "0.05")
     np.testing.assert_allclose(read_record(train, scale=example)["command"], [5.0, -2.5])
 
 
@@ -88,9 +93,9 @@ def test_the_scale_an_error_proposes_is_one_that_works(unit, needed, tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(f"time [s],x [{unit}]\n0,1\n1,2\n")
     signal = Signal("x", needed, nominal=3.0)
-    with pytest.raises(UnitError, match="--scale x=") as error:
+    with pytest.raises(UnitError, match="--scale 'x=") as error:
         require(read_record(path), [signal], "rig")
-    example = str(error.value).rpartition("--scale ")[2].rstrip(".")
+    example = proposed(error).replace("FACTOR", "3")
     assert len(require(read_record(path, scale=example), [signal], "rig")) == 2
 
 
@@ -114,8 +119,8 @@ def test_a_bare_rate_for_a_speed_of_rotation_is_refused_with_what_to_write(unit,
     path = tmp_path / "a.csv"
     path.write_text(f"time [s],speed [{unit}]\n0,1\n1,2\n")
     signal = Signal("speed", "rad/s", nominal=100.0)
-    radians = "" if unit == "Hz" else " where it counts turns, --scale speed=1 rad where it counts radians"
-    with pytest.raises(UnitError, match=rf"write rad/s, rpm or rev/s.*--scale speed=1 rev{radians}\.$"):
+    radians = "" if unit == "Hz" else " where it counts turns, --scale 'speed=1 rad' where it counts radians"
+    with pytest.raises(UnitError, match=rf"write rad/s, rpm or rev/s.*--scale 'speed=1 rev'{radians}\.$"):
         require(read_record(path), [signal], "rig")
     np.testing.assert_allclose(require(read_record(path, scale="speed=1 rad"), [signal], "rig")["speed"], [1, 2])
     turns = require(read_record(path, scale="speed=1 rev"), [signal], "rig")["speed"]
@@ -126,7 +131,7 @@ def test_a_bare_rate_for_a_speed_of_rotation_is_refused_with_what_to_write(unit,
 def test_revolutions_for_a_rate_are_refused_with_the_scale_that_counts_them(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time [s],rate [rpm]\n0,60\n1,120\n")
-    with pytest.raises(UnitError, match=r"'1/s' holds no angle.*--scale rate=1 1/rev\.$"):
+    with pytest.raises(UnitError, match=r"'1/s' holds no angle.*--scale 'rate=1 1/rev'\.$"):
         require(read_record(path), [Signal("rate", "1/s")], "rig")
     np.testing.assert_allclose(
         require(read_record(path, scale="rate=1 1/rev"), [Signal("rate", "1/s")], "rig")["rate"], [1, 2]
@@ -144,7 +149,7 @@ def test_per_minute_counts_turns_only_where_an_angle_is_needed(unit, needed, one
 
 
 @pytest.mark.parametrize(
-    ("unit", "needed", "told"), [("L", "m3/rad", "=1 1/rev .*=1 1/rad "), ("1/s2", "rad/s2", "=1 rev .*=1 rad ")]
+    ("unit", "needed", "told"), [("L", "m3/rad", "=1 1/rev' .*=1 1/rad' "), ("1/s2", "rad/s2", "=1 rev' .*=1 rad' ")]
 )
 def test_an_angle_left_out_is_scaled_by_a_turn_or_a_radian(unit, needed, told, tmp_path):
     path = tmp_path / "a.csv"

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from hydrotwin.models.language.errors import DataError, HydrotwinError, SolveError
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, SolveError
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, Record, import_text, read_record
 from hydrotwin.records.inspection import Inspected, inspect_record, together
@@ -53,6 +53,7 @@ def inspect(
     model: Annotated[
         str | None, typer.Option("--model", metavar="MODEL", help="the model that is to learn from them")
     ] = None,
+    free: Annotated[list[str] | None, typer.Option("--free", metavar="GLOB", help="parameters to identify")] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the plots")] = None,
     write: Annotated[
         Path | None, typer.Option("--write", metavar="import.toml", help="write how the files are read")
@@ -69,7 +70,7 @@ def inspect(
     read, failed = _read(records, reading)
     if not read:
         raise DataError(next(iter(failed.values())))
-    found = _inspection(read, failed, thing, reading or Reading(), [p.name for p in records])
+    found = _inspection(read, failed, thing, reading or Reading(), [p.name for p in records], free)
     if write:
         write_whole(write, found.toml)
     if report:
@@ -96,7 +97,7 @@ def _read(paths: list[Path], reading: Reading | None) -> tuple[list[Record], dic
     return read, failed
 
 
-def _inspection(read: list[Record], failed: dict, thing, reading: Reading, files: list[str]) -> Inspection:
+def _inspection(read: list[Record], failed: dict, thing, reading: Reading, files: list[str], free) -> Inspection:
     facts = tuple(inspect_record(record) for record in read)
     found = Inspection(facts, failed, tuple(together(facts)), toml=import_text(reading, files))
     if thing is None:
@@ -104,13 +105,11 @@ def _inspection(read: list[Record], failed: dict, thing, reading: Reading, files
     flat = getattr(thing, "flat", thing)
     matches = tuple(matched((*flat.inputs, *flat.outputs), read[0]))
     proposed = {m.signal.name: m.column for m in matches if m.column and not m.certain}
-    whole = dataclasses.replace(reading, columns={**proposed, **reading.columns})
     comments = [line for m in matches if m.problem for line in (_short(m.problem, read), *_unit_to_add(m))]
-    excited, said = _excitation(thing, flat, read, proposed)
-    return dataclasses.replace(
-        found, model=flat.name, matches=matches, excited=excited, said=said,
-        toml=import_text(whole, files, comments),
-    )  # fmt: skip
+    comments += [f'Proposed, below [columns]:  {name} = "{column}"' for name, column in proposed.items()]
+    excited, said = _excitation(thing, flat, read, proposed, free)
+    toml = import_text(reading, files, comments)
+    return dataclasses.replace(found, model=flat.name, matches=matches, excited=excited, said=said, toml=toml)
 
 
 def _short(sentence: str, read: list[Record]) -> str:
@@ -125,7 +124,7 @@ def _unit_to_add(match: Match) -> list[str]:
     return [f'Where it is in the unit of the model, below [units]:  "{match.column}" = "{match.signal.unit}"']
 
 
-def _excitation(thing, flat, read: list[Record], proposed: dict[str, str]):
+def _excitation(thing, flat, read: list[Record], proposed: dict[str, str], free):
     """What the recordings excite of the model's free parameters; why it could not be tried."""
     from hydrotwin.identification.excitation import excitation
 
@@ -137,8 +136,8 @@ def _excitation(thing, flat, read: list[Record], proposed: dict[str, str]):
         return (), (f"{absent} is an input of {flat.name} and was not recorded, or cannot be used: what could be "
                     f"identified was not tried. Say which column it is: --column '{absent}=NAME'.",)  # fmt: skip
     try:
-        return excitation(thing, named)
-    except (SolveError, DataError) as error:
+        return excitation(thing, named, free)
+    except (SolveError, DataError, DeclarationError) as error:
         return (), (f"what could be identified was not tried: {error}",)
 
 
@@ -184,4 +183,4 @@ def _print_model(found: Inspection) -> None:
     for sentence in found.said:
         mark(out, "note", sentence)
     if any(m.column and not m.certain for m in found.matches):
-        out.print("Proposed columns are not used before you say so: --write import.toml, or --column NAME=COLUMN.")
+        out.print("Proposed columns serve this preview, and no command before you say so: --column NAME=COLUMN.")

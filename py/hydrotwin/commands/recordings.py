@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import inspect
 from collections.abc import Callable, Collection, Sequence
@@ -17,6 +18,7 @@ from hydrotwin.records import Reading, Record, read_record, reading_of
 
 from .shared import err, mark
 
+ALIKE = 0.8  # of 1: likeness of two names from which on one may be meant by the other
 _PANEL = "How recordings are read (also in import.toml beside them)"
 
 
@@ -127,9 +129,13 @@ def constants_among(
 
 def tell_ignored(records: Sequence[Record], used: set[str], model: str) -> None:
     """Columns that the model does not know are named once, those that could not be used too."""
-    ignored = sorted({name for r in records for name in (*r.signals, *r.refused)} - used)
+    here = {name for r in records for name in (*r.signals, *r.refused)}
+    ignored = sorted(here - used)
     if ignored:
         err.print(f"ignored columns (neither input nor output of {model}): {', '.join(ignored)}", style="dim")
+    for name in ignored:
+        if meant := difflib.get_close_matches(name, sorted(used - here), n=1, cutoff=ALIKE):
+            mark(err, "note", f"did you mean {meant[0]} by the column {name}? Say so: --column '{meant[0]}={name}'.")
 
 
 def require_columns(records: Sequence[Record], columns: Sequence[str], hint: str = "") -> None:

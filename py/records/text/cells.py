@@ -13,7 +13,7 @@ from hydrotwin.models.language.errors import DataError
 
 from ..decimal_sign import MISSING_TEXTS, number_in, other_sign, without_groups
 from ..stamps import is_stamp
-from .layout import Layout, cells_of
+from .layout import Layout, cells_of, is_comment
 
 LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
 _SHOWN = 40  # characters of a cell in a sentence
@@ -75,7 +75,7 @@ def _quick(body: str, place: Place) -> Block | None:
     if plain is None:
         return None
     if layout.delimiter == " ":
-        plain = "\n".join(re.sub(r"[ \t]+", " ", line.strip(" \t")) for line in plain.split("\n"))
+        plain = re.sub(r"(?m)^ | $", "", re.sub(r"[ \t]+", " ", plain))
     if len(body) >= LARGE:
         return _with_arrow(plain, body, place)
     values = np.loadtxt(io.StringIO(plain), delimiter=layout.delimiter, comments=None, ndmin=2)
@@ -95,16 +95,18 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     if count < layout.width:
         return None
     names = [str(k) for k in range(count)]
-    kinds = {n: pyarrow.float64() if k in layout.numeric else pyarrow.string() for k, n in enumerate(names)}
+    first = cells_of(plain[: plain.find("\n")], layout.delimiter)
+    numbers = {k for k in layout.numeric if not is_stamp(first[k])}
+    kinds = {n: pyarrow.float64() if k in numbers else pyarrow.string() for k, n in enumerate(names)}
     read = arrow_csv.ReadOptions(column_names=names, block_size=1 << 24)
     missing = [text for word in MISSING_TEXTS for text in {word, word.upper(), word.capitalize(), _camel(word)}]
     convert = arrow_csv.ConvertOptions(column_types=kinds, null_values=missing, strings_can_be_null=False)
     parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
     table = arrow_csv.read_csv(pyarrow.BufferReader(plain.encode()), read, parse, convert)
-    if any(table.column(k).null_count < len(table) for k in range(layout.width, count) if k in layout.numeric):
+    if any(table.column(k).null_count < len(table) for k in range(layout.width, count) if k in numbers):
         return None
     columns = [table.column(k) for k in range(layout.width)]
-    texts = [None if k in layout.numeric else column.to_pylist() for k, column in enumerate(columns)]
+    texts = [None if k in numbers else column.to_pylist() for k, column in enumerate(columns)]
     rows = _row_finder(body, place.first_row)
     values = [c.to_numpy() if t is None else np.full(len(c), np.nan) for c, t in zip(columns, texts, strict=True)]
     problems = ["" if t is None else _is_text(place, k, t, rows) for k, t in enumerate(texts)]
@@ -132,7 +134,7 @@ def _carefully(body: str, place: Place) -> Block:
     lines = body.split("\n")
     cut_off = len(lines) - 1 if lines[-1].strip() else None  # a last line without its end
     for k, line in enumerate(lines):
-        if not line.strip():
+        if not line.strip() or is_comment(line):
             continue
         cells = cells_of(line, place.layout.delimiter)
         while len(cells) > width and not any(c.isdigit() for c in cells[-1]):

@@ -5,7 +5,6 @@ Source: NI, Specification for the LabVIEW Measurement File (.lvm).
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from hydrotwin.models.language.errors import DataError
@@ -13,7 +12,6 @@ from hydrotwin.models.language.errors import DataError
 from .layout import Layout, Lines, cells_of
 
 END = "***End_of_Header***"
-_DELIMITERS = {"tab": "\t", "comma": ","}
 
 
 def is_labview(line: str) -> bool:
@@ -29,42 +27,54 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     ends = [k for k, line in enumerate(lines.head[:400]) if line.startswith(END)]
     if len(ends) < 2 or len(lines) < ends[1] + 3:
         raise DataError(f"{path}: the header of a LabVIEW file has no end ('{END}'), or no numbers. Export it again.")
-    keys = _keys(lines.head[: ends[0]])
-    delimiter = _DELIMITERS.get(keys.get("separator", ["tab"])[0].lower(), "\t")
-    decimal = "," if keys.get("decimal_separator", ["."])[0] == "," else "."
-    own = {key: [cell.strip() for cell in cells] for key, cells in _keys(lines.head[ends[0] + 1 : ends[1]]).items()}
+    keys = _keys(lines.head[: ends[0]], "\t")
+    separator = next((line[len("Separator") :] for line in lines.head[: ends[0]] if line.startswith("Separator")), "")
+    delimiter = "," if separator[:1] == "," else "\t"
+    decimal = "," if "," in keys.get("decimal_separator", ["."])[0] and delimiter != "," else "."
+    own = _keys(lines.head[ends[0] + 1 : ends[1]], delimiter)
     names = cells_of(lines[ends[1] + 1], delimiter)
     while names and names[-1] in ("Comment", ""):
         names.pop()
-    last = _one_segment(lines, ends[1] + 2, path)
-    units = own.get("y_unit_label", [])
-    has_time = keys.get("x_columns", ["One"])[0].lower()
+    first, last = ends[1] + 2, _one_segment(lines, ends[1] + 2, path)
+    has_time = (keys.get("x_columns") or _keys(lines.head[: ends[0]], delimiter).get("x_columns", ["One"]))[0].lower()
     if has_time == "multi":
         raise DataError(
             f"{path}: every channel has a time column of its own (X_Columns Multi). Export it with one: X_Columns One."
         )
-    first = ends[1] + 2
+    over = {cell for cell in own.get("x_dimension", []) if cell} or {"Time"}
     clock = None
     if has_time == "no":
         blank = len(cells_of(lines[first], delimiter)) >= len(names)  # the column of times is there, and empty
-        names = names if blank else names[1:]
-        clock = _number(own.get("x0"), decimal, 0.0), _number(own.get("delta_x"), decimal, 1.0)
+        names = ["", *names[1:]] if blank else names[1:]
+        clock = _clock(own, decimal) if over == {"Time"} else None
+    units = own.get("y_unit_label", [])
+    if names[:1] == [""]:
+        units = ["", *units]
+    if names[:1] == ["X_Value"]:
+        names[0] = "X_Value" if over == {"Time"} else next(iter(over))
+        units = ["s" if over == {"Time"} else "", *units]
     width = len(names)
-    row_of_units = ["s", *units] if names[:1] == ["X_Value"] else units
-    cells = tuple((row_of_units + [""] * width)[:width])
+    cells = tuple((units + [""] * width)[:width])
     units_at = next((k for k in range(*ends[:2]) if lines[k].startswith("Y_Unit_Label")), None)
     numeric = frozenset(range(width))
     layout = Layout(first, last, delimiter, width, tuple(names), cells, ends[1] + 1, units_at, numeric)
     return layout, decimal, clock
 
 
-def _keys(lines: Sequence[str]) -> dict[str, list[str]]:
+def _clock(own: dict[str, list[str]], decimal: str) -> tuple[float, float] | None:
+    """Start and step [s] that all channels share; None where they differ or the file does not say."""
+    starts, steps = ({_number(cell, decimal) for cell in own.get(key, []) if cell} for key in ("x0", "delta_x"))
+    if len(steps) != 1 or None in steps or len(starts) > 1 or None in starts:
+        return None
+    return next(iter(starts), 0.0), next(iter(steps))
+
+
+def _keys(lines: Sequence[str], delimiter: str) -> dict[str, list[str]]:
+    """The cells behind every key of a header."""
     found = {}
     for line in lines:
-        key, *cells = re.split(r"[\t,](?!\d)|\t", line.rstrip())
-        found[key.strip().lower()] = cells or [""]
-        if key.strip().lower() in ("separator", "decimal_separator"):
-            found[key.strip().lower()] = [line[len(key) + 1 :].strip()]
+        key, *cells = line.rstrip().split(delimiter)
+        found[key.strip().lower()] = [cell.strip() for cell in cells] or [""]
     return found
 
 
@@ -81,8 +91,8 @@ def _one_segment(lines: Lines, first: int, path) -> int:
     return last
 
 
-def _number(cells: Sequence[str] | None, decimal: str, default: float) -> float:
+def _number(cell: str, decimal: str) -> float | None:
     try:
-        return float(cells[0].replace(decimal, "."))
-    except (TypeError, ValueError, IndexError):
-        return default
+        return float(cell.replace(decimal, "."))
+    except ValueError:
+        return None

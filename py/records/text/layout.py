@@ -99,6 +99,11 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))]
 
 
+def is_comment(line: str) -> bool:
+    """Whether a line stands behind a sign of comment, and is no row of numbers."""
+    return line.startswith(COMMENTS) and not line.lstrip("'!").lstrip()[:1].isdigit()
+
+
 def layout_of(lines: Sequence[str], path, delimiter: str | None = None) -> Layout:
     """The layout of a text; ``delimiter`` states it. Raises `DataError` for a text without a block of numbers."""
     stated = re.fullmatch(r"\s*\"?sep=(.)\"?\s*", lines[0], re.IGNORECASE) if lines else None
@@ -119,7 +124,8 @@ def _rank(layout: Layout) -> tuple:
 
 def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout | None:
     """The layout under one delimiter; None where no two lines in a row would hold numbers."""
-    looked = [(k, cells_of(lines[k], delimiter)) for k in _filled(lines, range(begin, len(lines)), LOOKED_AT)]
+    filled = _filled(lines, range(begin, len(lines)), LOOKED_AT)
+    looked = [(k, cells_of(lines[k], delimiter)) for k in filled if not is_comment(lines[k])]
     width = _usual_width(looked)
     block = [(k, _trimmed(cells, width)) for k, cells in looked]
     rows = [cells for _, cells in block if len(cells) == width and any(map(_is_number, cells))]
@@ -128,15 +134,18 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in rows]))
     if not numeric:
         return None
-    start = _start(block, width, numeric)
+    labelled = 0 not in numeric and sum(row[0] == "" for row in rows) >= NUMERIC * len(rows)
+    start = _start(block, width, numeric, labelled)
     if start is None:
         return None
     first = block[start][0]
     above = [(k, cells) for k, cells in block[:start] if len(cells) == width]
     if delimiter == " " and not above:
         above = [(k, whole) for k, _ in block[:start] if len(whole := _with_units_attached(lines[k])) == width]
-    uncommented = [(k, cells) for k, cells in above if not lines[k].startswith(COMMENTS)]
-    rows_above = uncommented or _uncommented(lines, first, width, delimiter)
+    rows_above = above or _uncommented(lines, first, width, delimiter)
+    if not rows_above and width > 2:  # names of a table whose rows are named as well: there is one less
+        less = [row for row in block[:start] if len(row[1]) == width - 1 and not any(map(_is_number, row[1]))]
+        rows_above = [(k, ["", *cells]) for k, cells in less[-1:]]
     names_at, units_at, names, units = _named(rows_above, numeric, lines)
     last = _end(lines, first, delimiter, width, numeric)
     return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
@@ -190,28 +199,29 @@ def _is_missing(cell: str) -> bool:
     return number_in(cell, ".") is not None and not any(c.isdigit() for c in cell)
 
 
-def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozenset[int]) -> int | None:
-    """Index in the block of the first line of numbers that another one follows, or that ends the text."""
+def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozenset[int], labelled: bool) -> int | None:
+    """Index in the block of the first line of numbers behind the last of names.
+
+    labelled : the first column is empty beside the numbers, so that a line with a word there is none of them.
+    """
 
     def holds(cells: list[str]) -> bool:
-        if len(cells) != width:
+        if len(cells) != width or (labelled and cells[0]):
             return False
         inside = [cells[j] for j in numeric]
         numbers = sum(map(_is_number, inside))
         return numbers > 0 and 2 * numbers >= sum(cell != "" and not _is_missing(cell) for cell in inside)
 
-    for k, (_, cells) in enumerate(block):
-        if holds(cells) and (k + 1 == len(block) or holds(block[k + 1][1]) or _flawed(block, k + 1, width, holds)):
+    rows = [k for k, (_, cells) in enumerate(block) if holds(cells)]
+    for k, following in zip(rows, [*rows[1:], len(block)], strict=True):
+        if not any(_is_heading(cells, width) for _, cells in block[k + 1 : following]):
             return k
     return None
 
 
-def _flawed(block, k: int, width: int, holds) -> bool:
-    """Whether a line that holds no row of numbers stands among lines that do: it is a flaw, and no preamble."""
-    following = block[k + 1 : k + 4]
-    return bool(following) and sum(holds(cells) for _, cells in following) >= (len(following) + 1) // 2 and any(
-        map(_is_number, block[k][1])
-    )
+def _is_heading(cells: list[str], width: int) -> bool:
+    """Whether a row is one of names or units: above it are no samples, but numbers of channels."""
+    return len(cells) == width and not any(map(_is_number, cells)) and sum(map(bool, cells)) > width / 2
 
 
 def _with_units_attached(line: str) -> list[str]:
@@ -234,8 +244,9 @@ def _uncommented(lines: Sequence[str], first: int, width: int, delimiter: str) -
 def _named(above: Sequence[tuple[int, list[str]]], numeric: frozenset[int], lines: Sequence[str]):
     """Lines and cells of the names and of the units, out of the rows right above that are as wide as the block."""
     rows = [(k, cells) for k, cells in above if not all(_is_number(cells[j]) for j in numeric) and any(cells)]
-    for at in range(len(rows) - 1, 0, -1):
-        if any(lines[k].strip() for k in range(rows[at - 1][0] + 1, rows[at][0])):  # text of another kind between them
+    for at in range(len(rows) - 1, 0, -1):  # what stands apart from them is of another kind, but not names over units
+        apart = rows[at][0] - rows[at - 1][0] > 1
+        if apart and not (at == len(rows) - 1 and is_units_row(rows[at][1])):
             rows = rows[at:]
             break
     rows = rows[-MOST_ROWS_ABOVE:]

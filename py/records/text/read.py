@@ -20,6 +20,8 @@ from .decode import text_of
 from .labview import is_labview, labview_layout
 from .layout import Layout, Lines, layout_of
 
+HEAD = 20_000  # characters in which a name in quotes may span two lines
+_BROKEN = re.compile(r'(?:^|(?<=[,;\t\n]))"[^"\n]{0,80}\n[^"\n]{0,80}"(?=[,;\t\n])')
 _BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold commas: no number contains it
 
 
@@ -42,20 +44,27 @@ def read_text(path: Path, stated: Stated | None = None) -> Table:
     text, encoding = text_of(content, path, stated and stated.encoding)
     del content
     table = table_of_text(text, path, stated or Stated())
-    shown = "" if encoding in ("utf-8", "ascii") else f"{encoding}, "
+    sure = encoding.startswith(("utf-", "ascii")) or (stated and stated.encoding)
+    shown = "" if encoding in ("utf-8", "ascii") else f"{encoding}, " if sure else f"{encoding} (or --encoding), "
     return Table(**{**vars(table), "digest": digest, "understood": shown + table.understood})
 
 
 def table_of_text(text: str, path: Path, stated: Stated) -> Table:
     """The table of a text; its digest is left to whoever knows the file."""
-    lines = Lines(text)
+    lines = Lines(_BROKEN.sub(lambda m: m[0].replace("\n", " "), text[:HEAD]) + text[HEAD:])
     if is_labview(lines[0]):
         layout, decimal, clock = labview_layout(lines, path)
         stated = Stated(None, layout.delimiter, stated.decimal or decimal)
     else:
         layout, clock = layout_of(lines, path, stated.delimiter), None
+    if layout.first >= layout.last and not layout.numeric:
+        raise DataError(
+            f"{path}: no row of numbers, column 'time' needs two or more. It may be a header and no row of values, or "
+            "no recording at all. Record longer, or check the export."
+        )
     body = lines.body(layout.first, layout.last)
     body = body if body.isascii() else body.translate(MINUS)
+    said = layout
     body, layout = _unquoted(body, layout)
     decimal = stated.decimal or _stated_above(lines, layout)
     if decimal is None:
@@ -64,12 +73,11 @@ def table_of_text(text: str, path: Path, stated: Stated) -> Table:
     place = Place(path, layout.first + 1, layout, decimal, [name for name, _ in found])
     block = block_of(body, place)
     columns = [_column(found[k], block, k, body, layout, decimal) for k in range(layout.width)]
-    columns = [c for c in columns if c.name or c.values.size == 0 or not np.isnan(c.values).all()]
     if clock:
         start, step = clock
         columns.insert(0, Column("time", "s", start + step * np.arange(len(block.values[0]))))
     header = f"row {(layout.first if layout.names_at is None else layout.names_at) + 1}"
-    return Table(str(path), tuple(columns), block.row, "", header, understood=_said(layout, decimal, lines))
+    return Table(str(path), tuple(columns), block.row, "", header, understood=_said(said, decimal, lines))
 
 
 def _unquoted(body: str, layout: Layout) -> tuple[str, Layout]:

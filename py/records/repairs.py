@@ -1,0 +1,56 @@
+"""Repairs of a time axis that a person asks for. Nothing is repaired unasked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+REPAIRS = ("spread", "first", "last", "unwrap", "sort")
+DAY, HALF_DAY = 86_400.0, 43_200.0  # s after which a time of day begins anew: clocks of 24 and of 12 hours
+
+
+def order_of(time: np.ndarray, clock: str | None, of_day: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Which samples stay, by index, and their times [s], after the repair that is asked for.
+
+    ``spread``: stamps that stand several times are spread evenly until the next one; the first of them may have begun
+    before the recording. ``first``, ``last``: of samples with the same stamp one stays. ``unwrap``: after a jump back a
+    time of day (of_day) is of the next day, or of the afternoon; any other time goes on with its usual step. ``sort``:
+    by time.
+    """
+    every = np.arange(len(time))
+    if clock == "sort":
+        order = np.argsort(time, kind="stable")
+        return order, time[order]
+    if clock in ("first", "last"):
+        changes = np.flatnonzero(np.diff(time) != 0)
+        kept = np.concatenate([[0], changes + 1]) if clock == "first" else np.concatenate([changes, [len(time) - 1]])
+        return kept, time[kept]
+    if clock == "spread":
+        return every, _spread(time)
+    if clock == "unwrap":
+        return every, _unwrapped(time, of_day)
+    return every, time
+
+
+def _spread(time: np.ndarray) -> np.ndarray:
+    begins = np.concatenate([[0], np.flatnonzero(np.diff(time) != 0) + 1])
+    lengths = np.diff(np.concatenate([begins, [len(time)]]))
+    stamps = time[begins].copy()
+    steps = np.diff(stamps)
+    if not len(steps):
+        return time
+    rates = steps / lengths[:-1]
+    usual = float(np.median(rates[1:] if len(rates) > 1 else rates))  # the first may be cut
+    each = np.concatenate([steps / lengths[:-1], [usual]])
+    if 0 < usual * lengths[0] < steps[0]:  # the recording began within this stamp: its samples lie at its end
+        stamps[0] += steps[0] - usual * lengths[0]
+        each[0] = usual
+    within = np.arange(len(time)) - np.repeat(begins, lengths)
+    return np.repeat(stamps, lengths) + within * np.repeat(each, lengths)
+
+
+def _unwrapped(time: np.ndarray, of_day: bool) -> np.ndarray:
+    steps = np.diff(time)
+    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    half = steps + HALF_DAY
+    later = np.where(half > 0, half, steps + DAY) if of_day else np.full(len(steps), usual)
+    return time[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, later, steps))])

@@ -67,7 +67,7 @@ def fairly(
                 search = begin(asked)
                 continue
         hint = _questioned(search, search.table.entry())
-        change = hint if hint.used or not said.kept.members else _questioned(search, said.kept)
+        change = hint if hint.used or said.best is None else _questioned(search, said.best)  # what comes closest, too
         if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
             asked = asked if said.kept.members else asked.telling(hint.sentences)
             break

@@ -103,8 +103,8 @@ def test_few_samples_that_scatter_are_no_gap_and_many_are():
     assert not has_gap([few], np.ones(1))[0] and has_gap([many], np.ones(1))[0]
 
 
-def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
-    """What is always doubted does not hang."""
+def doubting(monkeypatch, best, doubt):
+    """Initial states of the searches that begin where ``doubt(entry)`` tells what to give up, and what was given up."""
     begun = []
 
     def asked(model, initial_states):
@@ -118,9 +118,28 @@ def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
         return SimpleNamespace(go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table)
 
     kept = SimpleNamespace(members=())
-    monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept))
-    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: Change(free_starts=True))
+    monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept, best=best))
+    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: doubt(entry))
     for none in ("_stray_samples", "_stray_samples_of_judges"):
         monkeypatch.setattr(assumed, none, lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    return begun, given_up
+
+
+def test_assumptions_are_given_up_a_few_times_at_most(monkeypatch):
+    """What is always doubted does not hang."""
+    begun, given_up = doubting(monkeypatch, None, lambda entry: Change(free_starts=True))
     assert len(given_up) == PATIENCE and begun == ["auto", *["free"] * PATIENCE]
+
+
+def test_what_comes_closest_is_asked_for_its_start_though_it_is_not_named(monkeypatch):
+    """A base that lacks an effect does not show that the start nobody measured is wrong; with the effect it does."""
+    best, asked = SimpleNamespace(members=("friction",)), []
+
+    def doubt(entry):
+        asked.append(entry)
+        return Change(free_starts=True) if entry is best and asked.count(best) == 1 else Change()
+
+    begun, given_up = doubting(monkeypatch, best, doubt)
+    assert begun == ["auto", "free"] and len(given_up) == 1
+

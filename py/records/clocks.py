@@ -129,11 +129,12 @@ def in_seconds(columns: Sequence[Column], at: int, path: str, header: str) -> tu
 def _unit_of(values: np.ndarray) -> tuple[str | None, str]:
     """The unit that the size of times without one tells, and in words what they count."""
     known = values[np.isfinite(values)]
-    steps = np.diff(known)
+    steps = np.abs(np.diff(known))
+    steps = steps[steps > 0]  # a coarse clock stands
     if not len(steps):
         return None, ""
     for least, most, one, unit, words in _EPOCHS:
-        if least <= known.min() and known.max() <= most and np.median(np.abs(steps)) * one <= SLOWEST:
+        if least <= known.min() and known.max() <= most and np.median(steps) * one <= SLOWEST:
             return unit, words
     return None, ""
 
@@ -169,8 +170,9 @@ def _of_stamps(columns: Sequence[Column], at: int, path: str) -> tuple[Column, s
     if not has_date(first):
         words = TIME_OF_DAY
         if column.unit in MINUTES:
+            words = "minutes and seconds"
             cells = [f"0:{cell.strip()}" if cell.strip() else "" for cell in cells]
-        elif first.count(":") == 1 and column.unit not in HOURS:
+        elif first.count(":") == 1 and not re.search(r"[.,]", first) and column.unit not in HOURS:
             raise DataError(
                 f"{path}: column '{column.name}': '{first}' may be hours and minutes, or minutes and seconds. State "
                 f"it: --unit '{column.name}=mm:ss' or --unit '{column.name}=hh:mm'."
@@ -197,7 +199,7 @@ def _is_fraction(column: Column, counts: np.ndarray) -> bool:
     """Whether a column holds the milliseconds of stamps in whole seconds."""
     values = column.values
     whole = not (counts % 10**9).any() and np.isfinite(values).all() and len(values) == len(counts)
-    return bool(whole and (values >= 0).all() and (values < 1000).all())
+    return bool(whole and (np.diff(counts) == 0).any() and (values >= 0).all() and (values < 1000).all())
 
 
 def sampled_at(rate: float, count: int) -> Column:

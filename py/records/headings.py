@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from hydrotwin.models.language.errors import UnitError
 from hydrotwin.models.language.units import parse_unit
 
+from .clocks import called_time
+
 # units that loggers write in words, lower case -> how they are written here ("grad" in lower case may be a gon)
 WORDS = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sekunden": "s", "sek": "s", "msec": "ms", "minutes": "min",
@@ -27,6 +29,11 @@ _BESIDE = (
     re.compile(r"(?P<name>.*?\S)\s+in\s+(?P<unit>\S+)", re.DOTALL),
 )
 SURE = "s%°"  # single signs that are units wherever they stand behind a name
+LABELS = ("min", "max", "in", "out", "h")  # of a quantity as likely as its unit; a time may be in min or h
+QUOTIENTS = (
+    "rad_s", "rad_s2", "deg_s", "deg_s2", "m_s", "m_s2", "mm_s", "mm_s2", "l_min", "L_min", "ml_min", "m3_h", "m3_s",
+    "cm3_s", "kg_s", "kg_h", "bar_s", "1_min", "U_min", "rev_min",
+)  # fmt: skip
 LETTERS = "VNmKWJ"  # letters that are, where every column has a unit so; A, B, P, T, X, Y name ports
 _CURRENT = re.compile(r"curr|strom|ampere|^[iI](?![a-z])", re.IGNORECASE)
 _BRACKETS = re.compile(r"(.*?)\s*\[([^\]]*)\]\s*", re.DOTALL)
@@ -59,6 +66,10 @@ def _split(text: str, letters: bool) -> tuple[str, str | None]:
 
 def _may_be_unit(unit: str, name: str, letters: bool) -> bool:
     """Whether what stands behind a name is a unit: no letter that is as likely a port or a quantity."""
+    if unit in LABELS:
+        return unit in ("min", "h") and called_time(name)
+    if unit.isdigit():
+        return False
     if len(unit) == 1 and unit.isalpha() and unit not in SURE:
         if unit == "A":
             return bool(_CURRENT.search(name))
@@ -104,18 +115,18 @@ def _beside_row(name: str, unit: str) -> tuple[str, str | None]:
 def _behind(name: str) -> tuple[str, str] | None:
     """Name and unit of ``name_unit``, where it ends in one; the unit is "" where it may be read in two ways.
 
-    ``speed_rad_s`` is in rad/s: a unit before one of time is divided by it. ``torque_N_m`` may be N.m, N/m or a
+    ``speed_rad_s`` is in rad/s, as are the other quotients that are usual. ``torque_N_m`` may be N.m, N/m or a
     torque_N in metres.
     """
     *first, last = name.split("_")
-    timed = len(first) > 1 and last in ("min", "h") and is_unit(f"{first[-1]}/{last}")
-    if not (first and first[0] and (timed or _may_be_unit(last, "_".join(first), letters=True))):
+    quotient = f"{first[-1]}_{last}" if len(first) > 1 else ""
+    if quotient in QUOTIENTS:
+        return "_".join(first[:-1]), quotient.replace("_", "/")
+    if not (first and first[0] and _may_be_unit(last, "_".join(first), letters=True)):
         return None
-    if len(first) > 1 and last in ("s", "s2", "min", "h") and is_unit(f"{first[-1]}/{last}"):
-        return "_".join(first[:-1]), f"{first[-1]}/{last}"
-    if len(first) > 1 and first[-1] in ("N", "kN") and last in ("m", "mm"):
-        return "_".join(first[:-1]), ""
-    return "_".join(first), last
+    before = first[-1] if len(first) > 1 else ""
+    says_more = before and before not in LABELS and not before.isdigit() and (len(before) > 1 or before in "NmsWJ")
+    return (name, "") if says_more and is_unit(before) else ("_".join(first), last)
 
 
 def is_unit(text: str) -> bool:

@@ -55,6 +55,10 @@ class Reading:
         for f in fields(self):
             own, theirs = getattr(self, f.name), getattr(other, f.name)
             merged[f.name] = {**theirs, **own} if isinstance(own, Mapping) else theirs if own is None else own
+        variables = {ref: name for name, ref in merged["columns"].items() if ref not in merged["columns"]}
+        for name in ("units", "scale"):  # whichever name of a column was used
+            theirs, own = ({variables.get(k, k): v for k, v in getattr(r, name).items()} for r in (other, self))
+            merged[name] = {**theirs, **own}
         if self.rate is not None or self.time is not None:  # one of them decides the time
             merged["rate"], merged["time"] = self.rate, self.time
         return Reading(**merged)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 REPAIRS = ("spread", "first", "last", "unwrap", "sort")
-DAY, HALF_DAY = 86_400.0, 43_200.0  # s after which a time of day begins anew: clocks of 24 and of 12 hours
+DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3_600.0  # s: a time of day begins anew after 24 hours, or after 12
 
 
 def order_of(time: np.ndarray, clock: str | None, of_day: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -51,6 +51,7 @@ def _spread(time: np.ndarray) -> np.ndarray:
 def _unwrapped(time: np.ndarray, of_day: bool) -> np.ndarray:
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    half = steps + HALF_DAY
-    later = np.where(half > 0, half, steps + DAY) if of_day else np.full(len(steps), usual)
+    later = np.full(len(steps), usual)
+    if of_day:  # midnight, or a clock of twelve hours; any other step back is no wrap and stays
+        later = np.where(steps < -HALF_DAY, steps + DAY, np.where(steps < -HALF_DAY + HOUR, steps + HALF_DAY, steps))
     return time[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, later, steps))])

@@ -13,7 +13,8 @@ import numpy as np
 
 DAY = 86_400 * 10**9  # ns
 _ZERO = datetime.date(1970, 1, 1).toordinal()
-_CLOCK = r"(?P<h>\d{1,2}):(?P<m>\d{2})(?::(?P<s>\d{2})(?:[.,:](?P<f>\d{1,9})\d*)?)?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
+_FRACTION = r"(?:(?:[.,]|:(?=\d{3}$))(?P<f>\d{1,9})\d*)?"  # fewer digits behind a colon may be frames
+_CLOCK = rf"(?P<h>\d{{1,2}}):(?P<m>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
 _ZONE = r"\s*(?:[Zz]|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?"
 _DATES = (
     r"(?P<y>\d{4})[-/.](?P<mo>\d{1,2})[-/.](?P<d>\d{1,2})",
@@ -27,6 +28,7 @@ _MONTHS = {
 }  # fmt: skip
 TIME_OF_DAY = re.compile(_CLOCK)
 _LONG = re.compile(r"(?:(?P<days>-?\d+) days?,? )?(?P<h>\d+):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?")
+_MINUTES = re.compile(r"(?P<m>\d{1,3}):(?P<s>\d{2})[.,](?P<f>\d{1,9})\d*")
 _STAMPS = [re.compile(rf"{date}(?:[T ,;_]+{_CLOCK}{_ZONE})?") for date in _DATES]
 
 
@@ -39,7 +41,7 @@ def is_stamp(cell: str) -> bool:
     text = cell.strip().strip('"')
     if ":" not in text and sum(text.count(c) for c in "-/.") < 2:
         return False
-    return bool(TIME_OF_DAY.fullmatch(text) or _LONG.fullmatch(text) or any(s.fullmatch(text) for s in _STAMPS))
+    return any(form.fullmatch(text) for form in (TIME_OF_DAY, _LONG, _MINUTES, *_STAMPS))
 
 
 def has_date(cell: str) -> bool:
@@ -83,12 +85,12 @@ def _read(cells: Sequence[str], month_first: bool) -> tuple[np.ndarray, np.ndarr
             continue
         match = form.fullmatch(text) if form else None
         if match is None:
-            form = next((f for f in (TIME_OF_DAY, _LONG, *_STAMPS) if f.fullmatch(text)), None)
+            form = next((f for f in (TIME_OF_DAY, _LONG, _MINUTES, *_STAMPS) if f.fullmatch(text)), None)
             if form is None:
                 raise _NotADate(k)
             match = form.fullmatch(text)
         of_day = _of_day(match)
-        if form in (TIME_OF_DAY, _LONG):
+        if form in (TIME_OF_DAY, _LONG, _MINUTES):
             counts[k] = of_day
             continue
         date = text[: match.start("h")] if match["h"] else text
@@ -99,10 +101,10 @@ def _read(cells: Sequence[str], month_first: bool) -> tuple[np.ndarray, np.ndarr
 
 
 def _of_day(match: re.Match) -> int:
-    if not match["h"]:
-        return 0
     parts = match.groupdict()
-    hour = int(parts["h"])
+    if not parts.get("h") and match.re is not _MINUTES:
+        return 0
+    hour = int(parts.get("h") or 0)
     if parts.get("half"):
         hour = hour % 12 + (12 if parts["half"][0] in "Pp" else 0)
     hour += 24 * int(parts.get("days") or 0)

@@ -103,7 +103,8 @@ def _with_units(table: Table, reading: Reading) -> Table:
                 raise DataError(f"{table.path}: no column '{name}', named in {option}. {nearest(name, known)}")
 
     def stated(column: Column) -> Column:
-        keys = [k for k in (column.name, back.get(column.name)) if k in reading.units]
+        other = back.get(column.name)
+        keys = [k for k in (column.name, None if other in back else other) if k in reading.units]
         return replace(column, unit=reading.units[keys[0]]) if keys else column
 
     words = [f"{name} in {unit}" for name, unit in reading.units.items()]
@@ -302,7 +303,11 @@ def _with_constants(table: Table, reading: Reading) -> Table:
     given = {name: constant(name, text) for name, text in reading.constants.items()}
     columns = [c for c in table.columns if c.name not in given]
     columns += [Column(name, unit, np.full(n, value)) for name, (value, unit) in given.items()]
-    said = ", ".join(f"{name} = {text}" for name, text in reading.constants.items())
+    here = {c.name for c in table.columns}
+    said = ", ".join(
+        f"{name} = {text}{' in place of what was recorded' if name in here else ''}"
+        for name, text in reading.constants.items()
+    )
     return replace(table, columns=tuple(columns), understood=f"{table.understood}, set {said}".removeprefix(", "))
 
 
@@ -311,6 +316,11 @@ def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str]) -
     for column in table.columns:
         values, unit = to_si(column.values, column.unit)
         shown, scale = column.unit, _scale_of(column.name, reading)
+        if scale and parse_unit(column.unit).offset:
+            raise DataError(
+                f"{table.path}: column '{column.name}' is in {column.unit}, whose zero is none: a scale of it means "
+                f"nothing. State another unit: --unit '{column.name}=K'."
+            )
         if scale:
             values, unit = scale.apply(values, unit)
             shown = unit

@@ -57,9 +57,16 @@ def test_times_that_may_count_two_things_are_asked_for(times, words, tmp_path):
         ("pump (A),valve (V),time (s)\n", {"pump (A)": None, "valve (V)": None}),
         ("Time (s),I (A),U (V)\n", {"I": "A", "U": "V"}),
         ("time_s,speed_rad_s,flow_l_min\n", {"speed": "rad/s", "flow": "m3/s"}),
-        ("time_s,torque_N_m,p_bar\n", {"torque": None, "p": "Pa"}),
+        ("time_s,torque_N_m,p_bar\n", {"torque_N_m": None, "p": "Pa"}),
         ("time_s,p_A_bar,p_T_bar\n", {"p_A": "Pa", "p_T": "Pa"}),
         ("time [s],Druck [bar],x [m]\ns,mbar,m\n", {"Druck": None, "x": "m"}),
+        ("Zeit (s),Druck (min),Druck (max)\n", {"Druck (min)": None, "Druck (max)": None}),
+        ("time (s),flow (in),flow (out)\n", {"flow (in)": None, "flow (out)": None}),
+        ("time (s),p (1),p (2)\n", {"p (1)": None, "p (2)": None}),
+        ("time [s],pressure_in,position_in\n", {"pressure_in": None, "position_in": None}),
+        ("time_s,stiffness_Nm_rad,viscosity_Pa_s\n", {"stiffness_Nm_rad": None, "viscosity_Pa_s": None}),
+        ("time_s,delay_1_s,p_in_bar\n", {"delay_1": "s", "p_in": "Pa"}),
+        ("time_min,jerk_m_s3,speed_m_s\n", {"jerk_m_s3": None, "speed": "m/s"}),
         ("time [s],temperature in C,q / A\n", {"temperature in C": None, "q / A": None}),
     ],
 )
@@ -101,7 +108,7 @@ def test_a_clock_goes_on_as_it_is_told_and_keeps_its_pauses(tmp_path):
 def test_what_was_said_is_told(tmp_path):
     path = written(tmp_path, "time [s],a [V],b [V]\n0,1,2\n1,2,3\n2,3,4\n")
     told = read_record(path, rate=1000, columns="a=b", units="b=mV").understood
-    words = "a is 'b', the column 'a' of the file is not used, b in mV, sampled at 1000 Hz in place of time"
+    words = "a is 'b', the column 'a' of the file is not used, a in mV, sampled at 1000 Hz in place of time"
     assert told.endswith(words)
     with pytest.raises(DataError, match="contradict each other"):
         read_record(path, rate=1000, time="time")
@@ -128,3 +135,64 @@ def test_an_import_file_of_wrong_kinds_is_refused(text, tmp_path):
         read_record(path)
     (tmp_path / "import.toml").write_bytes("time = 'time'\n".encode("utf-8-sig"))
     assert len(read_record(path)) == 2
+
+
+def test_names_are_not_shifted_where_a_row_has_a_value_too_many(tmp_path):
+    """A decimal comma in a comma file: one name less than values."""
+    for text in ("t [ms],command [V]\n0,1,5\n1,2,5\n2,3,5\n", "time [s],p [bar]\n0.0,1.5,7\n0.1,2.5,8\n"):
+        with pytest.raises(DataError):
+            read_record(written(tmp_path, text))
+
+
+def test_rows_with_words_right_below_the_names_are_not_lost(tmp_path):
+    path = written(tmp_path, "time [s];p;q;r [bar]\n0;init;init;init\n1;init;init;init\n" + "".join(
+        f"{k};0;0;{k}\n" for k in range(2, 9)))  # fmt: skip
+    with pytest.raises(DataError, match="row 2, column 'r': not a number"):
+        read_record(path)["r"]
+    path = written(tmp_path, "time [s];p [bar]\n0;18\n#1;20\n2;22\n3;22\n")
+    with pytest.raises(DataError, match="row 3, column 'time': not a number"):
+        read_record(path)
+
+
+def test_a_title_as_wide_as_the_table_names_nothing(tmp_path):
+    path = written(tmp_path, "Cylinder test run\ntime pA pB\ns bar bar\n0.0 1.5 1\n0.1 2.5 2\n0.2 3.5 3\n")
+    assert read_record(path).names == ("pA", "pB")
+    path = written(tmp_path, "Halle 3;Meier;Rig 7\nt [s];p [bar];x [mm]\n0.0;1.5;1\n0.1;2.5;2\n")
+    assert read_record(path).names == ("p", "x")
+    path = written(tmp_path, "time;1;2\ns;bar;mm\n0.0;1.5;1\n0.1;2.5;2\n")
+    assert read_record(path).names == ("1", "2")
+
+
+def test_what_is_said_now_beats_the_file_whichever_name_of_a_column_is_used(tmp_path):
+    path = written(tmp_path, "Zeit;Ventil\n0;1\n1;2\n")
+    (tmp_path / "import.toml").write_text('[units]\nZeit = "s"\ncommand = "%"\n[columns]\ncommand = "Ventil"\n')
+    np.testing.assert_allclose(read_record(path, units="Ventil=V")["command"], [1, 2])
+    np.testing.assert_allclose(read_record(path, units="command=V")["command"], [1, 2])
+    path = written(tmp_path, "time [s];p [bar];x [mm]\n0;1;2\n1;2;3\n")
+    (tmp_path / "import.toml").unlink()
+    swapped = read_record(path, columns=["p=x", "x=p"], units="p=m")
+    assert swapped["p"].tolist() == [2, 3] and swapped["x"].tolist() == [1e5, 2e5]
+
+
+@pytest.mark.parametrize(
+    ("stamps", "options", "times"),
+    [
+        (["59:58", "59:59", "00:00"], {"units": "time=mm:ss", "clock": "unwrap"}, [0, 1, 2]),
+        (["00:01.5", "00:02.0", "00:02.5"], {}, [0, 0.5, 1.0]),
+        (["10:00:00.1", "09:59:59.9", "10:00:00.3"], {"clock": "unwrap"}, None),
+        (["10:12:33:10", "10:12:33:20", "10:12:33:30"], {}, None),
+        (["1300000000", "1300000000", "1300000001", "1300000001"], {"clock": "spread"}, None),
+    ],
+)
+def test_clocks_wrap_where_they_do_and_nowhere_else(stamps, options, times, tmp_path):
+    path = written(tmp_path, "time,p [bar]\n" + "".join(f"{s},{k}\n" for k, s in enumerate(stamps)))
+    if times is None:
+        with pytest.raises(DataError):
+            read_record(path, **options)
+    else:
+        np.testing.assert_allclose(read_record(path, **options).time, times)
+
+
+def test_a_temperature_with_a_zero_of_its_own_takes_no_scale(tmp_path):
+    with pytest.raises(DataError, match="a scale of it means nothing"):
+        read_record(written(tmp_path, "time [s],T [degC]\n0,1\n1,2\n"), scale="T=2 mm/K")

@@ -134,9 +134,11 @@ def _carefully(body: str, place: Place) -> Block:
     lines = body.split("\n")
     cut_off = len(lines) - 1 if lines[-1].strip() else None  # a last line without its end
     for k, line in enumerate(lines):
-        if not line.strip() or is_comment(line):
+        if not line.strip():
             continue
         cells = cells_of(line, place.layout.delimiter)
+        if is_comment(line) and len(cells) != width:
+            continue
         while len(cells) > width and not any(c.isdigit() for c in cells[-1]):
             cells.pop()  # an end of the row, or a remark
         if len(cells) != width:

@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 from hydrotwin.models.language.errors import DataError
 
+from ..clocks import called_time
 from ..decimal_sign import number_in
-from ..headings import is_units_row
+from ..headings import is_units_row, split_header
 from ..stamps import is_stamp
 
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "blanks"}
@@ -131,7 +132,8 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     rows = [cells for _, cells in block if len(cells) == width and any(map(_is_number, cells))]
     if not rows:
         return None
-    numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in rows]))
+    settled = rows[len(rows) // 2 :]  # behind whatever stands above the numbers
+    numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in settled]))
     if not numeric:
         return None
     labelled = 0 not in numeric and sum(row[0] == "" for row in rows) >= NUMERIC * len(rows)
@@ -143,10 +145,13 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     if delimiter == " " and not above:
         above = [(k, whole) for k, _ in block[:start] if len(whole := _with_units_attached(lines[k])) == width]
     rows_above = above or _uncommented(lines, first, width, delimiter)
-    if not rows_above and width > 2:  # names of a table whose rows are named as well: there is one less
+    if not rows_above and delimiter in " \t" and _are_labels(lines, rows):  # its rows are named, too: there is one less
         less = [row for row in block[:start] if len(row[1]) == width - 1 and not any(map(_is_number, row[1]))]
         rows_above = [(k, ["", *cells]) for k, cells in less[-1:]]
     names_at, units_at, names, units = _named(rows_above, numeric, lines)
+    named = max(k if k is not None else -1 for k in (names_at, units_at))
+    below = [(k, cells) for k, cells in block[: start + 1] if k > named and len(cells) == width]
+    first = next((k for k, cells in below if _has_numbers(cells, numeric, labelled)), first)
     last = _end(lines, first, delimiter, width, numeric)
     return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
 
@@ -254,15 +259,31 @@ def _named(above: Sequence[tuple[int, list[str]]], numeric: frozenset[int], line
         return None, None, None, None
     units = [row for row in rows if is_units_row(row[1])] if len(rows) > 1 else []
     units = units[1:] if len(units) == len(rows) else units  # names that could all be units: the upper row names
-    names = max((row for row in rows if row not in units), key=lambda row: (_naming(row[1]), -row[0]))
+    names = max((row for row in rows if row not in units), key=_naming)
     mostly = [row for row in rows if row != names and is_units_row(row[1], mostly=True)]
     unit = (units or mostly or [None])[-1]
     return names[0], unit and unit[0], tuple(names[1]), unit and tuple(unit[1])
 
 
-def _naming(cells: Sequence[str]) -> int:
-    """How many columns a row tells apart by words."""
-    return len({cell for cell in cells if cell and not _is_number(cell)})
+def _naming(row: tuple[int, list[str]]) -> tuple:
+    """How well a row names columns: with units, one of them a time, all of them different; the upper of two."""
+    at, cells = row
+    split = [split_header(cell) for cell in cells if cell]
+    with_units = bool(split) and all(unit for _, unit in split)
+    timed = any(called_time(name) for name, _ in split)
+    return with_units, timed, len({cell for cell in cells if cell and not _is_number(cell)}), -at
+
+
+def _are_labels(lines: Sequence[str], rows: Sequence[list[str]]) -> bool:
+    """Whether the first cells of the rows are their names: in quotes, or counted from 1."""
+    first = [row[0] for row in rows]
+    quoted = sum(line.lstrip().startswith('"') for line in lines.head[: len(rows) + MOST_ROWS_ABOVE])
+    return quoted >= len(rows) or first == [str(k) for k in range(1, len(rows) + 1)]
+
+
+def _has_numbers(cells: list[str], numeric: frozenset[int], labelled: bool) -> bool:
+    """Whether a row below the names holds any number: it is a sample, whatever else it holds."""
+    return not (labelled and cells[0]) and any(_is_number(cells[j]) for j in numeric)
 
 
 def _end(lines: Sequence[str], first: int, delimiter: str, width: int, numeric: frozenset[int]) -> int:

@@ -72,6 +72,19 @@ def test_what_closes_much_more_beside_something_else_is_told_with_it():
     assert said.part and {c.id for c in said.best.members} == {"coulomb_friction", "null_bias"}
 
 
+def test_at_the_end_of_the_time_a_pair_is_held_against_its_effects_alone():
+    """Where looks had promised more of the pair, it was named with an effect that nothing needs."""
+    search = begun(records(3, dry=200.0), EFFECTS)
+    search.identify()
+    by = {c.id: c for c in search.table.candidates}
+    pair = search.table.entry([by["coulomb_friction"], by["null_bias"]])
+    while pair.open:
+        search._advance([pair])
+    search._without_each()
+    assert search.table.entry([by["coulomb_friction"]]).fitted
+    assert [c.id for c in standing(search.table).best.members] == ["coulomb_friction"]
+
+
 @pytest.mark.parametrize("promising", [True, False])
 def test_whole_recordings_take_over_where_windows_promise_nothing(monkeypatch, promising):
     search, asked = begun(records(3, dry=200.0), EFFECTS), []

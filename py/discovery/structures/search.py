@@ -94,6 +94,7 @@ class Search:
             chosen = [e for e in seen if self.table.promise(e) < EARLY][: self.effort.together]
             chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
             self._take(chosen, self._ran([self._whole(e) for e in chosen]))
+            self._without_each()
 
     def _go(self) -> None:
         self.identify()
@@ -227,6 +228,14 @@ class Search:
                 beside.values(), self._ran([self._from_there(e, best) for e in beside.values()]), strict=True
             ):
                 self._keep_better(entry, found)
+
+    def _without_each(self) -> None:
+        """Fit the best structure without each of its effects, where nobody has: what fits as well says less."""
+        best = self.table.entries[self.table.posterior().best]
+        parts = [self.table.entry([m for m in best.members if m is not one]) for one in best.members]
+        parts = [e for e in parts if e.members and not e.fitted and self._usable(e)]
+        for entry, found in zip(parts, self._ran([self._from_there(e, best) for e in parts]), strict=True):
+            self._keep_better(entry, found)
 
     def _beside(self, best: Entry) -> list[Entry]:
         """What says less than the best: without an effect, or a plainer form of it; and others in its place.

@@ -32,8 +32,8 @@ class Reading:
     columns : name in the record -> column of the file, ``#3`` for the third. units : column or name -> unit, in
     place of what the file says. scale : name -> what one unit of the column stands for. constants : name -> value
     and unit of what was not recorded. time : the column that is the time. rate : samples per second [Hz] in place of
-    a time. clock : a repair of `clocks.REPAIRS`. missing : what empty cells mean, see `read_record`. decimal,
-    delimiter, encoding : of text files. sheet : of a workbook.
+    a time. clock : repairs of `repairs.REPAIRS`, parted by commas. missing : what empty cells mean, see
+    `read_record`. decimal, delimiter, encoding : of text files. sheet : of a workbook.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -81,8 +81,9 @@ def reading_of(**said) -> Reading:
     if "rate" in said:
         said["rate"] = _rate(said["rate"])
     for name, choice in (("clock", REPAIRS), ("missing", MISSING)):
-        if name in said and said[name] not in choice:
-            raise DataError(f"{name}: not a choice (got {said[name]!r}). {nearest(str(said[name]), choice)}")
+        for word in re.split(r"\s*,\s*", str(said[name])) if name in said else ():
+            if word not in choice:
+                raise DataError(f"{name}: not a choice (got {word!r}). {nearest(word, choice)}")
     if said.get("decimal", ".") not in SIGNS:
         raise DataError(f"decimal: not a decimal sign (got {said['decimal']!r}). Write '.' or ','.")
     said["delimiter"] = _delimiter(said.get("delimiter"))

@@ -26,6 +26,7 @@ FEW = 3  # steps that may always be longer: a short table with a flaw or two
 def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     """Check a table and convert it to SI. Raises `DataError` or `UnitError` naming file, row and column."""
     refused: dict[str, str] = {}
+    reading = _by_name(table, reading)
     table = _named(table, reading, refused)
     table = _with_units(table, reading)
     table = _with_time(table, reading)
@@ -38,6 +39,22 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
 
 
 # -- names and units ---------------------------------------------------------------------------------------------------
+def _by_name(table: Table, reading: Reading) -> Reading:
+    """The reading with names in place of the places of columns; what has no name gets one."""
+    names = [c.name for c in table.columns]
+
+    def name_of(reference: str) -> str:
+        place = re.fullmatch(r"#[0-9]+", reference) and reference not in names
+        return names[_place(reference, names, table.path, "a column")] or reference if place else reference
+
+    units, scale = ({name_of(n): v for n, v in m.items()} for m in (reading.units, reading.scale))
+    columns, time = dict(reading.columns), reading.time and name_of(reading.time)
+    for reference in (time, *units, *scale):
+        if reference and reference.startswith("#") and reference not in (*names, *columns.values(), *columns):
+            columns[reference] = reference
+    return replace(reading, units=units, scale=scale, columns=columns, time=time)
+
+
 def _named(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     """Columns under the names that a person gives them; of two with one name neither can be meant."""
     columns = table.columns
@@ -159,7 +176,10 @@ def _check_length(table: Table) -> None:
 def _with_clock(table: Table, clock: str | None) -> Table:
     """The samples in the order and at the times that the clock's repair makes of them; time must grow then."""
     time = table.columns[0]
-    order, times = order_of(time.values, clock, TIME_OF_DAY in table.understood)
+    order, times, of_day = np.arange(len(time.values)), time.values, TIME_OF_DAY in table.understood
+    for repair in re.split(r"\s*,\s*", clock or ""):
+        kept, times = order_of(times, repair, of_day)
+        order = order[kept]
     row = table.row
     columns = [replace(time, values=times), *(replace(c, values=c.values[order]) for c in table.columns[1:])]
     words = ", ".join(w for w in (table.understood, f"clock: {clock}" if clock else "") if w)

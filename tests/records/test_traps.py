@@ -196,3 +196,28 @@ def test_clocks_wrap_where_they_do_and_nowhere_else(stamps, options, times, tmp_
 def test_a_temperature_with_a_zero_of_its_own_takes_no_scale(tmp_path):
     with pytest.raises(DataError, match="a scale of it means nothing"):
         read_record(written(tmp_path, "time [s],T [degC]\n0,1\n1,2\n"), scale="T=2 mm/K")
+
+
+def test_repairs_of_a_clock_may_follow_each_other(tmp_path):
+    stamps = ["23:59:59", "23:59:59", "00:00:00", "00:00:00", "00:00:01", "00:00:01"]
+    path = written(tmp_path, "time,x [1]\n" + "".join(f"{s},1\n" for s in stamps))
+    np.testing.assert_allclose(read_record(path, clock="unwrap,spread").time, [0, 0.5, 1, 1.5, 2, 2.5])
+    with pytest.raises(DataError, match="clock: not a choice"):
+        read_record(path, clock="unwrap,mend")
+
+
+def test_a_column_may_be_meant_by_its_place_wherever_one_is_named(tmp_path):
+    path = written(tmp_path, "time,p,p\n0,1,3\n1,2,4\n")
+    record = read_record(path, columns="q=#3", units=["#1=ms", "q=bar", "#2=mbar"])
+    assert record.time.tolist() == [0, 1e-3]
+    assert record["q"].tolist() == [3e5, 4e5] and record["p"].tolist() == [100, 200]
+    path = written(tmp_path, ",x [V]\n0,1\n1,2\n")
+    np.testing.assert_allclose(read_record(path, time="#1", units="#1=ms").time, [0, 1e-3])
+
+
+def test_remarks_of_labview_files_are_a_column_of_their_own(tmp_path):
+    head = "LabVIEW Measurement\nSeparator\tTab\nX_Columns\tOne\n***End_of_Header***\n\nChannels\t1\n"
+    head += "Y_Unit_Label\tbar\n***End_of_Header***\nX_Value\tp\tComment\n"
+    path = tmp_path / "run.lvm"
+    path.write_text(head + "0\t1\tnote 7\n1\t2\n2\t3\n")
+    assert read_record(path)["p"].tolist() == [1e5, 2e5, 3e5]

@@ -141,6 +141,8 @@ def _carefully(body: str, place: Place) -> Block:
             continue
         while len(cells) > width and not any(c.isdigit() for c in cells[-1]):
             cells.pop()  # an end of the row, or a remark
+        if len(cells) == width - 1 and width - 1 not in place.layout.numeric:
+            cells.append("")  # a remark that this row lacks
         if len(cells) != width:
             _fail_ragged(place, k, cells, cut_off == k)
         table.append(cells)

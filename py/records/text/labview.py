@@ -33,7 +33,7 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     decimal = "," if "," in keys.get("decimal_separator", ["."])[0] and delimiter != "," else "."
     own = _keys(lines.head[ends[0] + 1 : ends[1]], delimiter)
     names = cells_of(lines[ends[1] + 1], delimiter)
-    while names and names[-1] in ("Comment", ""):
+    while names and not names[-1]:
         names.pop()
     first, last = ends[1] + 2, _one_segment(lines, ends[1] + 2, path)
     has_time = (keys.get("x_columns") or _keys(lines.head[: ends[0]], delimiter).get("x_columns", ["One"]))[0].lower()
@@ -44,7 +44,8 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     over = {cell for cell in own.get("x_dimension", []) if cell} or {"Time"}
     clock = None
     if has_time == "no":
-        blank = len(cells_of(lines[first], delimiter)) >= len(names)  # the column of times is there, and empty
+        channels = len(names) - 1 - (names[-1:] == ["Comment"])
+        blank = len(cells_of(lines[first], delimiter)) > channels  # the column of times is there, and empty
         names = ["", *names[1:]] if blank else names[1:]
         clock = _clock(own, decimal) if over == {"Time"} else None
     units = own.get("y_unit_label", [])
@@ -56,7 +57,7 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     width = len(names)
     cells = tuple((units + [""] * width)[:width])
     units_at = next((k for k in range(*ends[:2]) if lines[k].startswith("Y_Unit_Label")), None)
-    numeric = frozenset(range(width))
+    numeric = frozenset(range(width - (names[-1:] == ["Comment"])))
     layout = Layout(first, last, delimiter, width, tuple(names), cells, ends[1] + 1, units_at, numeric)
     return layout, decimal, clock
 

@@ -85,7 +85,7 @@ def _reader(path: Path):
     if suffix in _BINARY:
         return lambda p, _: _BINARY[suffix](p)
     if suffix in _WORKBOOKS:
-        return lambda p, reading: read_workbook(p, reading.sheet)
+        return lambda p, reading: read_workbook(p, reading.sheet, reading.decimal)
     if suffix in _TEXT or (suffix == _PACKED and Path(path.stem).suffix.lower() in _TEXT):
         return _text
     raise DataError(f"{path}: not a recording format (got '{suffix}'). {nearest(suffix, SUFFIXES)}")

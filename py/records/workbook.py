@@ -8,6 +8,7 @@ import io
 import re
 import zipfile
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from hydrotwin.models.language.errors import DataError, nearest
 
 from .binary_files import content_of, unreadable
 from .columns import Column, Table
+from .decimal_sign import SIGNS, number_in
 from .text.read import Stated, table_of_text
 
 Cell = str | float | datetime.datetime | None
@@ -25,10 +27,15 @@ _UNPACKED = 2 << 30  # bytes; 30 million cells need half of it
 _CHUNK = 1 << 20  # bytes
 
 
-def read_workbook(path: Path, sheet: str | None = None) -> Table:
-    """The table of a sheet, the one with most numbers where none is named; names and units are found as in a text."""
+def read_workbook(path: Path, sheet: str | None = None, decimal: str | None = None) -> Table:
+    """The table of a sheet, the one with most numbers where none is named; names and units are found as in a text.
+
+    Cells that hold a number as a text have a decimal sign, to be found or stated as in a text; numbers have none.
+    """
     found = read_sheet(path, sheet)
-    table = table_of_text("\n".join(map(_line, found.rows)), path, Stated(delimiter="\t", decimal="."))
+    as_texts = any(map(_has_sign, chain.from_iterable(found.rows)))
+    lines = ("\t".join(_text(cell, as_texts) for cell in row) for row in found.rows)
+    table = table_of_text("\n".join(lines), path, Stated(delimiter="\t", decimal=decimal if as_texts else "."))
     columns = tuple(replace(c, unit="% or 1") if _may_be_share(c) else c for c in table.columns)
     table = replace(table, columns=columns)
     said = f"{found.title}, {table.understood.removeprefix('tab, ')}"
@@ -83,14 +90,23 @@ def read_sheet(path: Path, name: str | None = None) -> Sheet:
     return Sheet(name, rows, others, hashlib.sha256(content).hexdigest())
 
 
-def _line(row: list[Cell]) -> str:
-    return "\t".join(map(_text, row))
+def _has_sign(cell: Cell) -> bool:
+    """Whether a text is a number with a decimal sign or with groups of digits."""
+    return isinstance(cell, str) and any(s in cell and number_in(cell, d) is not None for s in SIGNS for d in SIGNS)
 
 
-def _text(cell: Cell) -> str:
+def _text(cell: Cell, without_sign: bool) -> str:
     if isinstance(cell, float):
-        return repr(cell).removesuffix(".0")
+        text = repr(cell).removesuffix(".0")
+        return _exponential(text) if without_sign and "." in text else text
     return re.sub(r'[\t\r\n"]+', " ", str(cell)) if cell is not None else ""
+
+
+def _exponential(number: str) -> str:
+    """The same number with no decimal sign: 1.25 is 125e-2."""
+    digits, _, exponent = number.partition("e")
+    whole, _, decimals = digits.partition(".")
+    return f"{whole}{decimals}e{int(exponent or 0) - len(decimals)}"
 
 
 def _numbers_in(rows: list[list]) -> int:

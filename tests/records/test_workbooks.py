@@ -189,3 +189,17 @@ def test_a_filled_cell_repeated_without_end_is_refused(tmp_path):
     body = f'<table:table-row table:number-rows-repeated="1048576">{cell}</table:table-row>'
     with pytest.raises(DataError, match="too many cells"):
         read_record(open_document(tmp_path / "a.ods", body))
+
+
+def test_numbers_kept_as_texts_have_a_decimal_sign_to_find_or_to_state(tmp_path):
+    rows = [["time [s]", "p [bar]"], [0, "1,5"], [0.25, 2.5], [0.5, "3.250,5"]]
+    record = read_record(book(tmp_path, Data=rows))
+    np.testing.assert_array_equal(record.time, [0, 0.25, 0.5])
+    np.testing.assert_allclose(record["p"], [1.5e5, 2.5e5, 3250.5e5])
+    doubtful = book(tmp_path, Data=[["time [s]", "p [bar]"], [1e-5, "1,500"], [0.25, "2,500"], [0.5, -1.25]])
+    with pytest.raises(DataError, match="row 2, column 2: '1,500' may be 1500 or"):
+        read_record(doubtful)
+    np.testing.assert_allclose(read_record(doubtful, decimal=",")["p"], [1.5e5, 2.5e5, -1.25e5])
+    record = read_record(doubtful, decimal=".")
+    np.testing.assert_allclose(record["p"], [1500e5, 2500e5, -1.25e5])
+    np.testing.assert_array_equal(record.time, [1e-5, 0.25, 0.5])

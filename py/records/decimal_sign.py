@@ -34,10 +34,10 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
     """
     doubtful = None
     for match in _cells_with_sign(body, delimiter):
-        decimal = _decided(match[1].strip(), bool(match[2]))
-        if decimal:
-            return decimal
-        doubtful = doubtful or match
+        signs = _signs_of(match[1].strip(), match[2] or "")
+        if len(signs) == 1:
+            return signs[0]
+        doubtful = doubtful or (match if signs else None)  # a date or a version is none
     if doubtful is None:
         return "."
     if delimiter == " ":  # programs write such columns, and they group nothing
@@ -116,14 +116,6 @@ def _cells_with_sign(body: str, delimiter: str) -> Iterator[re.Match]:
     yield from re.finditer(rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body)
 
 
-def _decided(number: str, exponent: bool) -> str | None:
-    """The decimal sign that a number proves, None where it may be read in two ways."""
-    if "," in number and "." in number:
-        last = max(SIGNS, key=number.rfind)
-        return last if number.count(last) == 1 else None
-    sign = "," if "," in number else "."
-    head, *groups = number.split(sign)
-    if len(groups) > 1:
-        return other_sign(sign)
-    groups_three = re.fullmatch(r"[1-9]\d{0,2}", head) and re.fullmatch(r"\d{3}", groups[0]) and not exponent
-    return None if groups_three else sign
+def _signs_of(number: str, exponent: str) -> list[str]:
+    """The decimal signs under which a cell is a number."""
+    return [d for d in SIGNS if number_in(number + exponent, d) is not None]

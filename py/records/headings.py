@@ -36,14 +36,15 @@ QUOTIENTS = (
 )  # fmt: skip
 LETTERS = "VNmKWJ"  # letters that are, where every column has a unit so; A, B, P, T, X, Y name ports
 _CURRENT = re.compile(r"curr|strom|ampere|^[iI](?![a-z])", re.IGNORECASE)
-_BRACKETS = re.compile(r"(.*?)\s*\[([^\]]*)\]\s*", re.DOTALL)
+_ELEMENT = r"(?!.*\S\[\d+(?:,\s*\d+)*\]\s*$)"  # x[1] is an element of an array
+_BRACKETS = re.compile(_ELEMENT + r"(.*?)\s*\[([^\]]*)\]\s*", re.DOTALL)
 
 
 def split_header(text: str) -> tuple[str, str | None]:
     """``"arm_angle [rad]"`` -> ``("arm_angle", "rad")``; the unit is None where none is written.
 
-    Brackets always hold a unit. Round ones, and what follows a slash or "in", do where they can be read as one that is
-    more than a letter: ``pump (A)`` may be a port.
+    Brackets hold a unit, but for ``x[1]``, an element of an array: a pure number is ``x [1]``. Round ones, and what
+    follows a slash or "in", do where they can be read as one that is more than a letter: ``pump (A)`` may be a port.
 
     >>> split_header("Druck (bar)"), split_header("pressure (cap side)"), split_header("p / MPa"), split_header("p (A)")
     (('Druck', 'bar'), ('pressure (cap side)', None), ('p', 'MPa'), ('p (A)', None))

@@ -183,13 +183,43 @@ def read_import(file: Path, name: str) -> Reading | None:
         [set]
         supply_pressure = "35 bar"
     """
-    table = read_toml(file)
-    files = table.pop("files", ["*"])
+    said = import_from({key: value for key, value in read_toml(file).items() if key != "files"}, str(file))
+    return said if _is_meant(name, patterns_of(file)) else None
+
+
+def patterns_of(file: Path) -> list[str]:
+    """For which recordings a file of this kind is: the patterns of its ``files``."""
+    files = read_toml(file).get("files", ["*"])
     files = [files] if isinstance(files, str) else files
     if not (isinstance(files, list) and all(isinstance(pattern, str) for pattern in files)):
         raise DataError(f"{file}: files: no list of patterns (got {files!r}). Write files = [\"run_*.csv\"].")
-    said = import_from(table, str(file))
-    return said if any(fnmatch.fnmatchcase(name, str(pattern)) for pattern in files) else None
+    return files
+
+
+def _is_meant(name: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def with_beside(reading: Reading, paths: Sequence[Path]) -> tuple[Reading, list[str]]:
+    """How recordings of one folder are read with the ``import.toml`` beside them, and the patterns for a new one."""
+    names = list(dict.fromkeys(p.name for p in paths))
+    near, file = beside(paths[0])
+    if not file:
+        return reading, names
+    patterns = patterns_of(paths[0].parent / file)
+    return reading.over(near), [*patterns, *(n for n in names if not _is_meant(n, patterns))]
+
+
+def check_replaced(file: Path, paths: Sequence[Path]) -> None:
+    """Refuse to replace an ``import.toml`` that says how other recordings than these are read."""
+    if not file.is_file():
+        return
+    patterns = patterns_of(file)
+    if not any(_is_meant(p.name, patterns) and p.parent.resolve() == file.parent.resolve() for p in paths):
+        raise DataError(
+            f"{file}: it is there already, for {', '.join(patterns)}, and would be lost. Write to another name, and "
+            "join the two by hand."
+        )
 
 
 def import_from(table: Mapping, where: str) -> Reading:
@@ -227,7 +257,7 @@ def import_text(reading: Reading, files: Sequence[str] = (), comments: Sequence[
     for key, own in _TABLES.items():
         values = getattr(reading, own)
         if values:
-            texts = {n: f"{v.factor:g} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
+            texts = {n: f"{v.factor!r} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
             document[key] = texts
     return tomlkit.dumps(document)
 

@@ -6,6 +6,7 @@ import numpy as np
 
 REPAIRS = ("spread", "first", "last", "unwrap", "sort")
 DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3_600.0  # s: a time of day begins anew after 24 hours, or after 12
+LONG = 1.5  # steps between stamps: a longer one is a gap
 
 
 def order_of(time: np.ndarray, clock: str | None, of_day: bool = False) -> tuple[np.ndarray, np.ndarray]:
@@ -40,7 +41,8 @@ def _spread(time: np.ndarray) -> np.ndarray:
         return time
     rates = steps / lengths[:-1]
     usual = float(np.median(rates[1:] if len(rates) > 1 else rates))  # the first may be cut
-    each = np.concatenate([steps / lengths[:-1], [usual]])
+    gaps = steps > LONG * np.median(steps)  # nothing was recorded at their end
+    each = np.concatenate([np.where(gaps, np.fmin(rates, usual), rates), [usual]])
     if 0 < usual * lengths[0] < steps[0]:  # the recording began within this stamp: its samples lie at its end
         stamps[0] += steps[0] - usual * lengths[0]
         each[0] = usual

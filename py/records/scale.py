@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError
-from hydrotwin.models.language.units import si_unit, to_si
+from hydrotwin.models.language.units import parse_unit, si_unit, to_si
 
 _FORM = "Write --scale command=0.05 V/%."
 
@@ -46,9 +46,21 @@ def parse_scale(text: str) -> Scale:
         raise DataError(f"scale: '{match[1]}' is not a number (got '{text}'). {_FORM}") from None
     except UnitError as error:
         raise UnitError(f"scale: '{text}': {error}") from None
+    if zero := next((u for u in re.split(r"[*/.\u00b7^()\s]+", match[2]) if _has_zero(u)), None):
+        raise DataError(
+            f"scale: {zero} has a zero of its own, which a factor cannot give (got '{text}'). Write K for differences "
+            f"of temperature; a temperature needs the column in {zero}."
+        )
     if factor == 0 or not math.isfinite(factor):
         raise DataError(f"scale: the factor of '{column.strip()}' must be finite and not zero (got '{text}'). {_FORM}")
     return Scale(column.strip(), factor, match[2] or "1")
+
+
+def _has_zero(unit: str) -> bool:
+    try:
+        return bool(parse_unit(unit).offset)
+    except UnitError:
+        return False
 
 
 def scales_of(scale: Mapping[str, str | Scale] | Sequence[str | Scale] | str | None) -> dict[str, Scale]:

@@ -73,6 +73,22 @@ def test_what_it_found_is_written_as_a_file_that_every_command_then_finds(german
     np.testing.assert_allclose(one["arm_angle"], two["arm_angle"], atol=1e-4)
 
 
+def test_what_it_writes_keeps_what_it_was_read_by(german):
+    written = ("--write", "import.toml")
+    assert hydrotwin("inspect", "run.txt", *SAID, "--scale", "Winkel=1.2345678912 1", *written).code == 0
+    first = read_record("run.txt")
+    again = hydrotwin("inspect", "run.txt", "--model", "cehA", "--set", "load=2 N", *written)
+    assert again.code == 0, again.said
+    assert "1.2345678912 1" in Path("import.toml").read_text()
+    second = read_record("run.txt")
+    assert second["load"][0] == 2 and "load" not in first
+    for name in first:
+        np.testing.assert_array_equal(first[name], second[name])
+    Path("other.csv").write_text("time [s],p [bar]\n0,1\n1,2\n")
+    refused = hydrotwin("inspect", "other.csv", "--write", "import.toml")
+    assert refused.code == 2 and "for run.txt, and would be lost" in refused.said
+
+
 def test_the_page_shows_every_column(german, tmp_path):
     answer = hydrotwin("inspect", "run.txt", *SAID, "--model", "cehA", "--report", "page")
     assert answer.code == 0, answer.said
@@ -109,6 +125,6 @@ def test_an_input_that_was_not_recorded_may_be_said_to_be_constant(german):
 def test_a_file_that_cannot_be_read_is_told_beside_the_others_or_alone(german, tmp_path):
     (tmp_path / "empty.csv").write_text("")
     answer = hydrotwin("inspect", "empty.csv", "run.txt")
-    assert answer.code == 0 and "empty.csv: row 1: the file is empty" in answer.said and "801 samples" in answer.said
+    assert answer.code == 2 and "empty.csv: row 1: the file is empty" in answer.said and "801 samples" in answer.said
     alone = hydrotwin("inspect", "empty.csv")
     assert alone.code == 2 and "the file is empty" in alone.said

@@ -221,3 +221,62 @@ def test_remarks_of_labview_files_are_a_column_of_their_own(tmp_path):
     path = tmp_path / "run.lvm"
     path.write_text(head + "0\t1\tnote 7\n1\t2\n2\t3\n")
     assert read_record(path)["p"].tolist() == [1e5, 2e5, 3e5]
+
+
+def test_dates_and_versions_do_not_tell_a_decimal_sign(tmp_path):
+    rows = "".join(f"04.05.2021;10:11:12.{10 * k:03d};{{}}\n" for k in range(4))
+    head = "Datum;Zeit;p [bar]\n"
+    for numbers in ((1.5, 2.5, 3, 4), ("1,5", "2,5", 3, 4)):
+        record = read_record(written(tmp_path, head + rows.format(*numbers)))
+        assert record["p"].tolist() == [1.5e5, 2.5e5, 3e5, 4e5]
+    with pytest.raises(DataError, match=r"'1\.345' may be 1345"):
+        read_record(written(tmp_path, head + rows.format("1.345", "2.345", "3.345", "4.345")))
+    with pytest.raises(DataError, match=r"'1\.345' may be 1345"):
+        read_record(written(tmp_path, "v;t [s];p [bar]\n1.2.3;0;1.345\n1.2.3;1;2.345\n"))
+
+
+def test_a_sample_with_a_remark_in_front_is_a_sample(tmp_path):
+    rows = "".join(f"{'Start' if k < 2 else ''};{0.1 * k:.1f};{k}\n" for k in range(50))
+    record = read_record(written(tmp_path, "Kommentar;Zeit [s];p [bar]\n" + rows))
+    assert len(record) == 50 and record["p"][:2].tolist() == [0, 1e5]
+    stamped = "".join(f"{'Start' if k < 2 else ''};10:00:{k:02d};{k}\n" for k in range(50))
+    assert len(read_record(written(tmp_path, "Kommentar;Zeit;p [bar]\n" + stamped))) == 50
+    record = read_record(written(tmp_path, "Name;Zeit;p\nEinheit;s;bar\nKanal;1;2\n" + rows.replace("Start", "")))
+    assert len(record) == 50 and "1 line above the numbers left out, the first: 'Kanal;1;2'" in record.understood
+
+
+def test_samples_before_a_gap_are_not_spread_into_it(tmp_path):
+    rows = "".join(f"{k // 5 + (3 if k >= 30 else 0)},{k}\n" for k in range(60))
+    time = read_record(written(tmp_path, "t [s],p [bar]\n" + rows), clock="spread").time
+    np.testing.assert_allclose(time[25:31], [5, 5.2, 5.4, 5.6, 5.8, 9])
+
+
+def test_a_factor_gives_no_temperature(tmp_path):
+    path = written(tmp_path, "t [s],T [V]\n0,1\n1,2\n")
+    for unit in ("degC/V", "°C/V", "degC", "degF/V"):
+        with pytest.raises(DataError, match="has a zero of its own"):
+            read_record(path, scale=f"T=10 {unit}")
+    assert read_record(path, scale="T=10 K/V")["T"].tolist() == [10, 20]
+
+
+def test_a_blank_line_in_one_column_is_a_missing_value(tmp_path):
+    path = written(tmp_path, "p [bar]\n1\n2\n\n4\n")
+    with pytest.raises(DataError, match="row 4, column 'p': no value"):
+        read_record(path, rate=10)["p"]
+    record = read_record(path, rate=10, missing="keep")
+    assert len(record) == 4 and np.isnan(record["p"][2]) and record["p"][3] == 4e5
+
+
+def test_elements_of_arrays_keep_their_numbers(tmp_path):
+    path = written(tmp_path, 'time [s],T[1],T[2],"b[1,2]",x [1]\n0,1,2,3,4\n1,1,2,3,4\n')
+    record = read_record(path, units=["T[1]=K", "T[2]=K"])
+    assert record["T[1]"].tolist() == [1, 1] and record["T[2]"].tolist() == [2, 2] and record["x"].tolist() == [4, 4]
+    with pytest.raises(DataError, match=r"--unit 'b\[1,2\]=UNIT'"):
+        record["b[1,2]"]
+
+
+def test_a_column_that_fills_late_is_one_of_numbers(tmp_path):
+    rows = (f"{0.01 * k:.2f};{'' if k < 600 else k / 2};{k / 3:.17f};{'on' if k % 7 else ''}\n" for k in range(60_000))
+    path = written(tmp_path, "time [s];s [bar];q [bar];state\n" + "".join(rows))
+    record = read_record(path, missing="keep")
+    assert np.isnan(record["s"][599]) and record["s"][600] == 300e5

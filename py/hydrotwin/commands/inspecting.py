@@ -14,6 +14,7 @@ from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, Record, import_text, read_record
 from hydrotwin.records.inspection import Inspected, inspect_record, together
 from hydrotwin.records.matching import Match, matched
+from hydrotwin.records.reading import check_replaced, with_beside
 
 from ..loading import load
 from .recordings import reads
@@ -65,12 +66,12 @@ def inspect(
     if report:
         check_folder(report)
     if write:
-        check_file(write, ".toml")
+        check_replaced(check_file(write, ".toml"), records)
     thing = load(model) if model else None
     read, failed = _read(records, reading)
     if not read:
         raise DataError(next(iter(failed.values())))
-    found = _inspection(read, failed, thing, reading or Reading(), [p.name for p in records], free)
+    found = _inspection(read, failed, thing, *with_beside(reading or Reading(), records), free)
     if write:
         write_whole(write, found.toml)
     if report:
@@ -79,11 +80,12 @@ def inspect(
         write_inspection(found, read, report)
     if as_json:
         print_json(dataclasses.asdict(found))
-        return
-    _print(found)
-    for path in (write, report and report / "inspection.html"):
-        if path:
+    else:
+        _print(found)
+        for path in filter(None, (write, report and report / "inspection.html")):
             out.print(f"written: {path}")
+    if failed:
+        raise typer.Exit(2)
 
 
 def _read(paths: list[Path], reading: Reading | None) -> tuple[list[Record], dict[str, str]]:

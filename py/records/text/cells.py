@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from ..stamps import is_stamp
 from .layout import Layout, cells_of, is_comment
 
 LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
+_HEAD = 100  # cells that tell a column of text
 _SHOWN = 40  # characters of a cell in a sentence
 
 
@@ -50,6 +51,8 @@ def block_of(body: str, place: Place) -> Block:
     if not body or body.isspace():
         none = [np.empty(0)] * layout.width
         return Block(none, [None] * layout.width, [""] * layout.width, lambda k: place.first_row + k)
+    if layout.width == 1:
+        body = re.sub(r"(?m)^[ \t]*$(?=\n)", "nan", body)  # nothing else can say that a value is missing
     try:
         found = _quick(body, place)
     except (ValueError, UnicodeError):  # pyarrow's errors are ValueErrors
@@ -109,7 +112,10 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     texts = [None if k in numbers else column.to_pylist() for k, column in enumerate(columns)]
     rows = _row_finder(body, place.first_row)
     values = [c.to_numpy() if t is None else np.full(len(c), np.nan) for c, t in zip(columns, texts, strict=True)]
-    problems = ["" if t is None else _is_text(place, k, t, rows) for k, t in enumerate(texts)]
+    problems, pointed = [""] * layout.width, replace(place, decimal=".")  # as ``plain`` is
+    for k in range(layout.width):
+        if texts[k] is not None:
+            values[k], texts[k], problems[k] = _column(pointed, k, texts[k], rows)
     return Block(values, texts, problems, rows)
 
 
@@ -147,29 +153,33 @@ def _carefully(body: str, place: Place) -> Block:
             _fail_ragged(place, k, cells, cut_off == k)
         table.append(cells)
         rows.append(place.first_row + k)
-    columns = [_column(place, j, [cells[j] for cells in table], rows) for j in range(width)]
+    columns = [_column(place, j, [cells[j] for cells in table], rows.__getitem__) for j in range(width)]
     values, texts, problems = zip(*columns, strict=True)
     return Block(values, texts, problems, lambda k: rows[k] if k < len(rows) else rows[-1] + 1)
 
 
-def _column(place: Place, j: int, cells: list[str], rows: Sequence[int]):
+def _column(place: Place, j: int, cells: Sequence[str], row: Callable[[int], int]):
     """Values, the cells where they are no numbers, and why."""
+    head = [cell for cell in cells[:_HEAD] if cell]
+    if len(head) > _HEAD / 2 and not any(number_in(cell, place.decimal) is not None for cell in head):
+        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row)
     numbers = [number_in(cell, place.decimal) for cell in cells]
-    if None not in numbers:
+    if None not in numbers and any(cells):
         return np.array(numbers, dtype=float), None, ""
     values = np.array([np.nan if number is None else number for number in numbers], dtype=float)
     wrong = [k for k, number in enumerate(numbers) if number is None]
     filled = sum(cell != "" for cell in cells)
-    if len(wrong) > filled / 2 and not _flawed_number(cells[wrong[0]]):
-        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, lambda k: rows[k])
+    if len(wrong) >= filled / 2 and not (wrong and _flawed_number(cells[wrong[0]])):
+        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row)
     k, other = wrong[0], other_sign(place.decimal)
     one = cells[k].count(other) == 1
     state = f" Or state the other sign: --decimal '{other}', or '# decimal={other}' above the header." if one else ""
-    return values, cells, (
-        f"{place.path}: row {rows[k]}, column '{place.names[j]}': not a number (got '{cells[k][:_SHOWN]}'). Write a "
+    why = (
+        f"{place.path}: row {row(k)}, column '{place.names[j]}': not a number (got '{cells[k][:_SHOWN]}'). Write a "
         f"decimal {'point' if place.decimal == '.' else 'comma'}; '{other}' may only part groups of three digits; no "
         f"unit in the cell.{state}"
     )
+    return values, cells, why
 
 
 def _flawed_number(cell: str) -> bool:

@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError
 
 from ..clocks import called_time
@@ -22,6 +24,7 @@ from ..stamps import is_stamp
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "blanks"}
 LOOKED_AT = 400  # lines from which the block of numbers is told, and as many before the end of the file
 NUMERIC = 0.8  # of the rows of a block: from so many on a column with numbers in them is one of numbers
+EVEN = 1.5  # the longest of the steps of a clock over the shortest: rounding may make them differ
 COMMENTS = ("#", "%", "//", "'", "!")
 MOST_ROWS_ABOVE = 6  # with the cells of the block: names, units, and what a logger writes beside them
 
@@ -136,8 +139,8 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in settled]))
     if not numeric:
         return None
-    labelled = 0 not in numeric and sum(row[0] == "" for row in rows) >= NUMERIC * len(rows)
-    start = _start(block, width, numeric, labelled)
+    labels = _labels([row for row in block if len(row[1]) == width], numeric)
+    start = _start(block, width, numeric, labels)
     if start is None:
         return None
     first = block[start][0]
@@ -151,7 +154,7 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     names_at, units_at, names, units = _named(rows_above, numeric, lines)
     named = max(k if k is not None else -1 for k in (names_at, units_at))
     below = [(k, cells) for k, cells in block[: start + 1] if k > named and len(cells) == width]
-    first = next((k for k, cells in below if _has_numbers(cells, numeric, labelled)), first)
+    first = next((k for k, cells in below if k not in labels and any(_is_number(cells[j]) for j in numeric)), first)
     last = _end(lines, first, delimiter, width, numeric)
     return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
 
@@ -204,20 +207,49 @@ def _is_missing(cell: str) -> bool:
     return number_in(cell, ".") is not None and not any(c.isdigit() for c in cell)
 
 
-def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozenset[int], labelled: bool) -> int | None:
-    """Index in the block of the first line of numbers behind the last of names.
+def _labels(rows: Sequence[tuple[int, list[str]]], numeric: frozenset[int]) -> set[int]:
+    """Lines above the numbers that hold numbers too, and a word that names them: ``Channel;1;2``.
 
-    labelled : the first column is empty beside the numbers, so that a line with a word there is none of them.
+    They have one where nearly all samples have none. A sample with a remark has it as well, but goes on as the samples
+    do: with a date or time where they have one, with the usual step of a column that grows.
     """
+    bare = [cells for _, cells in rows if cells[0] == "" and any(_is_number(cells[j]) for j in numeric)]
+    if 0 in numeric or len(bare) < NUMERIC * sum(any(_is_number(cells[j]) for j in numeric) for _, cells in rows):
+        return set()
+    clock = next((j for j in sorted(numeric) if _goes_on(bare[-LOOKED_AT // 4 :], j)), None)
+    found, following = set(), []
+    for k, cells in reversed(rows):
+        named = cells[0] and any(_is_number(cells[j]) for j in numeric)
+        if named and (clock is None or not _goes_on([cells, *following], clock)):
+            found.add(k)
+        else:
+            following = [cells, *following[:2]]
+    return found
 
-    def holds(cells: list[str]) -> bool:
-        if len(cells) != width or (labelled and cells[0]):
+
+def _goes_on(rows: Sequence[list[str]], column: int) -> bool:
+    """Whether a column holds dates or times, or numbers that grow by even steps, in all of a few rows."""
+    cells = [row[column] for row in rows]
+    if len(cells) < 3 or all(map(is_stamp, cells)):
+        return all(map(is_stamp, cells))
+    numbers = [number_in(c, "," if "," in c else ".") for c in cells]
+    if any(n is None or not np.isfinite(n) for n in numbers):
+        return False
+    steps = np.diff(numbers)
+    return bool(steps.min() > 0 and steps.max() < EVEN * steps.min())
+
+
+def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozenset[int], labels: set[int]) -> int | None:
+    """Index in the block of the first line of numbers behind the last of names."""
+
+    def holds(k: int, cells: list[str]) -> bool:
+        if len(cells) != width or k in labels:
             return False
         inside = [cells[j] for j in numeric]
         numbers = sum(map(_is_number, inside))
         return numbers > 0 and 2 * numbers >= sum(cell != "" and not _is_missing(cell) for cell in inside)
 
-    rows = [k for k, (_, cells) in enumerate(block) if holds(cells)]
+    rows = [at for at, (k, cells) in enumerate(block) if holds(k, cells)]
     for k, following in zip(rows, [*rows[1:], len(block)], strict=True):
         if not any(_is_heading(cells, width) for _, cells in block[k + 1 : following]):
             return k
@@ -279,11 +311,6 @@ def _are_labels(lines: Sequence[str], rows: Sequence[list[str]]) -> bool:
     first = [row[0] for row in rows]
     quoted = sum(line.lstrip().startswith('"') for line in lines.head[: len(rows) + MOST_ROWS_ABOVE])
     return quoted >= len(rows) or first == [str(k) for k in range(1, len(rows) + 1)]
-
-
-def _has_numbers(cells: list[str], numeric: frozenset[int], labelled: bool) -> bool:
-    """Whether a row below the names holds any number: it is a sample, whatever else it holds."""
-    return not (labelled and cells[0]) and any(_is_number(cells[j]) for j in numeric)
 
 
 def _end(lines: Sequence[str], first: int, delimiter: str, width: int, numeric: frozenset[int]) -> int:

@@ -18,7 +18,7 @@ from ..headings import headings
 from .cells import Block, Place, block_of, column_cells
 from .decode import text_of
 from .labview import is_labview, labview_layout
-from .layout import Layout, Lines, layout_of
+from .layout import Layout, Lines, is_comment, layout_of
 
 HEAD = 20_000  # characters in which a name in quotes may span two lines
 _BROKEN = re.compile(r'(?:^|(?<=[,;\t\n]))"[^"\n]{0,80}\n[^"\n]{0,80}"(?=[,;\t\n])')
@@ -115,9 +115,17 @@ def _column(heading, block: Block, k: int, body: str, layout: Layout, decimal: s
 def _said(layout: Layout, decimal: str, lines: Lines) -> str:
     words = [layout.said()]
     words += ["decimal comma"] if decimal == "," else []
-    behind = [lines[k].strip() for k in range(layout.last, len(lines)) if lines[k].strip()]
-    words += [f"{len(behind)} lines below the numbers left out, the first: '{behind[0][:40]}'"] if behind else []
+    named = max(-1 if k is None else k for k in (layout.names_at, layout.units_at))
+    between = [] if named < 0 else _filled(lines, named + 1, layout.first)
+    for left, where in ((between, "above"), (_filled(lines, layout.last, len(lines)), "below")):
+        if left:
+            several = "s" if len(left) > 1 else ""
+            words += [f"{len(left)} line{several} {where} the numbers left out, the first: '{left[0][:40]}'"]
     return ", ".join(words)
+
+
+def _filled(lines: Lines, first: int, last: int) -> list[str]:
+    return [line for k in range(first, last) if (line := lines[k].strip()) and not is_comment(line)]
 
 
 def no_names(path: Path) -> DataError:

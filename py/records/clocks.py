@@ -16,7 +16,7 @@ from hydrotwin.models.language.units import compatible, parse_unit
 
 from .columns import UNSEEN, Column, rounding_of
 from .decimal_sign import exact_from_first
-from .stamps import has_date, is_stamp, nanoseconds
+from .stamps import has_date, is_minutes, is_stamp, nanoseconds
 
 _NAMES = (
     "time|t|zeit|temps|tiempo|tempo|tout|xvalue|timestamps?|timestamp|zeitstempel|datetime|dateandtime|datumuhrzeit|"
@@ -24,7 +24,8 @@ _NAMES = (
 )
 _NAMED = re.compile(rf"(?:{_NAMES})")
 _BEGINS = re.compile(r"(?:time|zeit|timestamp|zeitstempel|uhrzeit|temps)\b")
-TIME_OF_DAY = "time of day"  # as what a clock is told that begins anew at midnight
+TIME_OF_DAY, IN_AN_HOUR = "time of day", "minutes and seconds"
+PERIODS = {TIME_OF_DAY: 86_400.0, IN_AN_HOUR: 3_600.0}  # s: as what a clock is told that begins anew after it
 _MILLISECONDS = re.compile(r"ms|msec|millis|milliseconds?|millisekunden?")
 _DATE_NAMES = re.compile(r"(?:date|datum|tag|day|fecha)")
 # what a number without a unit counts that is as large as the years 2010 to 2035 in it:
@@ -56,12 +57,20 @@ def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int
         return names.index("time")
     said = [k for k, name in enumerate(names) if called_time(name) and _may_be_time(columns[k])]
     said = said or [k for k, n in enumerate(names) if _BEGINS.match(n.lower()) and _may_be_time(columns[k])]
-    said = said or [k for k, c in enumerate(columns) if c.unit and _has_dimension_of_time(c.unit) and _grows(c)]
+    said = said or [k for k, c in enumerate(columns) if counts_time(c)]
     if len(said) == 1:
         return said[0]
     if said:
         which = ", ".join(f"'{names[k]}'" for k in said)
         raise DataError(f"{path}: {which} may each be its time. Say which is: --time '{names[said[0]]}'.")
+    called = next((c for c in columns if called_time(c.name) and c.unusable and c.texts), None)
+    if called is not None:
+        cell = next(cell for cell in called.texts if cell.strip())
+        raise DataError(
+            f"{path}: column '{called.name}' is called a time, but '{cell[:40]}' is no number and no date or time that "
+            "is known here. Write seconds, 10:12:33.250 or 2021-05-04 10:12:33.250, take another column (--time NAME), "
+            "or state the sampling rate: --rate 1000."
+        )
     found = ", ".join(names[:8])
     raise DataError(
         f"{path}: no column is called a time (got {found}). Say which one is: --time '{names[0]}', or state the "
@@ -79,6 +88,11 @@ def _may_be_time(column: Column) -> bool:
     if column.unit is not None and not (_has_dimension_of_time(column.unit) or holds_stamps(column)):
         return False
     return not column.unusable or holds_stamps(column)
+
+
+def counts_time(column: Column) -> bool:
+    """Whether a column grows, and is in a unit of time."""
+    return bool(column.unit) and _has_dimension_of_time(column.unit) and _grows(column)
 
 
 def _grows(column: Column) -> bool:
@@ -169,8 +183,8 @@ def _of_stamps(columns: Sequence[Column], at: int, path: str) -> tuple[Column, s
     first = next(cell for cell in cells if cell.strip())
     if not has_date(first):
         words = TIME_OF_DAY
-        if column.unit in MINUTES:
-            words = "minutes and seconds"
+        if column.unit in MINUTES or (is_minutes(first) and column.unit not in HOURS):
+            words = IN_AN_HOUR
             cells = [f"0:{cell.strip()}" if cell.strip() else "" for cell in cells]
         elif first.count(":") == 1 and not re.search(r"[.,]", first) and column.unit not in HOURS:
             raise DataError(

@@ -105,15 +105,17 @@ def _grouped(decimal: str) -> re.Pattern:
     return re.compile(rf"[-+]?(?!0)(?:{groups})(?:{d}\d*(?:[eE][-+]?\d+)?)?")
 
 
+_UNIT = r"(?: ?[a-zA-Z%\u00b0\u00b5/\u00b2\u00b3\u00b7]{1,12})?"
 _FORTRAN = re.compile(r"(?<=[\d.,])[dD](?=[-+]?\d+$)")
 _GROUPED = {decimal: _grouped(decimal) for decimal in SIGNS}
 
 
 def _cells_with_sign(body: str, delimiter: str) -> Iterator[re.Match]:
-    """Cells that are a number with a point or comma in it: its digits and signs, its exponent."""
+    """Cells that are a number with a point or comma in it, maybe a unit: its digits and signs, its exponent."""
     ends = f'{re.escape(delimiter)}\n"' + ("\t" if delimiter == " " else "")
     digits = r"\d.," + (_SPACES if delimiter != " " else _SPACES[1:])
-    yield from re.finditer(rf"(?:^|[{ends}]) *[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?(?=[{ends}]|$)", body)
+    number = rf"[-+]?([{digits}]*[.,][{digits}]*)([eE][-+]?\d+)?{_UNIT}"
+    yield from re.finditer(rf"(?:^|[{ends}]) *{number}(?=[{ends}]|$)", body)
 
 
 def _signs_of(number: str, exponent: str) -> list[str]:

@@ -109,8 +109,13 @@ def _beside_row(name: str, unit: str) -> tuple[str, str | None]:
     match = _BRACKETS.fullmatch(name.strip())
     if not match:
         return " ".join(name.split()), unit or None
-    own = spelt(match[2].strip())
-    return match[1].strip(), f"{own} or {unit}" if unit and own and own != unit else unit or own or None
+    return match[1].strip(), together(match[2].strip(), unit)
+
+
+def together(one: str | None, other: str | None) -> str | None:
+    """The unit that a column has in two places; both where they differ, for neither can be meant."""
+    one, other = (spelt(unit) if unit else None for unit in (one, other))
+    return f"{one} or {other}" if one and other and one != other else other or one
 
 
 def _behind(name: str) -> tuple[str, str] | None:

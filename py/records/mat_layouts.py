@@ -303,6 +303,9 @@ def _with_time_inside(signal: Signal) -> list[Signal]:
     values = signal.values
     if signal.unusable or values.ndim != 2 or min(values.shape) < 2 or values.dtype.kind not in "fiu":
         return [signal]
+    both = all(rows.shape[1] > 2 and _grows(rows[0]) for rows in (values, values.T))
+    if both and max(values.shape) < 2 * min(values.shape):
+        return [replace(signal, unusable="its first row and its first column may both be the time. Save it longer.")]
     for rows in (values, values.T) if values.shape[1] > values.shape[0] else (values.T, values):
         if rows.shape[1] > 2 and _grows(rows[0]):
             axis = Axis(rows[0])

@@ -12,6 +12,7 @@ from hydrotwin.models.language.errors import DataError, UnitError
 from hydrotwin.models.language.units import compatible, convert
 
 from .columns import Column, Table
+from .headings import spelt
 from .resampling import ROUNDING
 
 MANY = 100  # elements of a sample that become columns of their own; more are a spectrum or an image
@@ -50,7 +51,7 @@ def table_of(path: Path, signals: list[Signal], digest: str) -> Table:
     if not signals:
         raise DataError(f"{path}: row 1: no signal over time. Check the file in a viewer, or export it again.")
     single = [element for s in _with_times_in_numbers(signals) for element in _elements(s)]
-    axes = {s.axis.values.tobytes(): s.axis for s in single if s.axis and not s.unusable}
+    axes = {(s.axis.values.tobytes(), s.axis.unit): s.axis for s in single if s.axis and not s.unusable}
     if len(axes) > 1:
         single = [_on_seconds(s) for s in single]
         known = [s.axis.values for s in single if not s.unusable]
@@ -60,12 +61,14 @@ def table_of(path: Path, signals: list[Signal], digest: str) -> Table:
     length = len(axis.values) if axis else _usual_length(single)
     columns = [] if axis is None else [Column(axis.name, axis.unit, axis.values)]
     columns += [_column(path, s, axis, length) for s in _distinct(single, {c.name for c in columns})]
-    said = f"{len(axes)} time axes on the union of their times" if len(axes) > 1 else ""
+    assumed = ", s where the file names no unit" if any(a.unit is None for a in axes.values()) else ""
+    said = f"{len(axes)} time axes{assumed} on the union of their times" if len(axes) > 1 else ""
     return Table(str(path), tuple(columns), lambda k: k + 1, digest, marks_unknown=len(axes) > 1, understood=said)
 
 
 def _with_times_in_numbers(signals: list[Signal]) -> list[Signal]:
     """The same with every axis as numbers; dates and stamps count from the first one of all axes."""
+    signals = [s if s.unit is None else replace(s, unit=spelt(s.unit)) for s in signals]
     axes = {id(a): a for s in signals if (a := s.axis) is not None}
     stamps = [a.values[~np.isnat(a.values)] for a in axes.values() if a.values.dtype.kind == "M"]
     first = min((s.min() for s in stamps if len(s)), default=None)
@@ -73,7 +76,8 @@ def _with_times_in_numbers(signals: list[Signal]) -> list[Signal]:
         if own.values.dtype.kind in "mM":
             axes[key] = Axis(in_seconds(own.values, first), "s", own.name)
         else:
-            axes[key] = replace(own, values=own.values.astype(float, copy=False))
+            unit = own.unit and spelt(own.unit)
+            axes[key] = replace(own, values=own.values.astype(float, copy=False), unit=unit)
     return [replace(s, axis=axes.get(id(s.axis))) for s in signals]
 
 

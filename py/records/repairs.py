@@ -9,12 +9,13 @@ DAY, HALF_DAY, HOUR = 86_400.0, 43_200.0, 3_600.0  # s: a time of day begins ane
 LONG = 1.5  # steps between stamps: a longer one is a gap
 
 
-def order_of(time: np.ndarray, clock: str | None, of_day: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def order_of(time: np.ndarray, clock: str | None, period: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """Which samples stay, by index, and their times [s], after the repair that is asked for.
 
     ``spread``: stamps that stand several times are spread evenly until the next one; the first of them may have begun
-    before the recording. ``first``, ``last``: of samples with the same stamp one stays. ``unwrap``: after a jump back a
-    time of day (of_day) is of the next day, or of the afternoon; any other time goes on with its usual step. ``sort``:
+    before the recording. ``first``, ``last``: of samples with the same stamp one stays. ``unwrap``: after a jump back
+    a clock that begins anew after a ``period`` [s] is in the next one, a time of day in the afternoon, too; any other
+    time goes on with its usual step. ``sort``:
     by time.
     """
     every = np.arange(len(time))
@@ -28,7 +29,7 @@ def order_of(time: np.ndarray, clock: str | None, of_day: bool = False) -> tuple
     if clock == "spread":
         return every, _spread(time)
     if clock == "unwrap":
-        return every, _unwrapped(time, of_day)
+        return every, _unwrapped(time, period)
     return every, time
 
 
@@ -50,10 +51,12 @@ def _spread(time: np.ndarray) -> np.ndarray:
     return np.repeat(stamps, lengths) + within * np.repeat(each, lengths)
 
 
-def _unwrapped(time: np.ndarray, of_day: bool) -> np.ndarray:
+def _unwrapped(time: np.ndarray, period: float) -> np.ndarray:
     steps = np.diff(time)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     later = np.full(len(steps), usual)
-    if of_day:  # midnight, or a clock of twelve hours; any other step back is no wrap and stays
-        later = np.where(steps < -HALF_DAY, steps + DAY, np.where(steps < -HALF_DAY + HOUR, steps + HALF_DAY, steps))
+    if period:  # any other step back is no wrap and stays
+        later = np.where(steps < -period / 2, steps + period, steps)
+    if period == DAY:  # a clock of twelve hours
+        later = np.where((later == steps) & (steps < -HALF_DAY + HOUR), steps + HALF_DAY, later)
     return time[0] + np.concatenate([[0.0], np.cumsum(np.where(steps < 0, later, steps))])

@@ -15,21 +15,26 @@ DAY = 86_400 * 10**9  # ns
 _ZERO = datetime.date(1970, 1, 1).toordinal()
 _FRACTION = r"(?:(?:[.,]|:(?=\d{3}$))(?P<f>\d{1,9})\d*)?"  # fewer digits behind a colon may be frames
 _CLOCK = rf"(?P<h>\d{{1,2}}):(?P<m>\d{{2}})(?::(?P<s>\d{{2}}){_FRACTION})?\s*(?P<half>[AaPp]\.?[Mm]\.?)?"
-_ZONE = r"\s*(?:[Zz]|UTC|GMT|(?P<sign>[+-])(?P<zh>\d{2}):?(?P<zm>\d{2}))?"
+_ZONES = {"CET": 1, "CEST": 2, "MEZ": 1, "MESZ": 2}  # hours east of Greenwich
+_ZONE = rf"\s*(?:[Zz]|UTC|GMT|(?P<zone>{'|'.join(_ZONES)})|(?P<sign>[+-])(?P<zh>\d{{2}}):?(?P<zm>\d{{2}}))?"
 _DATES = (
     r"(?P<y>\d{4})[-/.](?P<mo>\d{1,2})[-/.](?P<d>\d{1,2})",
     r"(?P<y>\d{4})(?P<mo>\d{2})(?P<d>\d{2})",
     r"(?P<a>\d{1,2})(?P<by>[-/.])(?P<b>\d{1,2})[-/.](?P<y>\d{4}|\d{2})",
-    r"(?P<d>\d{1,2})[-. ](?P<name>[A-Za-zäÄ]{3,9})\.?[-. ](?P<y>\d{4}|\d{2})",
+    r"(?P<d>\d{1,2})(?:\. ?|[- ])(?P<name>[A-Za-zäÄ]{3,9})\.?[-. ](?P<y>\d{4}|\d{2})",
 )
+_DAY_NAME = r"(?:[A-Za-z]{2,9}[.,]{0,2} )?"
+_COMPACT = r"(?P<y>\d{4})(?P<mo>\d{2})(?P<d>\d{2})[T_ ](?P<h>\d{2})(?P<m>\d{2})(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?"
 _MONTHS = {
     "jan": 1, "feb": 2, "mar": 3, "mär": 3, "mrz": 3, "apr": 4, "may": 5, "mai": 5, "jun": 6, "jul": 7, "aug": 8,
     "sep": 9, "oct": 10, "okt": 10, "nov": 11, "dec": 12, "dez": 12,
 }  # fmt: skip
 TIME_OF_DAY = re.compile(_CLOCK)
 _LONG = re.compile(r"(?:(?P<days>-?\d+) days?,? )?(?P<h>\d+):(?P<m>\d{2}):(?P<s>\d{2})(?:[.,](?P<f>\d{1,9})\d*)?")
+_COMPACT_BEGINS = re.compile(r"\d{8}[T_ ]\d{6}")
 _MINUTES = re.compile(r"(?P<m>\d{1,3}):(?P<s>\d{2})[.,](?P<f>\d{1,9})\d*")
-_STAMPS = [re.compile(rf"{date}(?:[T ,;_]+{_CLOCK}{_ZONE})?") for date in _DATES]
+_STAMPS = [re.compile(rf"{_DAY_NAME}{date}(?:[T ,;_]+{_CLOCK}{_ZONE})?") for date in _DATES]
+_STAMPS.append(re.compile(_COMPACT + _ZONE))
 
 
 def is_stamp(cell: str) -> bool:
@@ -39,9 +44,14 @@ def is_stamp(cell: str) -> bool:
     (True, True, False, False)
     """
     text = cell.strip().strip('"')
-    if ":" not in text and sum(text.count(c) for c in "-/.") < 2:
+    if ":" not in text and sum(text.count(c) for c in "-/.") < 2 and not _COMPACT_BEGINS.match(text):
         return False
     return any(form.fullmatch(text) for form in (TIME_OF_DAY, _LONG, _MINUTES, *_STAMPS))
+
+
+def is_minutes(cell: str) -> bool:
+    """Whether a stamp is minutes and seconds with a fraction: ``59:58.5``."""
+    return bool(_MINUTES.fullmatch(cell.strip()))
 
 
 def has_date(cell: str) -> bool:
@@ -112,6 +122,7 @@ def _of_day(match: re.Match) -> int:
     if parts.get("sign"):
         east = (int(parts["zh"]) * 60 + int(parts["zm"])) * 60
         seconds -= east if parts["sign"] == "+" else -east
+    seconds -= _ZONES.get(parts.get("zone") or "", 0) * 3600
     return seconds * 10**9 + int((parts["f"] or "0").ljust(9, "0"))
 
 

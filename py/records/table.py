@@ -13,7 +13,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.units import parse_unit, to_si
 
-from .clocks import TIME_OF_DAY, called_time, holds_stamps, in_seconds, sampled_at, time_column
+from .clocks import PERIODS, called_time, counts_time, holds_stamps, in_seconds, sampled_at, time_column
 from .columns import Column, Table
 from .reading import Reading, constant
 from .record import Record
@@ -44,11 +44,14 @@ def _by_name(table: Table, reading: Reading) -> Reading:
     names = [c.name for c in table.columns]
 
     def name_of(reference: str) -> str:
-        place = re.fullmatch(r"#[0-9]+", reference) and reference not in names
-        return names[_place(reference, names, table.path, "a column")] or reference if place else reference
+        if reference in names or not re.fullmatch(r"#[0-9]+", reference):
+            return reference
+        return names[_place(reference, names, table.path, "a column")] or reference
 
     units, scale = ({name_of(n): v for n, v in m.items()} for m in (reading.units, reading.scale))
-    columns, time = dict(reading.columns), reading.time and name_of(reading.time)
+    alone = {reference: name_of(reference) for reference in reading.columns.values()}
+    columns = {v: alone[r] if names.count(alone[r]) == 1 else r for v, r in reading.columns.items()}
+    time = reading.time and name_of(reading.time)
     for reference in (time, *units, *scale):
         if reference and reference.startswith("#") and reference not in (*names, *columns.values(), *columns):
             columns[reference] = reference
@@ -74,14 +77,15 @@ def _named(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     for k, column in enumerate(columns, start=1):
         if column.name or k - 1 in taken.values() or _is_empty(column):
             continue
-        if holds_stamps(column) and not any(called_time(c.name) for c in kept):
+        if (holds_stamps(column) or counts_time(column)) and not any(called_time(c.name) for c in kept):
             kept.insert(0, replace(column, name="time"))  # the index of a data frame
             continue
         refused[f"#{k}"] = (
             f"{table.path}: {table.header}, column {k} has no name. Write 'name [unit]' in the header, or name it: "
             f"--column 'name=#{k}'."
         )
-    own = [f"the column '{v}' of the file is not used" for v, k in taken.items() if v in names and names[k] != v]
+    unused = (v for v in taken if v in names and names.index(v) not in taken.values())
+    own = [f"the column '{v}' of the file is not used" for v in unused]
     said = [f"{v} is '{r}'" for v, r in reading.columns.items()]
     return _told(replace(table, columns=tuple(kept)), *said, *own)
 
@@ -176,9 +180,10 @@ def _check_length(table: Table) -> None:
 def _with_clock(table: Table, clock: str | None) -> Table:
     """The samples in the order and at the times that the clock's repair makes of them; time must grow then."""
     time = table.columns[0]
-    order, times, of_day = np.arange(len(time.values)), time.values, TIME_OF_DAY in table.understood
+    order, times = np.arange(len(time.values)), time.values
+    period = next((p for words, p in PERIODS.items() if words in table.understood), 0.0)
     for repair in re.split(r"\s*,\s*", clock or ""):
-        kept, times = order_of(times, repair, of_day)
+        kept, times = order_of(times, repair, period)
         order = order[kept]
     row = table.row
     columns = [replace(time, values=times), *(replace(c, values=c.values[order]) for c in table.columns[1:])]
@@ -204,9 +209,17 @@ def _check_time(table: Table, clock: str | None) -> None:
         )
     raise DataError(
         f"{where}: time runs backward (got {now:.9g} {unit} after {before:.9g} {unit}; {wrong.sum()} such steps)."
-        f"{after} Split the file if it joins two recordings. Sort the rows: --clock sort; or let a clock that began "
-        "anew go on: --clock unwrap."
+        f"{after} {_backward(table, float(now - before), clock)}"
     )
+
+
+def _backward(table: Table, step: float, clock: str | None) -> str:
+    """What may be done about a step back [s]."""
+    period = next((p for words, p in PERIODS.items() if words in table.understood), 0.0)
+    unwrap, ways = "let a clock that began anew go on: --clock unwrap", ["sort the rows: --clock sort"]
+    if "unwrap" not in (clock or ""):
+        ways.insert(0 if period and step < -period / 3 else 1, unwrap)
+    return f"Split the file if it joins two recordings; {'; or '.join(ways)}."
 
 
 # -- values ------------------------------------------------------------------------------------------------------------

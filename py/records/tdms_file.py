@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import DataError
 from .binary_files import content_of, unreadable
 from .clocks import called_time
 from .columns import Table
-from .headings import split_header
+from .headings import spelt, split_header
 from .rasters import Axis, Signal, in_seconds, is_time_unit, table_of
 
 _EPOCH = np.datetime64("1904-01-01", "ns")
@@ -74,7 +74,7 @@ def _channel(channel) -> _Channel:
         start if start is not None and start > _UNSET else None,
         float(given.get("wf_start_offset", 0.0)),
         float(step) if isinstance(step, float | int) and step > 0 else None,
-        str(given.get("wf_xunit_string", "")).strip() or "s",
+        spelt(str(given.get("wf_xunit_string", "")).strip()) or "s",
     )
 
 

@@ -38,7 +38,7 @@ RECORDINGS = {
     "infinite.csv": ["infinite.csv: row 4, column 'command': not finite (got inf", "Remove the row"],
     "backward.csv": [
         "backward.csv: row 4, column 'time': time runs backward (got 0.005 s after 0.01 s",
-        "Sort the rows",
+        "sort the rows",
     ],
     "same_time.csv": ["same_time.csv: row 4, column 'time': the same time as in row 3", "remove one of the two"],
     "ragged.csv": ["ragged.csv: row 4, column 'piston_force': the row is too short (got 7", "Repair or delete"],

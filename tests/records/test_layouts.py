@@ -321,3 +321,31 @@ def test_a_column_that_cannot_be_used_is_never_taken_for_one_that_is_absent(tmp_
             ask()
     assert "q" not in record and "p" in record.with_signals({"p": np.zeros(2)}, {"p": "Pa"})
 
+
+
+ODD = {
+    "units in the cells": "time,p,n\n" + "".join(f"{k / 100} sec,{k}.5 bar,{k}\n" for k in range(9)),
+    "German units in the cells": "Zeit;p [bar]\n" + "".join(f"{10 * k},000 ms;{k},5\n" for k in range(9)),
+    "whole lines in quotes": '"time [s];p [bar]"\n' + "".join(f'"0,{k:02d};{k},5"\n' for k in range(9)),
+    "stamps of a program with a comma": "time,p [bar]\n"
+    + "".join(f"2021-05-04 10:12:33,{10 * k:03d},{k}.5\n" for k in range(9)),
+    "compact stamps": "time;p [bar]\n" + "".join(f"20211231_235959.{k:02d};{k}.5\n" for k in range(9)),
+    "German dates with a day of the week": "Zeit;p [bar]\n"
+    + "".join(f"Fr 31. Dez 2021 10:00:00,{k:02d};{k},5\n" for k in range(9)),
+    "zones that change": "Zeit;p [bar]\n"
+    + "".join(f"2021-10-31 0{'2' if k else '3'}:00:00.{k:02d} {'CET' if k else 'CEST'};{k}.5\n" for k in range(9)),
+    "room at the end that was never filled": "time [s],p [bar]\n"
+    + "".join(f"{k / 100},{k}.5\n" for k in range(9)) + "\0" * 40,
+    "a comment in the middle": "time [s],p [bar]\n" + "".join(f"{k / 100},{k}.5\n# a, b\n" for k in range(9)),
+    "a unit and no name for the time": ";p\ns;bar\n" + "".join(f"{k / 100};{k}.5\n" for k in range(9)),
+    "a small table above": "Channel,Gain\np,1.0\nq,2.0\n\ntime [s],p [bar]\n"
+    + "".join(f"{k / 100},{k % 9}.5\n" for k in range(30)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_an_odd_layout_is_read_right_with_no_edit(name, tmp_path):
+    (tmp_path / "run.csv").write_text(ODD[name])
+    record = read_record(tmp_path / "run.csv")
+    np.testing.assert_allclose(record.time[:9], np.arange(9) / 100, atol=1e-9)
+    np.testing.assert_allclose(record["p"][:9], 1e5 * (np.arange(9) + 0.5))

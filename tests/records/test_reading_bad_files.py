@@ -35,7 +35,7 @@ BAD_CSV = {
     "infinity": (changed("21.0", "inf"), ["row 3", "'pressure_cap'", "not finite (got inf", "Remove the row"]),
     "minus infinity": (changed("23.0", "-Inf"), ["row 5", "'pressure_cap'", "not finite (got -inf"]),
     "a duplicate time": (changed("0.02,", "0.01,"), ["row 4", "'time'", "same time as in row 3", "remove one"]),
-    "time running backward": (changed("0.02,", "-5,"), ["row 4", "'time'", "runs backward", "Sort the rows"]),
+    "time running backward": (changed("0.02,", "-5,"), ["row 4", "'time'", "runs backward", "sort the rows"]),
     "a short row": (changed("0.01,10.5,21.0", "0.01,10.5"), ["row 3", "'pressure_cap'", "too short (got 2", "Repair"]),
     "a long row": (changed("10.5,21.0", "10,5,21.0"), ["row 3", "column 4", "got 4 values", "decimal comma"]),
     "a truncated file": (GOOD[:-6], ["row 5", "'pressure_cap'", "ends in the middle", "copy it again"]),

@@ -11,11 +11,13 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from ..decimal_sign import MISSING_TEXTS, number_in, other_sign, without_groups
+from ..decimal_sign import MISSING_TEXTS, SIGNS, number_in, other_sign, without_groups
+from ..headings import is_unit
 from ..stamps import is_stamp
 from .layout import Layout, cells_of, is_comment
 
 LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
+_WITH_UNIT = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*([^\s\d.,:;+-][^\s:;]*)")
 _HEAD = 100  # cells that tell a column of text
 _SHOWN = 40  # characters of a cell in a sentence
 
@@ -25,13 +27,15 @@ class Block:
     """What stands in a block: a column each.
 
     values : (n,) float, NaN for what is missing. texts : the cells as written, of columns that hold no numbers only.
-    problems : why a column holds none, "" where it does. row : index of a sample -> number of its line.
+    problems : why a column holds none, "" where it does. row : index of a sample -> number of its line. units : what
+    stands behind the numbers of a column, in every cell, or None.
     """
 
     values: Sequence[np.ndarray]
     texts: Sequence[Sequence[str] | None]
     problems: Sequence[str]
     row: Callable[[int], int]
+    units: Sequence[str | None]
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,8 @@ def block_of(body: str, place: Place) -> Block:
     layout = place.layout
     if not body or body.isspace():
         none = [np.empty(0)] * layout.width
-        return Block(none, [None] * layout.width, [""] * layout.width, lambda k: place.first_row + k)
+        n = layout.width
+        return Block(none, [None] * n, [""] * n, lambda k: place.first_row + k, [None] * n)
     if layout.width == 1:
         body = re.sub(r"(?m)^[ \t]*$(?=\n)", "nan", body)  # nothing else can say that a value is missing
     try:
@@ -85,7 +90,7 @@ def _quick(body: str, place: Place) -> Block | None:
     if values.shape[1] != layout.width:
         return None
     n = layout.width
-    return Block(list(values.T), [None] * n, [""] * n, _row_finder(body, place.first_row))
+    return Block(list(values.T), [None] * n, [""] * n, _row_finder(body, place.first_row), [None] * n)
 
 
 def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
@@ -112,11 +117,11 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     texts = [None if k in numbers else column.to_pylist() for k, column in enumerate(columns)]
     rows = _row_finder(body, place.first_row)
     values = [c.to_numpy() if t is None else np.full(len(c), np.nan) for c, t in zip(columns, texts, strict=True)]
-    problems, pointed = [""] * layout.width, replace(place, decimal=".")  # as ``plain`` is
+    pointed, problems, units = replace(place, decimal="."), [""] * layout.width, [None] * layout.width
     for k in range(layout.width):
         if texts[k] is not None:
-            values[k], texts[k], problems[k] = _column(pointed, k, texts[k], rows)
-    return Block(values, texts, problems, rows)
+            values[k], texts[k], problems[k], units[k] = _column(pointed, k, texts[k], rows)
+    return Block(values, texts, problems, rows, units)
 
 
 def _camel(word: str) -> str:
@@ -143,7 +148,7 @@ def _carefully(body: str, place: Place) -> Block:
         if not line.strip():
             continue
         cells = cells_of(line, place.layout.delimiter)
-        if is_comment(line) and len(cells) != width:
+        if is_comment(line) and (len(cells) != width or (0 in place.layout.numeric and not _may_be_number(cells[0]))):
             continue
         while len(cells) > width and not any(c.isdigit() for c in cells[-1]):
             cells.pop()  # an end of the row, or a remark
@@ -154,23 +159,27 @@ def _carefully(body: str, place: Place) -> Block:
         table.append(cells)
         rows.append(place.first_row + k)
     columns = [_column(place, j, [cells[j] for cells in table], rows.__getitem__) for j in range(width)]
-    values, texts, problems = zip(*columns, strict=True)
-    return Block(values, texts, problems, lambda k: rows[k] if k < len(rows) else rows[-1] + 1)
+    values, texts, problems, units = zip(*columns, strict=True)
+    return Block(values, texts, problems, lambda k: rows[k] if k < len(rows) else rows[-1] + 1, units)
 
 
 def _column(place: Place, j: int, cells: Sequence[str], row: Callable[[int], int]):
-    """Values, the cells where they are no numbers, and why."""
+    """Values, the cells where they are no numbers, and why; the unit that stands in every cell."""
     head = [cell for cell in cells[:_HEAD] if cell]
+    unit = _unit_behind(head)
+    if unit:
+        bare = [cell.removesuffix(unit).rstrip() for cell in cells]
+        return *_column(place, j, bare, row)[:3], unit
     if len(head) > _HEAD / 2 and not any(number_in(cell, place.decimal) is not None for cell in head):
-        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row)
+        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row), None
     numbers = [number_in(cell, place.decimal) for cell in cells]
     if None not in numbers and any(cells):
-        return np.array(numbers, dtype=float), None, ""
+        return np.array(numbers, dtype=float), None, "", None
     values = np.array([np.nan if number is None else number for number in numbers], dtype=float)
     wrong = [k for k, number in enumerate(numbers) if number is None]
     filled = sum(cell != "" for cell in cells)
     if len(wrong) >= filled / 2 and not (wrong and _flawed_number(cells[wrong[0]])):
-        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row)
+        return np.full(len(cells), np.nan), cells, _is_text(place, j, cells, row), None
     k, other = wrong[0], other_sign(place.decimal)
     one = cells[k].count(other) == 1
     state = f" Or state the other sign: --decimal '{other}', or '# decimal={other}' above the header." if one else ""
@@ -179,7 +188,19 @@ def _column(place: Place, j: int, cells: Sequence[str], row: Callable[[int], int
         f"decimal {'point' if place.decimal == '.' else 'comma'}; '{other}' may only part groups of three digits; no "
         f"unit in the cell.{state}"
     )
-    return values, cells, why
+    return values, cells, why, None
+
+
+def _unit_behind(cells: Sequence[str]) -> str | None:
+    """The unit that stands behind the number in all of these cells."""
+    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
+    units = {match[1] for match in matches if match}
+    return units.pop() if matches and all(matches) and len(units) == 1 and is_unit(next(iter(units))) else None
+
+
+def _may_be_number(cell: str) -> bool:
+    """Whether a number stands behind a sign of comment."""
+    return any(number_in(cell.lstrip("#%/'! "), d) is not None for d in SIGNS)
 
 
 def _flawed_number(cell: str) -> bool:

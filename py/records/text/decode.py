@@ -32,7 +32,7 @@ def text_of(content: bytes, path: Path, encoding: str | None = None) -> tuple[st
             f"{path}: row 1: not a text file in {encoding} ({error}). State its encoding (--encoding cp1252), or name "
             "the file by its own format."
         ) from None
-    text = text.removeprefix("\ufeff")
+    text = text.removeprefix("\ufeff").rstrip("\x00")  # room that was reserved and never filled
     if not text.strip():
         raise DataError(f"{path}: row 1: the file is empty. It needs a header 'time [s],name [unit],...' and rows.")
     if "\x00" in text[:4096]:
@@ -62,7 +62,7 @@ def _encoding_of(content: bytes) -> str:
     for mark, name in _MARKS:
         if content.startswith(mark):
             return name
-    head = content[:4096]
+    head = content[:4096].rstrip(b"\x00")
     if head.count(b"\x00") > len(head) // 4:  # every second byte of digits and separators is zero
         return "utf-16-be" if head[:2].startswith(b"\x00") else "utf-16-le"
     try:

@@ -47,7 +47,7 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
         channels = len(names) - 1 - (names[-1:] == ["Comment"])
         blank = len(cells_of(lines[first], delimiter)) > channels  # the column of times is there, and empty
         names = ["", *names[1:]] if blank else names[1:]
-        clock = _clock(own, decimal) if over == {"Time"} else None
+        clock = _clock(own, decimal, path) if over == {"Time"} else None
     units = own.get("y_unit_label", [])
     if names[:1] == [""]:
         units = ["", *units]
@@ -62,10 +62,17 @@ def labview_layout(lines: Lines, path) -> tuple[Layout, str, tuple[float, float]
     return layout, decimal, clock
 
 
-def _clock(own: dict[str, list[str]], decimal: str) -> tuple[float, float] | None:
-    """Start and step [s] that all channels share; None where they differ or the file does not say."""
+def _clock(own: dict[str, list[str]], decimal: str, path) -> tuple[float, float] | None:
+    """Start and step [s] that all channels share; None where the file does not say."""
     starts, steps = ({_number(cell, decimal) for cell in own.get(key, []) if cell} for key in ("x0", "delta_x"))
-    if len(steps) != 1 or None in steps or len(starts) > 1 or None in starts:
+    for key, values in (("X0", starts), ("Delta_X", steps)):
+        if len(values) > 1:
+            told = ", ".join("?" if v is None else f"{v:g}" for v in values)
+            raise DataError(
+                f"{path}: its channels have times of their own ({key} {told} s). Export one file per channel, or "
+                "resample them alike before the export."
+            )
+    if len(steps) != 1 or None in steps or None in starts:
         return None
     return next(iter(starts), 0.0), next(iter(steps))
 

@@ -24,6 +24,7 @@ from ..stamps import is_stamp
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "blanks"}
 LOOKED_AT = 400  # lines from which the block of numbers is told, and as many before the end of the file
 NUMERIC = 0.8  # of the rows of a block: from so many on a column with numbers in them is one of numbers
+SMALL = 0.2  # of the rows of numbers that are looked at: fewer above another row of names are a table of their own
 EVEN = 1.5  # the longest of the steps of a clock over the shortest: rounding may make them differ
 COMMENTS = ("#", "%", "//", "'", "!")
 MOST_ROWS_ABOVE = 6  # with the cells of the block: names, units, and what a logger writes beside them
@@ -250,10 +251,16 @@ def _start(block: Sequence[tuple[int, list[str]]], width: int, numeric: frozense
         return numbers > 0 and 2 * numbers >= sum(cell != "" and not _is_missing(cell) for cell in inside)
 
     rows = [at for at, (k, cells) in enumerate(block) if holds(k, cells)]
+    first = None
     for k, following in zip(rows, [*rows[1:], len(block)], strict=True):
         if not any(_is_heading(cells, width) for _, cells in block[k + 1 : following]):
-            return k
-    return None
+            first = k if first is None else first
+            continue
+        before = {tuple(cells) for _, cells in block[: rows[0]] if _is_heading(cells, width)}
+        again = any(tuple(cells) in before for _, cells in block[k + 1 : following])
+        if not again and rows.index(k) + 1 < SMALL * len(rows):  # what ends here is another, small table
+            first = None
+    return first
 
 
 def _is_heading(cells: list[str], width: int) -> bool:

@@ -14,14 +14,16 @@ from hydrotwin.models.language.errors import DataError
 
 from ..columns import UNSEEN, Column, Table, rounding_of
 from ..decimal_sign import MINUS, found_decimal
-from ..headings import headings
+from ..headings import headings, together
 from .cells import Block, Place, block_of, column_cells
 from .decode import text_of
 from .labview import is_labview, labview_layout
-from .layout import Layout, Lines, is_comment, layout_of
+from .layout import Layout, Lines, cells_of, is_comment, layout_of
 
 HEAD = 20_000  # characters in which a name in quotes may span two lines
 _BROKEN = re.compile(r'(?:^|(?<=[,;\t\n]))"[^"\n]{0,80}\n[^"\n]{0,80}"(?=[,;\t\n])')
+_QUOTED = re.compile(r'(?:"[^"\n]*(?:[;\t]|,[^"\n]*,)[^"\n]*"[ \t]*\n){3}')
+_SECONDS = re.compile(r"(:\d{2}:\d{2}),(\d{3})(?=,)")  # Python's logging writes its stamps so
 _BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold commas: no number contains it
 
 
@@ -51,6 +53,7 @@ def read_text(path: Path, stated: Stated | None = None) -> Table:
 
 def table_of_text(text: str, path: Path, stated: Stated) -> Table:
     """The table of a text; its digest is left to whoever knows the file."""
+    text = _plain(text)
     lines = Lines(_BROKEN.sub(lambda m: m[0].replace("\n", " "), text[:HEAD]) + text[HEAD:])
     if is_labview(lines[0]):
         layout, decimal, clock = labview_layout(lines, path)
@@ -72,12 +75,25 @@ def table_of_text(text: str, path: Path, stated: Stated) -> Table:
     found = _headings(layout)
     place = Place(path, layout.first + 1, layout, decimal, [name for name, _ in found])
     block = block_of(body, place)
+    found = [(name, together(unit, block.units[k])) for k, (name, unit) in enumerate(found)]
     columns = [_column(found[k], block, k, body, layout, decimal) for k in range(layout.width)]
     if clock:
         start, step = clock
         columns.insert(0, Column("time", "s", start + step * np.arange(len(block.values[0]))))
     header = f"row {(layout.first if layout.names_at is None else layout.names_at) + 1}"
     return Table(str(path), tuple(columns), block.row, "", header, understood=_said(said, decimal, lines))
+
+
+def _plain(text: str) -> str:
+    """The text without quotes around whole lines, and with a point where a comma in stamps would part cells."""
+    if _QUOTED.match(text):
+        text = re.sub(r'(?m)^"([^"\n]*)"[ \t]*$', r"\1", text)
+    if match := _SECONDS.search(text[:HEAD]):
+        *above, row = text[: text.find("\n", match.end())].rstrip("\n").split("\n")
+        names = next((line for line in reversed(above) if line.strip()), "")
+        if len(cells_of(names, ",")) == len(cells_of(row, ",")) - 1:
+            return _SECONDS.sub(r"\1.\2", text)
+    return text
 
 
 def _unquoted(body: str, layout: Layout) -> tuple[str, Layout]:

@@ -63,9 +63,9 @@ def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int
     if said:
         which = ", ".join(f"'{names[k]}'" for k in said)
         raise DataError(f"{path}: {which} may each be its time. Say which is: --time '{names[said[0]]}'.")
-    called = next((c for c in columns if called_time(c.name) and c.unusable and c.texts), None)
-    if called is not None:
-        cell = next(cell for cell in called.texts if cell.strip())
+    texts = [(c, cell) for c in columns if called_time(c.name) and c.unusable for cell in c.texts or () if cell.strip()]
+    if texts:
+        called, cell = texts[0]
         raise DataError(
             f"{path}: column '{called.name}' is called a time, but '{cell[:40]}' is no number and no date or time that "
             "is known here. Write seconds, 10:12:33.250 or 2021-05-04 10:12:33.250, take another column (--time NAME), "

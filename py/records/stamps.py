@@ -8,6 +8,7 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -65,14 +66,66 @@ def nanoseconds(cells: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     Of two readings of 04/05/2021 the one is taken under which the stamps lie closer together. Raises ValueError with
     the index of the first cell that is neither a stamp nor empty.
     """
-    readings = []
+    readings, even = [], _evenly_written(cells)
     for month_first in (False, True):
         try:
-            readings.append(_read(cells, month_first))
+            readings.append(even.read(month_first) if even else _read(cells, month_first))
         except _NotADate as error:
             if month_first and not readings:
                 raise ValueError(error.args[0]) from None
     return min(readings, key=lambda found: _span(*found))
+
+
+@dataclass(frozen=True, eq=False)
+class _Even:
+    """Stamps whose digits all stand at the same places: what they say of the day [ns] (n,), and where dates change."""
+
+    cells: Sequence[str]
+    form: re.Pattern
+    of_day: np.ndarray
+    begins: np.ndarray
+
+    def read(self, month_first: bool) -> tuple[np.ndarray, np.ndarray]:
+        counts, absent = self.of_day, np.zeros(len(self.cells), dtype=bool)
+        if self.form is not TIME_OF_DAY:
+            days = [_day(self.form.fullmatch(self.cells[k]), month_first, k) for k in self.begins.tolist()]
+            counts = counts + np.repeat(days, np.diff([*self.begins, len(self.cells)])) * DAY
+        return counts, absent
+
+
+def _evenly_written(cells: Sequence[str]) -> _Even | None:
+    """The stamps that many loggers write, taken apart at once; None for any others."""
+    form = next((f for f in (TIME_OF_DAY, *_STAMPS) if len(cells) and f.fullmatch(cells[0])), None)
+    match = form and form.fullmatch(cells[0])
+    if not match or not match["h"]:
+        return None
+    codes = np.array(cells).view(np.uint32).reshape(len(cells), -1) - ord("0")
+    digits = np.array([c in "0123456789" for c in cells[0]])
+    same = codes.shape[1] == len(digits) and (codes[:, ~digits] == codes[0, ~digits]).all()
+    if not same or (codes[:, digits] > 9).any():
+        return None
+    changes = (codes[1:, : match.start("h")] != codes[:-1, : match.start("h")]).any(axis=1)
+    return _Even(cells, form, _of_day_evenly(codes, match), np.concatenate([[0], np.flatnonzero(changes) + 1]))
+
+
+def _of_day_evenly(codes: np.ndarray, match: re.Match) -> np.ndarray:
+    """Nanoseconds of day of digits (n, places) at the places of a match."""
+
+    def part(name: str) -> np.ndarray | int:
+        if not match.groupdict().get(name):
+            return 0
+        begin, end = match.span(name)
+        number = np.zeros(len(codes), dtype=np.int64)
+        for k in range(begin, end):
+            number = 10 * number + codes[:, k]
+        return number * 10 ** (9 - end + begin) if name == "f" else number
+
+    hour = part("h")
+    if half := match.groupdict().get("half"):
+        hour = hour % 12 + (12 if half[0] in "Pp" else 0)
+    east = (part("zh") * 60 + part("zm")) * (-1 if match.groupdict().get("sign") == "-" else 1)
+    east = east + 60 * _ZONES.get(match.groupdict().get("zone") or "", 0)
+    return ((hour * 60 + part("m") - east) * 60 + part("s")) * 10**9 + part("f")
 
 
 class _NotADate(Exception):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import stamps
 from tests.records.whole import whole
 
 pa = pytest.importorskip("pyarrow")
@@ -125,3 +126,17 @@ def test_a_time_that_is_none_is_refused_and_not_warned_about(cells, tmp_path):
     path.write_text("time [s],x [1]\n" + "".join(f"{cell},1\n" for cell in cells))
     with pytest.raises(DataError, match=r"a.csv: row 2|a.csv: row 3"):
         whole(path)
+
+
+@pytest.mark.parametrize(
+    "form",
+    ["%Y-%m-%d %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S,%f", "%m/%d/%Y %H:%M:%S", "%H:%M:%S.%f", "%Y-%m-%dT%H:%M:%S.%f-05:30",
+     "%d Mar %Y %H:%M:%S", "%Y%m%dT%H%M%S.%fZ", "%Y-%m-%d %H:%M:%S CEST", "%d/%m/%Y %I:%M:%S PM"],
+)  # fmt: skip
+def test_stamps_taken_apart_at_once_are_what_they_are_one_by_one(form):
+    start, rng = datetime.datetime(2020, 1, 1), np.random.default_rng(1)
+    cells = [(start + datetime.timedelta(seconds=float(s))).strftime(form) for s in rng.uniform(0, 6e7, 200)]
+    assert stamps._evenly_written(cells)
+    at_once, one_by_one = stamps.nanoseconds(cells)[0], stamps.nanoseconds([*cells, ""])[0][:-1]
+    np.testing.assert_array_equal(at_once, one_by_one)
+    assert stamps._evenly_written([*cells, f" {cells[0]}"]) is None

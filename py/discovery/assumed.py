@@ -55,30 +55,45 @@ def fairly(
         search = begin(asked)
     strays = None
     for left in range(PATIENCE - len(given_up), -1, -1):
-        search.go()
-        said = standing(search.table)
-        if not left or not _in_doubt(search, said):
-            break
-        if strays is None:
-            strays = _stray_samples(search, asked.data)
-            asked = asked.without(strays)
-            if strays.left_out:
-                given_up.append(Change(sentences=strays.sentences))
-                search = begin(asked)
-                continue
-        hint = _questioned(search, search.table.entry())
-        change = hint if hint.used or said.best is None else _questioned(search, said.best)  # what comes closest, too
-        if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
-            asked = asked if said.kept.members else asked.telling(hint.sentences)
-            break
+        change = _searched(search, bool(left))
+        if not change.used:
+            if not left or not _in_doubt(search, standing(search.table)):
+                break
+            if strays is None:
+                strays = _stray_samples(search, asked.data)
+                asked = asked.without(strays)
+                if strays.left_out:
+                    given_up.append(Change(sentences=strays.sentences))
+                    search = begin(asked)
+                    continue
+            change, sentences = _doubt(search)
+            if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
+                asked = asked if standing(search.table).kept.members else asked.telling(sentences)
+                break
         given_up.append(change)
         model = asked.model.with_inputs(change.inputs) if change.inputs else asked.model
-        asked = again(model, "free" if change.free_starts else asked.initial_states).without(strays)
+        asked = again(model, "free" if change.free_starts else asked.initial_states)
+        asked = asked.without(strays) if strays else asked
         search = begin(asked)
     judges = _stray_samples_of_judges(search, asked.data)
     if judges.left_out:
         given_up.append(Change(sentences=judges.sentences))
     return search, asked.without(judges), tuple(given_up)
+
+
+def _searched(search: Search, asking: bool) -> Change:
+    """Go on with a search to its end, or to free starts that a structure needs which windows say is right."""
+    while not search.go():
+        change = _questioned(search, search.surprises[-1]) if asking else Change()
+        if change.free_starts and time.monotonic() < search.until:
+            return change
+    return Change()
+
+
+def _doubt(search: Search) -> tuple[Change, tuple[str, ...]]:
+    """What the base should give up at the end of a search, or else what comes closest; and what to tell of the base."""
+    hint, closest = _questioned(search, search.table.entry()), standing(search.table).best
+    return hint if hint.used or closest is None else _questioned(search, closest), hint.sentences
 
 
 def _in_doubt(search: Search, said: Standing) -> bool:

@@ -16,6 +16,7 @@ SEEN = 40, 4096  # stretches of a long recording, and samples of each, from whic
 LEVELS = 50  # different values from which on a channel is measured, and not switched
 STICKS = 20  # equal samples in a row of a channel with noise: nobody measures that
 SATURATES = 10, 0.002  # equal samples in a row at the edge of the range, and the share of all of them
+MOSTLY = 0.9  # of the samples at the edges: such a channel is switched
 NOISY = 1.5  # of 4th to 3rd differences: 1.87 for white noise, little for what moves smoothly
 UNEVEN = 0.05  # of the usual step: from here on a scatter of the steps is worth a word
 
@@ -84,7 +85,8 @@ def _channel(record: Record, name: str) -> Channel:
     known = np.isfinite(values)
     if not known.any():
         return Channel(name, unit, np.nan, np.nan, np.nan, np.nan, len(values), ("no value at all.",))
-    floor = channel_noise(*_stretches(record.time[known], values[known]))
+    free = known & ~_at_an_edge(values)
+    floor = channel_noise(*_stretches(record.time[free], values[free]))
     shown = convert(values[known], record.units[name], unit)
     one = _one(record.units[name], unit)
     noisy_at_rest = floor.white > 2 * floor.quantum
@@ -135,6 +137,14 @@ def _sensor_remarks(values: np.ndarray, step: float, noisy_at_rest: bool, unit: 
             "noisy elsewhere: a sensor, or a bus, that stuck? Leave these samples empty."
         )
     return remarks
+
+
+def _at_an_edge(values: np.ndarray) -> np.ndarray:
+    """Samples (n,) that stand at the smallest or largest value, many in a row: no noise shows there."""
+    begins, lengths = _runs(values)
+    edges = np.isin(values[begins], (np.nanmin(values), np.nanmax(values))) & (lengths >= SATURATES[0])
+    found = np.repeat(edges, lengths)
+    return found if found.mean() < MOSTLY else np.zeros(len(values), dtype=bool)
 
 
 def _is_noisy(values: np.ndarray, more_than: float) -> bool:

@@ -20,6 +20,7 @@ from .scale import Scale, scales_of
 
 BESIDE = "import.toml"
 MISSING = ("error", "drop rows", "keep")
+_TRUTH = {"true": 1.0, "false": 0.0}
 _VALUE = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
 _TABLES = {"columns": "columns", "units": "units", "scale": "scale", "set": "constants"}  # of a file -> fields
 _PLAIN = ("time", "rate", "clock", "missing", "decimal", "delimiter", "encoding", "sheet")
@@ -150,6 +151,8 @@ def _checked_unit(name: str, unit: str) -> None:
 
 def constant(name: str, text: str) -> tuple[float, str]:
     """``"35 bar"`` -> (35.0, "bar"). Raises `DataError` for anything else."""
+    if text.strip().lower() in _TRUTH:
+        return _TRUTH[text.strip().lower()], "1"
     match = _VALUE.fullmatch(text.strip())
     if not match:
         raise DataError(f"set: '{name}' is no number with a unit (got '{text}'). {_EXAMPLES['constants']}")

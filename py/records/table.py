@@ -118,9 +118,9 @@ def _with_units(table: Table, reading: Reading) -> Table:
     back = {variable: reference for variable, reference in reading.columns.items()}
     names = {c.name for c in table.columns}
     known = sorted(names | {r for v, r in back.items() if v in names})
-    for option, wanted in (("scale", reading.scale), ("units", reading.units)):
+    for option, wanted, more in (("scale", reading.scale, reading.constants), ("units", reading.units, ())):
         for name in wanted:
-            if name not in known:
+            if name not in known and name not in more:
                 raise DataError(f"{table.path}: no column '{name}', named in {option}. {nearest(name, known)}")
 
     def stated(column: Column) -> Column:

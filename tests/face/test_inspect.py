@@ -128,3 +128,13 @@ def test_a_file_that_cannot_be_read_is_told_beside_the_others_or_alone(german, t
     assert answer.code == 2 and "empty.csv: row 1: the file is empty" in answer.said and "801 samples" in answer.said
     alone = hydrotwin("inspect", "empty.csv")
     assert alone.code == 2 and "the file is empty" in alone.said
+
+
+def test_parameters_take_a_unit_where_they_are_set(german):
+    plain = ("simulate", "cehA", "--input", RECORDING, "--json")
+    one = hydrotwin(*plain, "--set", "motor.gain=100")
+    assert hydrotwin(*plain, "--set", "motor.gain=0.1 rad/(s.mV)").out == one.out and one.code == 0
+    wrong = hydrotwin(*plain, "--set", "motor.gain=100 bar")
+    assert wrong.code == 2 and "--set motor.gain=100 bar: unit 'bar': cannot become" in wrong.said
+    unknown = hydrotwin(*plain, "--set", "motor.gan=1 rad/(s.V)")
+    assert unknown.code == 2 and "Did you mean 'motor.gain'?" in unknown.said

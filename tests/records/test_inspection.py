@@ -109,3 +109,11 @@ def test_a_column_that_cannot_be_used_is_matched_with_its_reason():
     made = Record(TIME, {"x": TIME}, {"x": "1"}, refused={"command": "run.csv: column 'command' has no unit."})
     (first, *_) = matched(SIGNALS, made)
     assert first.column == "command" and "has no unit" in first.problem
+
+
+def test_the_noise_of_a_saturated_sensor_is_that_of_the_rest():
+    time, rng = np.arange(4000) / 100, np.random.default_rng(0)
+    truth = 50 + 60 * np.sin(0.5 * time)
+    values = np.clip(truth + rng.normal(0, 0.3, len(time)), 20, 80)
+    (channel,) = inspect_record(Record(time, {"p": 1e5 * values}, {"p": "Pa"}, "run")).channels
+    assert 0.2e5 < channel.noise < 0.4e5 and any("saturates" in r for r in channel.remarks)

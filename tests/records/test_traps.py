@@ -280,3 +280,9 @@ def test_a_column_that_fills_late_is_one_of_numbers(tmp_path):
     path = written(tmp_path, "time [s];s [bar];q [bar];state\n" + "".join(rows))
     record = read_record(path, missing="keep")
     assert np.isnan(record["s"][599]) and record["s"][600] == 300e5
+
+
+def test_a_constant_may_be_scaled_and_be_true(tmp_path):
+    path = written(tmp_path, "time [s],p [bar]\n0,1\n1,2\n")
+    record = read_record(path, constants=["current=5mA", "on=true"], scale="current=0.1 1/mA")
+    assert record["current"].tolist() == [0.5, 0.5] and record["on"].tolist() == [1, 1]

@@ -57,10 +57,15 @@ SAME = 0.02  # of what the base leaves in windows: promises that differ by less 
 INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of what explains all
 SOON = 2.0  # looks that a fit from where a good one ended may take
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
+ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
 class OutOfTime(Exception):
     """The time limit has come."""
+
+
+class Surprised(Exception):
+    """A structure explains all in windows, whose starts are free, and not in whole recordings."""
 
 
 @dataclass(eq=False)
@@ -69,7 +74,8 @@ class Search:
 
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
     first : how many lengths of windows a first look goes through; 0: whole recordings, or as much as ``extent`` has.
-    pause : called with the search between its batches of jobs.
+    pause : called with the search between its batches of jobs. surprises : structures that explain all in windows,
+    whose starts are free, and not in whole recordings.
     """
 
     table: Table
@@ -82,11 +88,17 @@ class Search:
     first: int = 0
     extent: Question | None = None
     pause: Callable[[Search], None] | None = None
+    surprises: list[Entry] = field(default_factory=list)
 
-    def go(self) -> None:
-        """Search until nothing promises to improve the answer, or the time is over."""
+    def go(self) -> bool:
+        """Search until nothing promises to improve the answer, or the time is over; False where a surprise comes first.
+
+        It goes on from there when it is called again.
+        """
         try:
             self._go()
+        except Surprised:
+            return False
         except OutOfTime:
             self.complete = False
             self.until = np.inf  # what promises much is worth its fit, and the best where nothing else was fitted
@@ -95,6 +107,7 @@ class Search:
             chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
             self._take(chosen, self._ran([self._whole(e) for e in chosen]))
             self._without_each()
+        return True
 
     def _go(self) -> None:
         self.identify()
@@ -272,6 +285,16 @@ class Search:
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self._from_part(*pair) for pair in worse]), strict=True):
             self._keep_better(entry, found)
+        self._wonder(known)
+
+    def _wonder(self, entries: Sequence[Entry]) -> None:
+        """Raise Surprised for a structure that explains all in windows and not in whole recordings, a few times."""
+        if len(self.surprises) >= ASKED or self.explained():
+            return
+        for e in entries:
+            if e.fitted and e.members and e.look and e.look.left is None and self.table.promise(e) < SAME:
+                self.surprises.append(e)
+                raise Surprised
 
     def _next(self, entry: Entry, first: int) -> Job:
         """The next step of a structure, from where it stands."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +14,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError, nearest
 from hydrotwin.models.language.flat import INTERPOLATIONS
+from hydrotwin.models.language.units import convert
 from hydrotwin.models.language.writing import json_values
 from hydrotwin.records.between import sentences
+from hydrotwin.records.reading import constant
 
 ModelArgument = Annotated[
     str,
@@ -88,18 +90,30 @@ def check_writable(path: Path) -> Path:
     return path
 
 
-def settings_from(changes: list[str] | None, option: str) -> dict[str, float]:
-    """The ``motor.gain=130`` pairs of an option as a dictionary."""
+def settings_from(changes: list[str] | None, option: str, units: Mapping[str, str] | None = None) -> dict[str, float]:
+    """The ``motor.gain=130`` pairs of an option as a dictionary, SI; ``units`` by name: these take a unit, too."""
     values = {}
     for change in changes or []:
-        path, equals, number = change.partition("=")
-        try:
-            values[path] = float(number)
-        except ValueError:
-            equals = ""
-        if not equals or not np.isfinite(values[path]):
+        path, equals, text = (part.strip() for part in change.partition("="))
+        value, unit = _number(path, text)
+        if not equals or not np.isfinite(value):
             raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
+        if unit and path not in (units or {}):
+            known = nearest(path, list(units)) if units else "Write the number in SI, without a unit."
+            raise DeclarationError(f"{option} {change}: nothing named '{path}' takes a unit here. {known}")
+        try:
+            values[path] = float(convert(value, unit, units[path])) if unit else value
+        except UnitError as error:
+            raise UnitError(f"{option} {change}: {error}") from None
     return values
+
+
+def _number(name: str, text: str) -> tuple[float, str]:
+    """A number and the unit behind it, "" for none; NaN for anything else."""
+    try:
+        return float(text), ""
+    except ValueError:
+        return constant(name, text) if text[:1].isdigit() or text[:1] in ("+", "-", ".") else (np.nan, "")
 
 
 def texts_from(changes: list[str] | None, option: str) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -60,7 +60,7 @@ def simulate(
     changes: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="PATH=VALUE", help="parameter, SI (of an FMU also 2000g); an input not recorded: p=35bar"
+            "--set", metavar="PATH=VALUE", help="parameter, SI or with its unit: m=2000g; input not recorded: p=35bar"
         ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
@@ -84,11 +84,11 @@ def simulate(
         thing = thing.with_values(texts_from(changes, "--set")).fed_by([record])
         settings = {}
     else:
-        settings = settings_from(changes, "--set")
+        settings = settings_from(changes, "--set", {p.name: p.unit for p in _parameters_of(thing)})
     notes = getattr(thing, "notes", ())
     thing = settled(thing, [record], interpolation_from(interpolation))
     if isinstance(thing, Block) or hasattr(thing, "flat"):
-        tell_out_of_bounds(getattr(thing, "flat", thing).parameters, settings)
+        tell_out_of_bounds(_parameters_of(thing), settings)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InaccurateWarning)  # told below
             result = simulate(thing, record, parameters=settings, step=step, method=method)
@@ -123,6 +123,10 @@ def simulate(
         mark(out, "note" if accuracy.reached else "warning", str(accuracy))
     if output:
         out.print(f"written: {output}")
+
+
+def _parameters_of(thing) -> Sequence:
+    return getattr(getattr(thing, "flat", thing), "parameters", ())
 
 
 def tell_out_of_bounds(parameters, settings: Mapping[str, float]) -> None:
@@ -172,7 +176,8 @@ def linearize(
     thing = physical(model, "linearize")
     if thing.flat.black_box:
         raise DeclarationError(f"linearize: '{model}' is an FMU, which has no equations to linearize.")
-    values = settings_from(at, "--at")
+    signals = (*thing.flat.inputs, *thing.flat.states)
+    values = settings_from(at, "--at", {s.name: s.unit for s in signals})
     system, found = linearise(thing, values, steady=steady), modes(thing, values, steady=steady)
     oil = found.hydraulic
     if output:

@@ -14,7 +14,8 @@ import numpy as np
 from hydrotwin.discovery.evidence.gaps import pooled_rmse
 from hydrotwin.discovery.fits.job import Fitted, Question
 from hydrotwin.discovery.fits.whole import Concluded, conclude, fit
-from hydrotwin.discovery.structures.search import EFFORTS, Search
+from hydrotwin.discovery.structures.jobs import EFFORTS
+from hydrotwin.discovery.structures.search import Search
 from hydrotwin.discovery.structures.table import Entry, Table
 from hydrotwin.identification.problem import recordings
 from hydrotwin.models.effects import CATALOGUE, Candidate, candidates
@@ -51,7 +52,7 @@ class Bench:
 
     def fitted(self, chosen: Sequence[Candidate], starts: Sequence[Mapping[str, float]], states=()) -> Fitted | None:
         """The base with effects added, everything free, from the cheapest start; None where it diverges."""
-        found = fit(self.search.job(self.search.table.entry(chosen), starts, states=states))
+        found = fit(self.search.jobs.of(self.search.table.entry(chosen), starts, states=states))
         return found if isinstance(found, Fitted) else None
 
     def concluded(self, chosen: Sequence[Candidate], found: Fitted) -> Concluded:
@@ -59,7 +60,7 @@ class Bench:
         return self._concluded(self.search.table.entry(chosen), found)
 
     def _concluded(self, entry: Entry, found: Fitted) -> Concluded:
-        job = self.search.job(entry, [found.values], states=found.states, size=found.rmse)
+        job = self.search.jobs.of(entry, [found.values], states=found.states, size=found.rmse)
         held_out = recordings(self.model.flat, self.made.held_out, None, "record")
         one = conclude(dataclasses.replace(job, question=dataclasses.replace(job.question, select=held_out)))
         if isinstance(one, str):

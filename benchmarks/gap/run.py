@@ -173,7 +173,7 @@ def _tell(row, number, count, elapsed):
 
 def _options(arguments):
     from benchmarks.gap.cases import GRIDS, KINDS, SEEDS, machines_of
-    from hydrotwin.discovery.structures.search import EFFORTS
+    from hydrotwin.discovery.structures.jobs import EFFORTS
 
     p = argparse.ArgumentParser(prog="python -m benchmarks.gap", description=__doc__.splitlines()[0])
     p.add_argument("--grid", choices=GRIDS, default="narrow", help="wide: every style, five machines; further: 3 more")

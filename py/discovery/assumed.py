@@ -73,8 +73,10 @@ def fairly(
         given_up.append(change)
         model = asked.model.with_inputs(change.inputs) if change.inputs else asked.model
         asked = again(model, "free" if change.free_starts else asked.initial_states)
-        asked = asked.without(strays) if strays else asked
+        asked, before = asked.without(strays) if strays else asked, search
         search = begin(asked)
+        if not change.inputs:
+            search.take_looks(before)
     judges = _stray_samples_of_judges(search, asked.data)
     if judges.left_out:
         given_up.append(Change(sentences=judges.sentences))
@@ -83,8 +85,8 @@ def fairly(
 
 def _searched(search: Search, asking: bool) -> Change:
     """Go on with a search to its end, or to free starts that a structure needs which windows say is right."""
-    while not search.go():
-        change = _questioned(search, search.surprises[-1]) if asking else Change()
+    while surprise := search.go():
+        change = _questioned(search, surprise) if asking else Change()
         if change.free_starts and time.monotonic() < search.until:
             return change
     return Change()
@@ -137,7 +139,7 @@ def _asked(search: Search, entry: Entry, function: Callable[[Job], Strays], othe
 def _job(search: Search, entry: Entry, select=()) -> Job:
     """A structure where its fit has ended, under the noise that all fits show."""
     table, fitted = search.table, entry.fitted
-    job = search.job(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
+    job = search.jobs.of(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
     return dataclasses.replace(job, question=dataclasses.replace(table.question, noise=table.noise, select=select))
 
 

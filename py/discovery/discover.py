@@ -28,7 +28,8 @@ from .evidence.score import Spectrum
 from .fits.job import Fitted, Look
 from .fits.whole import conclude
 from .recordings import split
-from .structures.search import EFFORTS, Search
+from .structures.jobs import EFFORTS
+from .structures.search import Search
 from .work.executor import Starts, cores_of, executor_for
 from .work.memory import recalled
 from .work.progress import reporting

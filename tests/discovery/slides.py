@@ -16,7 +16,8 @@ from hydrotwin.discovery.discover import discover, inside
 from hydrotwin.discovery.fits.job import Fitted, Job, Question
 from hydrotwin.discovery.fits.whole import fit
 from hydrotwin.discovery.recordings import split
-from hydrotwin.discovery.structures.search import EFFORTS, Search
+from hydrotwin.discovery.structures.jobs import EFFORTS
+from hydrotwin.discovery.structures.search import Search
 from hydrotwin.models.components.mechanical import ForceSource
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Component, Flange, Input, Model, Output, Parameter, State, connect, der

@@ -115,7 +115,10 @@ def doubting(monkeypatch, best, doubt):
     def begin(asked):
         begun.append(asked.initial_states)
         table = SimpleNamespace(entry=lambda: None)
-        return SimpleNamespace(go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table)
+        return SimpleNamespace(
+            go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table,
+            take_looks=lambda before: None,
+        )  # fmt: skip
 
     kept = SimpleNamespace(members=())
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept, best=best))

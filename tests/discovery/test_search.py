@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.structures.search import EFFORTS
+from hydrotwin.discovery.structures.jobs import EFFORTS
 from hydrotwin.discovery.structures.starts import compatible
 from tests.discovery.slides import NOISE, begun, found, records, searched, slide
 
@@ -176,3 +176,19 @@ def test_between_its_batches_a_search_pauses_and_a_base_is_identified_once():
 def test_an_effect_that_is_idle_beside_two_others_is_dropped():
     _, said = searched(records(3, dry=50.0, late=1), ("coulomb_friction", "dead_time", "null_bias"))
     assert {c.id for c in said.order} == {"coulomb_friction", "dead_time"}
+
+
+def test_a_search_stops_where_windows_say_that_a_structure_is_right_and_longer_runs_not(monkeypatch):
+    search = begun(records(3, dry=200.0), SOME)
+    monkeypatch.setattr(search, "explained", lambda: False)
+    monkeypatch.setattr(search.table, "was_right", lambda entry, share: "coulomb_friction" in str(entry.key))
+    surprise = search.go()
+    assert surprise.fitted and "coulomb_friction" in str(surprise.key)
+    again = begun(records(3, dry=200.0), SOME)
+    again.identify()
+    again.take_looks(search)
+    taken = {key: e.look for key, e in again.table.entries.items() if e.members}
+    assert taken and all(search.table.entries[key].look is look for key, look in taken.items() if look)
+    while search.go():
+        pass
+    assert len(search.surprises) == 2 and search.complete

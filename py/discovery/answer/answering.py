@@ -130,7 +130,7 @@ def _last(search: Search, data: Split, entry: Entry):
     """The last fit of a structure, from where it stands."""
     fitted = entry.fitted
     question = dataclasses.replace(search.table.question, noise=search.table.noise, select=data.report)
-    job = search.job(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
+    job = search.jobs.of(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
     return dataclasses.replace(job, question=question)
 
 

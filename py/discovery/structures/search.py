@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,42 +20,17 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
-from ..fits.job import Fitted, Job, Look, Question
-from ..fits.whole import step, trajectories
+from ..fits.job import Fitted, Job, Look
+from ..fits.whole import step
 from .extent import SHORT, enough_of, telling, with_fewer_windows
-from .starts import compatible, diagonal, different, looks, seen_by, small, usual
+from .jobs import Effort, Jobs
+from .starts import compatible, different
 from .table import Entry, Table
 
-
-@dataclass(frozen=True)
-class Effort:
-    """How far a search goes.
-
-    fits : structures of a size that are fitted though they promise less than the best. pool : single effects, the most
-    promising, of which pairs and larger structures are made. look, seconds : the most that a look and a fit take [s].
-    iterations : the most of every stage of a fit. batch : looks between which the most promising are fitted.
-    together : structures that are led on at once.
-    """
-
-    fits: int = 6
-    pool: int = 8
-    look: float = 5.0
-    seconds: float = 40.0
-    iterations: int = 15
-    batch: int = 16
-    together: int = 4
-
-
-EFFORTS = {
-    "quick": Effort(fits=4, pool=6, look=3.0, seconds=20.0, iterations=10),
-    "normal": Effort(),
-    "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
-}
 BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
 FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of what explains all
-SOON = 2.0  # looks that a fit from where a good one ended may take
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
@@ -65,7 +40,7 @@ class OutOfTime(Exception):
 
 
 class Surprised(Exception):
-    """A structure explains all in windows, whose starts are free, and not in whole recordings."""
+    """A structure explains all in short windows, whose starts are free, and not in longer runs."""
 
 
 @dataclass(eq=False)
@@ -73,9 +48,9 @@ class Search:
     """A table, how jobs are run, and how far to go.
 
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
-    first : how many lengths of windows a first look goes through; 0: whole recordings, or as much as ``extent`` has.
-    pause : called with the search between its batches of jobs. surprises : structures that explain all in windows,
-    whose starts are free, and not in whole recordings.
+    first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
+    pause : called with the search between its batches of jobs. surprises : structures that explain all in short
+    windows, whose starts are free, and not in longer runs.
     """
 
     table: Table
@@ -84,30 +59,31 @@ class Search:
     most: int = 3
     until: float = np.inf
     complete: bool = True
-    trajectories: list[np.ndarray] | None = None
     first: int = 0
-    extent: Question | None = None
     pause: Callable[[Search], None] | None = None
     surprises: list[Entry] = field(default_factory=list)
 
-    def go(self) -> bool:
-        """Search until nothing promises to improve the answer, or the time is over; False where a surprise comes first.
+    def __post_init__(self) -> None:
+        self.jobs = Jobs(self.table, self.effort)
 
-        It goes on from there when it is called again.
+    def go(self) -> Entry | None:
+        """Search until nothing promises to improve the answer, or the time is over.
+
+        A surprise is answered before that; the search goes on from there when it is called again.
         """
         try:
             self._go()
         except Surprised:
-            return False
+            return self.surprises[-1]
         except OutOfTime:
             self.complete = False
             self.until = np.inf  # what promises much is worth its fit, and the best where nothing else was fitted
             seen = [e for e in self.waiting() if e.look]
             chosen = [e for e in seen if self.table.promise(e) < EARLY][: self.effort.together]
             chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
-            self._take(chosen, self._ran([self._whole(e) for e in chosen]))
+            self._take(chosen, self._ran([self.jobs.whole(e) for e in chosen]))
             self._without_each()
-        return True
+        return None
 
     def _go(self) -> None:
         self.identify()
@@ -139,7 +115,9 @@ class Search:
         """
         table, base = self.table, self.table.entry()
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
-        self.extent, base.look = enough_of(table, lambda question: self._ran([self._glance(base, question)])[0])
+        self.jobs.extent, base.look = enough_of(
+            table, lambda question: self._ran([self.jobs.glance(base, question)])[0]
+        )
         for entry in table.entries.values():
             if entry.open and entry.members:
                 entry.look = None
@@ -157,9 +135,9 @@ class Search:
         if with_fewer_windows(table, self.first):
             base.look = None  # it begins anew with those
         self._advance([base], len(lengths))
-        starts = self._whole(base).starts if base.look else ({},)
+        starts = self.jobs.whole(base).starts if base.look else ({},)
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        jobs = [self.job(base, [start], size=size, states=states) for start in different(starts)]
+        jobs = [self.jobs.of(base, [start], size=size, states=states) for start in different(starts)]
         found = [f for f in self._ran(jobs) if isinstance(f, Fitted)]
         base.fitted = min(found, key=lambda f: score(f.left, table.floor()), default=None)
         if not base.fitted:
@@ -167,6 +145,16 @@ class Search:
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
+
+    def take_looks(self, before: Search) -> None:
+        """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings."""
+        one, other = self.table.question, before.table.question
+        if (one.lengths, one.windows) != (other.lengths, other.windows):
+            return
+        own = {c.label: c for c in self.table.candidates}
+        for known in before.table.entries.values():
+            if known.look and known.look.left is None and known.members and set(known.key) <= set(own):
+                self.table.entry([own[label] for label in known.key]).look = known.look
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
@@ -238,7 +226,7 @@ class Search:
             if not beside:
                 return
             for entry, found in zip(
-                beside.values(), self._ran([self._from_there(e, best) for e in beside.values()]), strict=True
+                beside.values(), self._ran([self.jobs.from_there(e, best) for e in beside.values()]), strict=True
             ):
                 self._keep_better(entry, found)
 
@@ -247,7 +235,7 @@ class Search:
         best = self.table.entries[self.table.posterior().best]
         parts = [self.table.entry([m for m in best.members if m is not one]) for one in best.members]
         parts = [e for e in parts if e.members and not e.fitted and self._usable(e)]
-        for entry, found in zip(parts, self._ran([self._from_there(e, best) for e in parts]), strict=True):
+        for entry, found in zip(parts, self._ran([self.jobs.from_there(e, best) for e in parts]), strict=True):
             self._keep_better(entry, found)
 
     def _beside(self, best: Entry) -> list[Entry]:
@@ -267,13 +255,6 @@ class Search:
         enough = table.score(best) + 1.0
         return [e for e in found if not (e.fitted and table.score(e) < enough)]
 
-    def _from_there(self, entry: Entry, best: Entry) -> Job:
-        """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
-        known, own, names = best.fitted, self._starts(entry), self.table.names(entry)
-        begin = {n: v for n, v in known.values.items() if n in names}
-        starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
-        return self.job(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
-
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
         """Lead structures on: a new one through the ``first`` lengths of windows, then the next; after the last, fit.
@@ -281,54 +262,28 @@ class Search:
         The base goes through all that are left at once. One that does worse than a part of it goes on from that.
         """
         known = [e for e in entries if e.open and self._usable(e)]
-        self._take(known, self._ran([self._next(e, first) for e in known]))
+        self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
-        for (entry, _), found in zip(worse, self._ran([self._from_part(*pair) for pair in worse]), strict=True):
+        for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self._keep_better(entry, found)
         self._wonder(known)
 
     def _wonder(self, entries: Sequence[Entry]) -> None:
-        """Raise Surprised for a structure that explains all in windows and not in whole recordings, a few times."""
-        if len(self.surprises) >= ASKED or self.explained():
-            return
-        for e in entries:
-            if e.fitted and e.members and e.look and e.look.left is None and self.table.promise(e) < SAME:
+        """Raise Surprised for a structure that explains all in some windows and not in longer runs, a few times."""
+        right = [e for e in entries if e.members and e.look and self.table.was_right(e, SAME)]
+        for e in right:
+            if len(self.surprises) >= ASKED or self.explained():
+                return
+            if e.open and self.table.promise(e) > EARLY:
+                self._take([e], self._ran([self.jobs.whole(e)]))
+            if e.fitted:
                 self.surprises.append(e)
                 raise Surprised
-
-    def _next(self, entry: Entry, first: int) -> Job:
-        """The next step of a structure, from where it stands."""
-        lengths, seen = len(self.table.question.lengths), entry.look
-        if seen is None:
-            limit = self.effort.look if entry.members else self.effort.seconds
-            if not lengths and entry.members:
-                return self._glance(entry, self.extent)
-            return self.job(entry, self._starts(entry), stages=(0, min(first, lengths)), seconds=limit)
-        at = len(seen.squares)
-        if at < lengths:
-            end = at + 1 if entry.members else lengths
-            limit = self.effort.look if entry.members else self.effort.seconds
-            return self.job(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
-        return self._whole(entry)
-
-    def _glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
-        known, starts = self.table.entry().fitted, self._starts(entry)
-        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
-        starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
-        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
-        return dataclasses.replace(self.job(entry, starts, **settings), question=question or self.table.question)
-
-    def _whole(self, entry: Entry) -> Job:
-        """The fit to whole recordings from where its looks ended, or cheaper from where they came by or began."""
-        seen = entry.look
-        starts = [seen.values, *seen.trail, *self._starts(entry)]
-        return self.job(entry, starts, size=seen.size, states=seen.states)
 
     def _take(self, entries: Sequence[Entry], answers: Sequence) -> None:
         for entry, found in zip(entries, answers, strict=True):
             if isinstance(found, Look):
-                part = self.extent not in (None, self.table.question)  # what does not show in it may show later
+                part = self.jobs.extent not in (None, self.table.question)  # what does not show in it may show later
                 entry.look = dataclasses.replace(found, sigmas={}) if part else found.after(entry.look)
             elif isinstance(found, Fitted):
                 entry.fitted = found
@@ -366,44 +321,6 @@ class Search:
         except HydrotwinError as error:
             entry.failed = str(error)
         return not entry.failed
-
-    def job(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
-        """The job of a structure from these starts; settings as in `Job`."""
-        table, effort = self.table, self.effort
-        settings = {"iterations": effort.iterations, "seconds": effort.seconds, **settings}
-        label = " + ".join(entry.key) or table.base.name
-        return Job(table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings)
-
-    def _from_part(self, entry: Entry, part: Entry) -> Job:
-        """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
-        own = {}
-        for c in entry.members:
-            if c not in part.members:
-                own |= small(c, usual(c)[0])
-        known = part.fitted
-        return self.job(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
-
-    def _starts(self, entry: Entry) -> list[dict[str, float]]:
-        """Starts of a structure: each of its effects at usual values, the base where its user put it."""
-        each = [usual(c, self._seen(c)) for c in entry.members]
-        if len(each) < 2:
-            return each[0] if each else [{}]
-        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(diagonal(each), 6)]
-
-    def _seen(self, candidate: Candidate):
-        base, flat = self.table.entries[NOTHING], self.table.base.flat
-        if not looks(candidate) or not base.fitted:
-            return None
-        if self.trajectories is None:
-            try:
-                self.trajectories = trajectories(flat, self.table.question, base.fitted)
-            except SolveError:
-                self.trajectories = []
-        if not self.trajectories:
-            return None
-        model = self.table.model(self.table.entry([candidate]))
-        states = [s.name for s in flat.states]
-        return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
 
 
 def _batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:

@@ -135,6 +135,11 @@ class Table:
         whole = self._in_windows(before)
         return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0
 
+    def was_right(self, entry: Entry, share: float) -> bool:
+        """Whether a structure leaves no more than a ``share`` in windows of some length that show what is missing."""
+        stages = range(len(entry.look.squares) if entry.look.left is None else 0)
+        return any(self.visible(k) > DECIDING.visible and self.promise(entry, k + 1) < share for k in stages)
+
     def visible(self, stage: int) -> float:
         """S of what the base leaves in windows of one length, nats."""
         return self._in_windows(self.base_in_windows(stage))

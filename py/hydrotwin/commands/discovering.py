@@ -161,7 +161,7 @@ def gap(
 
 def check_effort(effort: str) -> None:
     """Refuse an effort that does not exist."""
-    from hydrotwin.discovery.structures.search import EFFORTS
+    from hydrotwin.discovery.structures.jobs import EFFORTS
 
     if effort not in EFFORTS:
         raise DeclarationError(f"--effort {effort}: no such effort. {nearest(effort, list(EFFORTS))}")

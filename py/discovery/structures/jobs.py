@@ -1,0 +1,131 @@
+"""Jobs of a search: the next step of a structure, and where each fit of it begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.errors import SolveError
+
+from ..evidence.posterior import NOTHING
+from ..fits.job import Job, Question
+from ..fits.whole import trajectories
+from .starts import diagonal, looks, seen_by, small, usual
+from .table import Entry, Table
+
+SOON = 2.0  # looks that a fit from where a good one ended may take
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How far a search goes.
+
+    fits : structures of a size that are fitted though they promise less than the best. pool : single effects, the most
+    promising, of which pairs and larger structures are made. look, seconds : the most that a look and a fit take [s].
+    iterations : the most of every stage of a fit. batch : looks between which the most promising are fitted.
+    together : structures that are led on at once.
+    """
+
+    fits: int = 6
+    pool: int = 8
+    look: float = 5.0
+    seconds: float = 40.0
+    iterations: int = 15
+    batch: int = 16
+    together: int = 4
+
+
+EFFORTS = {
+    "quick": Effort(fits=4, pool=6, look=3.0, seconds=20.0, iterations=10),
+    "normal": Effort(),
+    "thorough": Effort(fits=20, pool=24, look=60.0, seconds=300.0, iterations=30),
+}
+
+
+@dataclass(eq=False)
+class Jobs:
+    """What can be asked of the structures of a table. extent : what looks at whole recordings see; None: all."""
+
+    table: Table
+    effort: Effort
+    extent: Question | None = None
+    trajectories: list[np.ndarray] | None = None
+
+    def next(self, entry: Entry, first: int) -> Job:
+        """The next step of a structure, from where it stands."""
+        lengths, seen = len(self.table.question.lengths), entry.look
+        if seen is None:
+            limit = self.effort.look if entry.members else self.effort.seconds
+            if not lengths and entry.members:
+                return self.glance(entry, self.extent)
+            return self.of(entry, self.starts(entry), stages=(0, min(first, lengths)), seconds=limit)
+        at = len(seen.squares)
+        if at < lengths:
+            end = at + 1 if entry.members else lengths
+            limit = self.effort.look if entry.members else self.effort.seconds
+            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+        return self.whole(entry)
+
+    def glance(self, entry: Entry, question: Question | None) -> Job:
+        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
+        known, starts = self.table.entry().fitted, self.starts(entry)
+        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
+        starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
+        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
+        return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
+
+    def whole(self, entry: Entry) -> Job:
+        """The fit to whole recordings from where its looks ended, or cheaper from where they came by or began."""
+        seen = entry.look
+        starts = [seen.values, *seen.trail, *self.starts(entry)]
+        return self.of(entry, starts, size=seen.size, states=seen.states)
+
+    def of(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
+        """The job of a structure from these starts; settings as in `Job`."""
+        table, effort = self.table, self.effort
+        settings = {"iterations": effort.iterations, "seconds": effort.seconds, **settings}
+        label = " + ".join(entry.key) or table.base.name
+        return Job(table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings)
+
+    def from_part(self, entry: Entry, part: Entry) -> Job:
+        """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
+        own = {}
+        for c in entry.members:
+            if c not in part.members:
+                own |= small(c, usual(c)[0])
+        known = part.fitted
+        return self.of(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
+
+    def from_there(self, entry: Entry, best: Entry) -> Job:
+        """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
+        known, own, names = best.fitted, self.starts(entry), self.table.names(entry)
+        begin = {n: v for n, v in known.values.items() if n in names}
+        starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
+        return self.of(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
+
+    def starts(self, entry: Entry) -> list[dict[str, float]]:
+        """Starts of a structure: each of its effects at usual values, the base where its user put it."""
+        each = [usual(c, self._seen(c)) for c in entry.members]
+        if len(each) < 2:
+            return each[0] if each else [{}]
+        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(diagonal(each), 6)]
+
+    def _seen(self, candidate: Candidate):
+        base, flat = self.table.entries[NOTHING], self.table.base.flat
+        if not looks(candidate) or not base.fitted:
+            return None
+        if self.trajectories is None:
+            try:
+                self.trajectories = trajectories(flat, self.table.question, base.fitted)
+            except SolveError:
+                self.trajectories = []
+        if not self.trajectories:
+            return None
+        model = self.table.model(self.table.entry([candidate]))
+        states = [s.name for s in flat.states]
+        return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)

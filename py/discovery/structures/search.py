@@ -86,8 +86,7 @@ class Search:
         return None
 
     def _go(self) -> None:
-        self.identify()
-        if self.explained():
+        if self.explained([self.identify()]):
             return
         if not (self.first and self._through(min(self.most, BY_WINDOWS))):
             self._to_whole_recordings()
@@ -147,24 +146,33 @@ class Search:
         return base
 
     def take_looks(self, before: Search) -> None:
-        """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings."""
+        """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings.
+
+        A fit under another assumption is one more start. What was surprising is fitted at once.
+        """
         one, other = self.table.question, before.table.question
         if (one.lengths, one.windows) != (other.lengths, other.windows):
             return
         own = {c.label: c for c in self.table.candidates}
         for known in before.table.entries.values():
             if known.look and known.look.left is None and known.members and set(known.key) <= set(own):
-                self.table.entry([own[label] for label in known.key]).look = known.look
+                more = (known.fitted.values,) if known.fitted else ()
+                look = dataclasses.replace(known.look, trail=(*known.look.trail, *more))
+                self.table.entry([own[label] for label in known.key]).look = look
+        first = [self.table.entries[e.key] for e in before.surprises if e.key in self.table.entries]
+        if time.monotonic() < self.until:
+            self._take(first, self._ran([self.jobs.whole(e) for e in first]))
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
         return sorted((e for e in self.table.entries.values() if e.open and e.members), key=self.table.promise)
 
-    def explained(self) -> bool:
-        """Whether a structure leaves no more than what names would cost."""
+    def explained(self, by: Sequence[Entry] = ()) -> bool:
+        """Whether one of these structures, else any, leaves no more than what names would cost."""
         scores, table = self.table.scores(), self.table
         T = temperature(scores.get(NOTHING, 0.0))
-        return any(s < T * table.prices.of(1, 1) / 2 for s in scores.values())
+        keys = [e.key for e in by] or list(scores)
+        return any(scores[key] < T * table.prices.of(1, 1) / 2 for key in keys)
 
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:

@@ -116,16 +116,19 @@ def read_description(path: Path) -> ModelDescription:
     """FMPy's model description, unvalidated. DataError when there is none to read."""
     if not path.exists():
         raise DataError(f"{path}: no such file. Give the path of an .fmu.")
-    declared = read_or_say(path)
-    if not isinstance(declared, Declared):
-        raise DataError(declared[1])
     try:
-        return read_model_description(str(path), validate=False)
+        md = read_model_description(str(path), validate=False)
     except Exception as failure:
+        declared = read_or_say(path)
+        if not isinstance(declared, Declared):
+            raise DataError(declared[1]) from None
         raise DataError(
             f"{path}: its modelDescription.xml cannot be used ({type(failure).__name__}: {failure}). Which rule of the "
             f"standard it breaks says: hydrotwin check {path.name}"
         ) from None
+    if not md.fmiVersion.startswith(("2", "3")):
+        raise DataError(f"{path}: FMI {md.fmiVersion} is not supported. FMI 2.0 and 3.0 are.")
+    return md
 
 
 def _is_output(md: ModelDescription, name: str) -> bool:

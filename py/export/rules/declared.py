@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -33,20 +33,40 @@ COMBINATIONS = {
 """(causality, variability) -> what initial may be, the default first."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class Variable:
-    """One variable: ``element`` has its name, ``typed`` what belongs to its type; in FMI 3 they are one."""
+    """One variable: ``element`` has its name, ``typed`` what belongs to its type; in FMI 3 they are one.
+
+    causality, variability and initial are as declared, or the defaults; declared is the element of the declared type.
+    """
 
     element: etree._Element
     typed: etree._Element
     kind: str
     declared: etree._Element | None
-    default: str  # of variability
+    default: InitVar[str]  # of variability
+    name: str = ""
+    causality: str = "local"
+    variability: str = ""
+    initial: str | None = None
+    start: str | None = None
+
+    def __post_init__(self, default: str):
+        element = self.element
+        self.name = element.get("name", "")
+        self.causality, self.variability = element.get("causality", "local"), element.get("variability", default)
+        usual = COMBINATIONS.get((self.causality, self.variability), (None,))[0]
+        self.initial = element.get("initial") or usual
+        texts = self._texts() if self._is_text else []
+        self.start = " ".join(texts) if texts else self.typed.get("start")
 
     @property
-    def name(self) -> str:
-        """Its name, "" where there is none."""
-        return self.element.get("name", "")
+    def _is_text(self) -> bool:
+        """Whether start values are elements: of texts and binaries in FMI 3."""
+        return self.kind in ("String", "Binary") and self.typed is self.element
+
+    def _texts(self) -> list[str]:
+        return [e.get("value", "") for e in self.element.iterfind("Start")]
 
     @property
     def reference(self) -> str:
@@ -54,33 +74,9 @@ class Variable:
         return self.element.get("valueReference", "").strip()
 
     @property
-    def causality(self) -> str:
-        """Its causality or the default."""
-        return self.element.get("causality", "local")
-
-    @property
-    def variability(self) -> str:
-        """Its variability or the default."""
-        return self.element.get("variability", self.default)
-
-    @property
-    def initial(self) -> str | None:
-        """Its initial or the default of the standard's table."""
-        return self.element.get("initial") or COMBINATIONS.get((self.causality, self.variability), (None,))[0]
-
-    @property
-    def start(self) -> str | None:
-        """Its start value as written, in FMI 3 that of texts and binaries too."""
-        if self.kind in ("String", "Binary") and self.typed is self.element:
-            values = [e.get("value", "") for e in self.element.iterfind("Start")]
-            return " ".join(values) if values else None
-        return self.typed.get("start")
-
-    @property
     def starts(self) -> int:
         """How many start values there are."""
-        texts = self.kind in ("String", "Binary") and self.typed is self.element
-        return len(self.element.findall("Start")) if texts else len((self.typed.get("start") or "").split())
+        return len(self._texts()) if self._is_text else len((self.start or "").split())
 
     def get(self, attribute: str) -> str | None:
         """An attribute of its own, else of its declared type."""

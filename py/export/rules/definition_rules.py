@@ -18,6 +18,9 @@ NEEDS = {
     "canReturnEarlyAfterIntermediateUpdate": "providesIntermediateUpdate",
 }
 """A capability -> the one that it must come with."""
+NAMED = ("UnitDefinitions/Unit", "UnitDefinitions/Unit/DisplayUnit", "TypeDefinitions/*", "TypeDefinitions/*/Item",
+         "LogCategories/Category")  # fmt: skip
+"""What has a name that FMI 3 does not let be empty; those of variables are in the row "names"."""
 
 
 def interfaces_row(declared: Declared) -> Findings:
@@ -114,6 +117,9 @@ def lists_row(declared: Declared) -> Findings:
     for place, what in (("LogCategories/Category", "log categories"), ("VendorAnnotations/Tool", "annotations")):
         again = twice(e.get("name", "") for e in declared.root.iterfind(place))
         found.breaks(f"{what} with the same name", _quoted(again))
+    if declared.fmi3:
+        named = (e for place in NAMED for e in declared.root.iterfind(place) if e.get("name", "").strip() == "")
+        found.breaks("names that are empty", [f"{e.tag} (line {e.sourceline})" for e in named])
     experiment = declared.root.find("DefaultExperiment")
     if experiment is not None:
         start, stop, step, tolerance = (

@@ -21,14 +21,14 @@ def sources_row(path: Path, declared: Declared) -> Findings:
     """Files to build the FMU from: those that are listed must be there."""
     found, files = Findings(), set(file_names(path))
     has_sources = any(n.startswith("sources/") and n.endswith(SOURCES) for n in files)
+    listed = [e.get("name", "") for i in declared.interfaces for e in i.iterfind("SourceFiles/File")]
     if has_sources:  # without any, FMI 2 has the list mean nothing
-        listed = (e.get("name", "") for i in declared.interfaces for e in i.iterfind("SourceFiles/File"))
         found.breaks("source files that are listed and not there", _missing(listed, files))
     build = _read(path, files, BUILD)
     if build is not None:
         _build(build, declared, files, found)
-    elif has_sources and declared.fmi3 and BUILD not in files and not any(n.startswith("binaries/") for n in files):
-        found.breaks("", [f"sources without {BUILD}, which says how to build them"])
+    elif has_sources and BUILD not in files and not any(n.startswith("binaries/") for n in files) and not listed:
+        found.breaks("", [f"nothing but sources, and no list of those to compile: {BUILD}, or SourceFiles in FMI 2"])
     return found
 
 
@@ -72,6 +72,9 @@ def terminals_row(path: Path, declared: Declared) -> Findings:
     names = set(declared.names)
     members = [(e, e.get(a)) for e in root.iter() for a in MEMBERS if isinstance(e.tag, str) and e.get(a) is not None]
     found.breaks("no variables", [f"'{name}' (line {e.sourceline})" for e, name in members if name not in names])
+    icons = dict.fromkeys(e.get("iconBaseName", "") for e in root.iter("TerminalGraphicalRepresentation"))
+    pictures = [posixpath.normpath(f"terminalsAndIcons/{name}.png") for name in icons]
+    found.breaks("icons that are named and not there", [p for p in pictures if p not in files])
     for level in root.iter("Terminals", "Terminal"):
         again = twice(t.get("name", "") for t in level.iterfind("Terminal"))
         found.breaks("terminals of one name", again)

@@ -35,8 +35,11 @@ def schema_row(path: Path, declared: Declared) -> Findings:
         except etree.XMLSyntaxError as failure:
             found.breaks("", [f"{name} is no XML: {failure}"])
             continue
-        if root.get("fmiVersion", "3").startswith("3"):
+        version = root.get("fmiVersion", "3")
+        if version.startswith("3"):
             found.breaks(name, schema_errors(root, f"fmi3/{BESIDE[name]}"))
+        if declared.fmi3 and version != declared.version:
+            found.breaks("", [f"{name} is of FMI {version}, where the description is of {declared.version}"])
         found.breaks("", _encoding(name, raw))
     if not declared.fmi3:
         strange = [f"{v} ({', '.join(bad)})" for v in declared.variables if (bad := _infinite(v))]

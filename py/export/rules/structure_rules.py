@@ -70,9 +70,9 @@ def _initial_unknowns(declared: Declared, found: Findings):
     found.notes("among the InitialUnknowns and known at the start", _names([v for v in listed if v.initial == "exact"]))
     missing = [v for v in proper if _is_unknown(v) and v not in members]
     what = "calculated at the start and not among the InitialUnknowns"
-    shown = [v for v in missing if not listed or v.causality in ("output", "calculatedParameter")]
-    found.breaks(what, _names(shown))
-    found.notes(what, _names([v for v in missing if v not in shown]))  # states can be asked for all the same
+    data = [v for v in missing if v.causality in ("output", "calculatedParameter")]
+    found.breaks(what, _names(data))
+    found.notes(what, _names([v for v in missing if v not in data]))  # states can be asked for all the same
     if not declared.fmi3:
         places = {v: k for k, v in enumerate(declared.variables)}
         late = [b for a, b in itertools.pairwise(listed) if places[a] > places[b]]
@@ -88,8 +88,11 @@ def _others(declared: Declared, found: Findings):
     clocked, members = declared.listed(CLOCKED), set(declared.listed(CLOCKED))
     bad = [v for v in clocked if not (v.element.get("previous") and v.element.get("clocks") and v.kind != "Clock")]
     found.breaks("clocked states without previous or clocks", [str(v) for v in bad])
-    states = [v for v in declared.variables if v.element.get("previous") is not None and v not in members]
-    found.breaks("variables with previous that are not listed as ClockedState", [str(v) for v in states])
+    states = [v for v in declared.variables if v.element.get("previous") is not None]
+    lost = [str(v) for v in states if v not in members]
+    found.breaks("variables with previous that are not listed as ClockedState", lost)
+    again = twice(v.element.get("previous", "").strip() for v in states)
+    found.breaks("value references that are previous to several variables", again)
     for v in declared.listed(INDICATOR):
         if not v.floating or v.variability != "continuous" or v.causality not in ("local", "output"):
             found.breaks("event indicators that are no continuous local variables or outputs", [str(v)])

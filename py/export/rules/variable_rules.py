@@ -84,7 +84,8 @@ def _odd_state(declared: Declared, v: Variable) -> bool:
 
 
 def _odd_reinit(declared: Declared, v: Variable) -> bool:
-    return v.typed.get("reinit") is not None and v not in declared.states
+    alone = not declared.fmi3 and not declared.offers("ModelExchange")
+    return v.typed.get("reinit") is not None and (alone or v not in declared.states)
 
 
 def _odd_setting(declared: Declared, v: Variable) -> bool:
@@ -108,7 +109,7 @@ RULES: dict[str, Callable[[Declared, Variable], bool]] = {
     "a start value that is no item of its enumeration": _no_item,
     "a declared type of another kind": _odd_type,
     "a continuous-time state must be local or an output": _odd_state,
-    "reinit is for continuous-time states alone": _odd_reinit,
+    "reinit is for continuous-time states of Model Exchange alone": _odd_reinit,
     "canHandleMultipleSetPerTimeInstant is for inputs of Model Exchange alone": _odd_setting,
     "the nominal value of a state must be above zero": _odd_nominal,
 }

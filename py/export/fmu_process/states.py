@@ -13,6 +13,7 @@ from .master import FLOATS, is_scalar
 from .trial import in_time, refused, size_of
 from .verdicts import FAIL, PASS, REMARK
 
+STATES, EVENTS = "getContinuousStates", "getEventIndicators"
 ROOM = 64  # numbers beyond those that are asked for, to see whether more are written
 UNTOUCHED = -1.2345678987654321e-300  # what no state is
 STILL = 1e-6  # of its size: what a derivative must bring a state in a run to be missed
@@ -20,26 +21,25 @@ STILL = 1e-6  # of its size: what a derivative must bring a state in a run to be
 
 def number_of_states(trial: ExchangeTrial):
     """Asked of FMI 3; of FMI 2 seen by what it accepts and writes, then by states that stay where they are."""
-    exchanger = trial.exchanger()
-    listed, hidden = exchanger.count, _unlisted(trial)
+    exchanger, hidden = trial.exchanger(), _unlisted(trial)
+    listed, events = exchanger.count, int(trial.description.numberOfEventIndicators)
     names = f", not listed: {', '.join(v.name for v in hidden[:3])}" if hidden else ""
     if exchanger.fmi3:
-        found = exchanger.fmu.getNumberOfContinuousStates()
-        events, counted = exchanger.fmu.getNumberOfEventIndicators(), int(trial.description.numberOfEventIndicators)
+        found, seen = exchanger.fmu.getNumberOfContinuousStates(), exchanger.fmu.getNumberOfEventIndicators()
         exchanger.close()
-        if events != counted:
-            return FAIL, f"it has {events} event indicators, and {counted} are listed"
     else:
         exchanger.close()
-        found = _accepted(trial, listed, len(hidden))
+        found, seen = _accepted(trial, STATES, listed, len(hidden)), _accepted(trial, EVENTS, events, 0)
     if found is None:
         return REMARK, f"asked for {listed} states, as many as derivatives are listed, it refuses, and for others too"
     if found != listed:
         return FAIL, f"it has {found} continuous states, and {listed} derivatives are listed{names}"
+    if seen is not None and seen != events:
+        return FAIL, f"it has {seen} event indicators, and {events} are declared"
     if still := _still(trial, hidden):
         state, rate = still.derivative.name, still.name
         return FAIL, f"'{state}' stays where it is, though its derivative '{rate}', which is not listed, is not zero"
-    return PASS, f"{listed} states, as many as derivatives are listed"
+    return PASS, f"{listed} states, as many as derivatives are listed, and {events} event indicators"
 
 
 def _unlisted(trial: ExchangeTrial) -> list[ScalarVariable]:
@@ -54,23 +54,23 @@ def _unlisted(trial: ExchangeTrial) -> list[ScalarVariable]:
     ]  # fmt: skip
 
 
-def _accepted(trial: ExchangeTrial, listed: int, hidden: int) -> int | None:
-    """The number of states that FMI 2 shows: what it writes where it accepts a number, else what it accepts."""
-    if (written := _written(trial, listed)) is not None:
+def _accepted(trial: ExchangeTrial, asked: str, declared: int, hidden: int) -> int | None:
+    """The number that FMI 2 shows: what it writes where it accepts what is declared, else another that it accepts."""
+    if (written := _written(trial, asked, declared)) is not None:
         return written
-    others = dict.fromkeys([listed + hidden, *range(listed + ROOM)])
-    for count in in_time([n for n in others if n != listed and (n or listed)]):
-        if _written(trial, count) is not None:
+    others = dict.fromkeys([declared + hidden, *range(declared + ROOM)])
+    for count in in_time([n for n in others if n != declared and (n or declared)]):
+        if _written(trial, asked, count) is not None:
             return count
-    return listed if not listed else None  # some refuse to be asked for none
+    return declared if not declared else None  # some refuse to be asked for none
 
 
-def _written(trial: ExchangeTrial, count: int) -> int | None:
-    """How many states are written when ``count`` are asked for, None where that is refused."""
+def _written(trial: ExchangeTrial, asked: str, count: int) -> int | None:
+    """How many numbers are written when ``count`` are asked for, None where that is refused."""
     exchanger = trial.exchanger()
     values = (c_double * (count + ROOM))(*[UNTOUCHED] * (count + ROOM))
     try:
-        exchanger.fmu.getContinuousStates(values, count)
+        getattr(exchanger.fmu, asked)(values, count)
     except FMICallException:
         exchanger.close()
         return None

@@ -10,7 +10,7 @@ from ..archive import file_names
 from ..fmu_process.verdicts import FAIL, NOT_TRIED
 from ..standard import paragraph
 from .archive_rules import archive_rows
-from .declared import NO_ARCHIVE, Declared, read_declared
+from .declared import NO_ARCHIVE, Declared, number, read_declared
 from .definition_rules import interfaces_row, lists_row, types_row, units_row
 from .file_rules import TERMINALS, sources_row, terminals_row
 from .name_rules import convention_of, names_row
@@ -32,7 +32,7 @@ def read_or_say(path: Path) -> Declared | tuple[str, str, str]:
     except etree.XMLSyntaxError as failure:
         reason = f"modelDescription.xml is no XML in the encoding it names: {failure}. Ask its maker for one that is."
         return FAIL, reason, "FMI 2.0.5, 2.2 FMI Description Schema; FMI 3.0.2, 2.4 FMI Description Schema"
-    if declared.version[:1].isdigit() and declared.version[0] not in "23":
+    if number(declared.version) and declared.version[0] not in "23":
         return NOT_TRIED, f"{path}: FMI {declared.version} is not supported. FMI 2.0 and 3.0 are.", ""
     if declared.version[:1] not in ("2", "3"):
         reason = f"{path}: its fmiVersion is '{declared.version}', where the standard has 2.0 and 3.0. Ask its maker."

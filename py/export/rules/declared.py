@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
@@ -57,8 +58,9 @@ class Variable:
         self.causality, self.variability = element.get("causality", "local"), element.get("variability", default)
         usual = COMBINATIONS.get((self.causality, self.variability), (None,))[0]
         self.initial = element.get("initial") or usual
-        texts = self._texts() if self._is_text else []
-        self.start = " ".join(texts) if texts else self.typed.get("start")
+        self.start = self.typed.get("start")
+        if self._is_text:
+            self.start = " ".join(texts) if (texts := self._texts()) else None
 
     @property
     def _is_text(self) -> bool:
@@ -242,5 +244,5 @@ def read_declared(path: Path) -> Declared:
     return Declared(etree.fromstring(raw, HUGE), raw)
 
 
-NO_ARCHIVE = (OSError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError)
+NO_ARCHIVE = (OSError, KeyError, zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)
 """What reading a file of an archive raises where that is none, or lacks it."""

@@ -70,6 +70,9 @@ def types_row(declared: Declared) -> Findings:
             again = twice(i.get(key, "").strip() for i in items)
             found.breaks(f"items of '{name}' with the same {key}", _quoted(again))
         found.breaks(f"type '{name}' (line {element.sourceline})", attribute_faults(declared, element, kind))
+        nominal = number(element.get("nominal"))
+        if declared.fmi3 and nominal is not None and not nominal > 0.0:  # no rule but for states
+            found.notes("", [f"the nominal value {nominal:g} of type '{name}' is not above zero"])
     return found
 
 

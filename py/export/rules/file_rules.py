@@ -9,7 +9,7 @@ from pathlib import Path
 from lxml import etree
 
 from ..archive import file_names, read_file
-from .declared import HUGE, Declared
+from .declared import HUGE, NO_ARCHIVE, Declared
 from .findings import Findings, twice
 
 BUILD, TERMINALS = "sources/buildDescription.xml", "terminalsAndIcons/terminalsAndIcons.xml"
@@ -90,6 +90,6 @@ def _read(path: Path, files: set[str], name: str) -> etree._Element | None:
     """The root of an XML file, None where there is none of FMI 3, which is when the schema row says what is wrong."""
     try:
         root = etree.fromstring(read_file(path, name), HUGE) if name in files else None
-    except etree.XMLSyntaxError:
+    except (*NO_ARCHIVE, etree.XMLSyntaxError):
         return None
     return root if root is not None and root.get("fmiVersion", "3").startswith("3") else None

@@ -10,7 +10,7 @@ import fmpy
 from lxml import etree
 
 from ..archive import file_names, read_file
-from .declared import DESCRIPTION, HUGE, Declared, Variable, number
+from .declared import DESCRIPTION, FLOATS, HUGE, NO_ARCHIVE, Declared, number
 from .findings import Findings
 
 SCHEMAS = Path(fmpy.__file__).parent / "schema"
@@ -29,11 +29,11 @@ def schema_row(path: Path, declared: Declared) -> Findings:
     found.breaks("", schema_errors(declared.root, f"{edition}/{edition}ModelDescription.xsd"))
     found.breaks("", _encoding(DESCRIPTION, declared.raw))
     for name in sorted(BESIDE.keys() & set(file_names(path))):
-        raw = read_file(path, name)
         try:
+            raw = read_file(path, name)
             root = etree.fromstring(raw, HUGE)
-        except etree.XMLSyntaxError as failure:
-            found.breaks("", [f"{name} is no XML: {failure}"])
+        except (*NO_ARCHIVE, etree.XMLSyntaxError) as failure:
+            found.breaks("", [f"{name} is no XML that can be read: {failure}"])
             continue
         version = root.get("fmiVersion", "3")
         if version.startswith("3"):
@@ -42,7 +42,9 @@ def schema_row(path: Path, declared: Declared) -> Findings:
             found.breaks("", [f"{name} is of FMI {version}, where the description is of {declared.version}"])
         found.breaks("", _encoding(name, raw))
     if not declared.fmi3:
-        strange = [f"{v} ({', '.join(bad)})" for v in declared.variables if (bad := _infinite(v))]
+        reals = [(str(v), v.typed) for v in declared.variables if v.floating]
+        reals += [(f"type '{name}'", e) for name, (kind, e) in declared.types.items() if kind in FLOATS]
+        strange = [f"{name} ({', '.join(bad)})" for name, element in reals if (bad := _infinite(element))]
         found.breaks("INF and NAN are no values in these files", strange)
     return found
 
@@ -68,8 +70,6 @@ def _encoding(name: str, raw: bytes) -> list[str]:
     return [] if encoding.upper() == "UTF-8" else [f"{name} is in {encoding}, where UTF-8 is required"]
 
 
-def _infinite(variable: Variable) -> list[str]:
-    if variable.kind != "Real":
-        return []
-    values = {a: number(variable.typed.get(a)) for a in BOUNDS}
+def _infinite(element: etree._Element) -> list[str]:
+    values = {a: number(element.get(a)) for a in BOUNDS}
     return [f"{a}={value}" for a, value in values.items() if value is not None and value - value != 0.0]

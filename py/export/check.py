@@ -109,13 +109,14 @@ def check_fmu(
 ) -> Check:
     """Check an FMU of FMI 2 or 3, whoever made it, against the standard.
 
-    Read without running its code: the schema, variables, names, model structure, files, platforms, units. Run in a
-    child process with a limit of ``time_limit`` [s] for each probe: loading, a short run, reset, a second instance,
+    Read without running its code: the schema and the encoding, interfaces, units, types, variables and whatever they
+    refer to, names, model structure, sources, terminals, files, platforms. Run in a child process with a limit of
+    ``time_limit`` [s] for each probe: loading, a short run, reading every variable, reset, a second instance,
     saving the state, intermediate update and early return, declared dependencies against perturbed inputs,
     directional derivatives, and what it does with NaN, an unknown variable and a step too early.
-    Of Model Exchange: a run with FMPy's CVode, nominal values, the order of states, stale answers after setting time,
-    states and inputs in any order, reset, saving the state, dependencies, directional derivatives and NaN. An FMU with
-    both is tried as both.
+    Of Model Exchange: a run with FMPy's CVode, nominal values, the number and the order of states, stale answers after
+    setting time, states and inputs in any order, reset, saving the state, dependencies, directional derivatives and
+    NaN. An FMU with both is tried as both.
     Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer
     (FMI 3 Model Exchange), where they are installed.
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared, held between
@@ -188,8 +189,7 @@ def _references(
     interpolation: Mapping[str, str],
 ) -> list[tuple[str, tuple[str, str]]]:
     record = reference if reference is not None else _embedded_reference(path)
-    loads = found["loads" if "loads" in found else f"loads{SECOND}"][0] in GOOD
-    if record is None or not loads:
+    if record is None or found["loads"][0] not in GOOD:
         nothing = "no reference record was given and none is inside"
         why = nothing if record is None else description.elsewhere or "it does not load here, see 'loads'"
         return [("reference", (NOT_TRIED, why))]

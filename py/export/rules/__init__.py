@@ -25,9 +25,8 @@ def read_or_say(path: Path) -> Declared | tuple[str, str, str]:
         declared = read_declared(path)
     except NO_ARCHIVE as failure:
         told = str(failure).strip("\"'") or type(failure).__name__
-        reason = (
-            f"{path}: not an FMU ({told}). It must be a zip archive with a modelDescription.xml. Check the download."
-        )
+        must = "It must be a zip archive with a modelDescription.xml. Check the download."
+        reason = f"{path}: not an FMU ({told}). {must}"
         return FAIL, reason, "FMI 2.0.5, 2.3 FMU Distribution; FMI 3.0.2, 2.5 FMU Distribution"
     except etree.XMLSyntaxError as failure:
         reason = f"modelDescription.xml is no XML in the encoding it names: {failure}. Ask its maker for one that is."
@@ -48,12 +47,8 @@ def rule_rows(path: Path, declared: Declared) -> list[tuple[str, tuple[str, str]
         "interfaces": interfaces_row(declared).verdict(", ".join(str(e.tag) for e in declared.interfaces)),
         "unit definitions": units_row(declared).verdict(f"{len(declared.units)} units"),
         "type definitions": types_row(declared).verdict(f"{len(declared.types)} types"),
-        "other definitions": lists_row(declared).verdict(
-            "log categories, annotations and default experiment make sense"
-        ),
-        "variables": variables_row(declared).verdict(
-            f"{count} variables, attributes, references and start values legal"
-        ),
+        "other definitions": lists_row(declared).verdict("log categories, annotations and experiment make sense"),
+        "variables": variables_row(declared).verdict(f"{count} variables, attributes and start values legal"),
         "names": names_row(declared).verdict(f"unique, of the convention '{convention_of(declared)}'"),
         "model structure": structure_row(declared).verdict("complete, with every entry where it belongs"),
         "sources": sources_row(path, declared).verdict("what is listed to build it from is there"),

@@ -13,11 +13,11 @@ TIMES = ("intervalDecimal", "shiftDecimal", "intervalCounter", "shiftCounter", "
 def array_faults(declared: Declared, v: Variable) -> list[str]:
     """What is wrong with the sizes of an array and the number of its start values."""
     dimensions = v.element.findall("Dimension")
-    if not dimensions:
-        return (
-            [f"{v.starts} start values for one value"] if declared.fmi3 and v.kind != "String" and v.starts > 1 else []
-        )
     faults, sizes = [], []
+    if declared.fmi3 and v.start is not None and not v.starts:
+        faults.append("a start without a value")
+    if not dimensions:
+        return [*faults, f"{v.starts} start values for one value"] if declared.fmi3 and v.starts > 1 else faults
     if v.causality == "structuralParameter":
         faults.append("a structural parameter must not be an array")
     for dimension in dimensions:
@@ -38,13 +38,9 @@ def _size(declared: Declared, start: str | None, reference: str | None) -> tuple
         target = declared.at(reference.strip())
         if target is None:
             return None, f"valueReference='{reference}' leads to no variable"
-        if target.kind != "UInt64" or not (
-            target.causality == "structuralParameter" or target.variability == "constant"
-        ):
-            return (
-                None,
-                f"valueReference='{reference}' leads to {target.name}, no UInt64 that is constant or structural",
-            )
+        may = target.causality == "structuralParameter" or target.variability == "constant"
+        if target.kind != "UInt64" or not may:
+            return None, f"valueReference='{reference}' leads to {target.name}, no constant or structural UInt64"
         start = target.start
     size = number(start)
     if size is None:

@@ -40,10 +40,8 @@ def _build(build: etree._Element, declared: Declared, files: set[str], found: Fi
     found.breaks("build configurations of a modelIdentifier that no interface has", strange)
     plain = twice(c.get("modelIdentifier", "") for c in configurations if c.get("platform") is None)
     found.breaks("more than one build configuration without a platform", plain)
-    found.breaks(
-        "source files that are listed and not there",
-        _missing((e.get("name", "") for e in build.iter("SourceFile")), files),
-    )
+    named = (e.get("name", "") for e in build.iter("SourceFile"))
+    found.breaks("source files that are listed and not there", _missing(named, files))
     folders = {posixpath.dirname(f) for f in files}
     lost = [
         f"sources/{n}" for e in build.iter("IncludeDirectory")

@@ -37,7 +37,8 @@ EQUAL = 1e-9  # of the largest output: between machines
 PACKAGES = ("fmpy", "libcosimpy", "casadi", "ziglang")
 _SIMULATED = {"cs": "FMPy Co-Simulation", "me": "FMPy Model Exchange"}
 _OUTSIDE = (
-    "readable", "schema", "variables", "names", "model structure", "files", "platforms", "units", "loads",
+    "readable", "schema", "interfaces", "unit definitions", "type definitions", "other definitions", "variables",
+    "names", "model structure", "sources", "terminals", "files", "platforms", "units", "loads",
     "directional derivatives", "reference", "libcosimpy", "CasADi importer", *_SIMULATED.values(),
 )  # fmt: skip
 FAILED = "FAIL"

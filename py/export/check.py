@@ -17,13 +17,13 @@ from hydrotwin.records import Record, read_record
 from hydrotwin.records.between import told
 
 from .archive import file_names, read_file
-from .archive_rules import archive_rows
 from .check_plan import SECOND, offers_both, plan_of, tried_rows
-from .description_rules import description_rows, unreadable
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
-from .fmu_process.verdicts import FAIL, NOT_TRIED, PASS, REMARK
+from .fmu_process.verdicts import FAIL, GOOD, NOT_TRIED, PASS, REMARK
 from .foreign import Description, describe_fmu, unit_name
 from .reader import FmuBlock, read_fmu
+from .rules import read_or_say, rule_rows
+from .rules.declared import Declared
 from .standard import paragraph
 from .writer import REFERENCE_FILE
 
@@ -109,13 +109,14 @@ def check_fmu(
 ) -> Check:
     """Check an FMU of FMI 2 or 3, whoever made it, against the standard.
 
-    Read without running its code: the schema, variables, names, model structure, files, platforms, units. Run in a
-    child process with a limit of ``time_limit`` [s] for each probe: loading, a short run, reset, a second instance,
+    Read without running its code: the schema and the encoding, interfaces, units, types, variables and whatever they
+    refer to, names, model structure, sources, terminals, files, platforms. Run in a child process with a limit of
+    ``time_limit`` [s] for each probe: loading, a short run, reading every variable, reset, a second instance,
     saving the state, intermediate update and early return, declared dependencies against perturbed inputs,
     directional derivatives, and what it does with NaN, an unknown variable and a step too early.
-    Of Model Exchange: a run with FMPy's CVode, nominal values, the order of states, stale answers after setting time,
-    states and inputs in any order, reset, saving the state, dependencies, directional derivatives and NaN. An FMU with
-    both is tried as both.
+    Of Model Exchange: a run with FMPy's CVode, nominal values, the number and the order of states, stale answers after
+    setting time, states and inputs in any order, reset, saving the state, dependencies, directional derivatives and
+    NaN. An FMU with both is tried as both.
     Other programs take it as well: FMPy's master for each kind, libcosimpy (FMI 2 Co-Simulation) and CasADi's importer
     (FMI 3 Model Exchange), where they are installed.
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared, held between
@@ -130,18 +131,28 @@ def check_fmu(
     path = Path(path)
     if not path.exists():
         raise DataError(f"{path}: no such file. Give the path of an .fmu.")
+    declared = read_or_say(path)
+    if not isinstance(declared, Declared):
+        return Check(str(path), (CheckRow("readable", *declared),))
+    rules = rule_rows(path, declared)
+    read = _described(path, any(verdict == FAIL for _, (verdict, _) in rules))
+    found = [("readable", read if isinstance(read, tuple) else (PASS, _summary(read))), *rules]
+    if not isinstance(read, tuple):
+        found.append(("units", _units(read)))
+        found += tried_rows(path, plan_of(read.source), read.elsewhere, time_limit)
+        found += _references(path, read, dict(found), reference, time_limit, interpolation or {})
+    return Check(str(path), tuple(_row(name, *rest, declared.version) for name, rest in found))
+
+
+def _described(path: Path, broken: bool) -> Description | tuple[str, str]:
+    """What the description says in our terms; else why it cannot be read so, which is no fault of its own."""
     try:
-        description = describe_fmu(path, {}, {})
+        return describe_fmu(path, {}, {})
     except DeclarationError as reason:
-        return Check(str(path), (CheckRow("readable", NOT_TRIED, str(reason)),))
-    except DataError as failure:
-        return Check(str(path), (CheckRow("readable", *unreadable(path, str(failure))),))
-    md = description.source
-    found = [("readable", (PASS, _summary(description)))]
-    found += [*description_rows(path, md).items(), *archive_rows(path).items(), ("units", _units(description))]
-    found += tried_rows(path, plan_of(md), description.elsewhere, time_limit)
-    found += _references(path, description, reference, time_limit, interpolation or {})
-    return Check(str(path), tuple(_row(name, *rest, md.fmiVersion) for name, rest in found))
+        return NOT_TRIED, str(reason)
+    except Exception as failure:
+        why = "what is FAIL below stands in the way" if broken else f"FMPy or hydrotwin cannot read it ({failure})"
+        return NOT_TRIED, f"it is not run: {why}"
 
 
 def _row(name: str, verdict: str, detail: str, version: str) -> CheckRow:
@@ -170,11 +181,17 @@ def _units(description: Description) -> tuple[str, str]:
 
 
 def _references(
-    path: Path, description: Description, reference: Record | None, limit: float, interpolation: Mapping[str, str]
+    path: Path,
+    description: Description,
+    found: Mapping[str, tuple[str, str]],
+    reference: Record | None,
+    limit: float,
+    interpolation: Mapping[str, str],
 ) -> list[tuple[str, tuple[str, str]]]:
     record = reference if reference is not None else _embedded_reference(path)
-    if record is None or description.elsewhere:
-        why = description.elsewhere if record is not None else "no reference record was given and none is inside"
+    if record is None or found["loads"][0] not in GOOD:
+        nothing = "no reference record was given and none is inside"
+        why = nothing if record is None else description.elsewhere or "it does not load here, see 'loads'"
         return [("reference", (NOT_TRIED, why))]
     block = read_fmu(path, time_limit=limit, interpolation="hold")
     block = block.with_inputs(told(block.inputs, interpolation if reference is not None else {}, str(path)))

@@ -15,9 +15,11 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, UnitEr
 from hydrotwin.models.language.units import parse_unit
 
 from .archive import read_file
-from .archive_rules import why_not_here
 from .fmu_process.master import inputs_of, interpolates, is_scalar, unfed_of
 from .fmu_process.trial import start_of
+from .rules import read_or_say
+from .rules.archive_rules import why_not_here
+from .rules.declared import Declared
 from .whole_numbers import Whole, whole_of
 
 
@@ -117,9 +119,12 @@ def read_description(path: Path) -> ModelDescription:
     try:
         md = read_model_description(str(path), validate=False)
     except Exception as failure:
+        declared = read_or_say(path)
+        if not isinstance(declared, Declared):
+            raise DataError(declared[1]) from None
         raise DataError(
-            f"{path}: not an FMU ({type(failure).__name__}: {failure}). "
-            "It must be a zip archive with a modelDescription.xml. Check the download."
+            f"{path}: its modelDescription.xml cannot be used ({type(failure).__name__}: {failure}). Which rule of the "
+            f"standard it breaks says: hydrotwin check {path.name}"
         ) from None
     if not md.fmiVersion.startswith(("2", "3")):
         raise DataError(f"{path}: FMI {md.fmiVersion} is not supported. FMI 2.0 and 3.0 are.")

@@ -7,14 +7,23 @@ EDITIONS = {2: "FMI 2.0.5", 3: "FMI 3.0.2"}
 _DISTRIBUTION = {2: "2.3 FMU Distribution", 3: "2.5 FMU Distribution"}
 _VARIABLES = {2: "2.2.7 ModelVariables", 3: "2.4.7 Model Variables"}
 _STRUCTURE = {2: "2.2.8 ModelStructure", 3: "2.4.8 Model Structure"}
+_UNITS = {2: "2.2.2 UnitDefinitions", 3: "2.4.3 Physical Units"}
+_GETTING = {2: "2.1.7 Getting and Setting Variable Values", 3: "2.2.7.2 Getting and Setting Variable Values"}
 _CACHING = {2: "3.2.1 Re-initialization of Caching", 3: "3.2.1 Continuous-Time Mode"}
 SECTIONS = {
     "readable": {2: "2.2.1 Definition of an FMU", 3: "2.4.1 Model Description"},
     "schema": {2: "2.2 FMI Description Schema", 3: "2.4 FMI Description Schema"},
+    "interfaces": {2: "3.3.1 ModelExchange, 4.3.1 CoSimulation", 3: "2.4.2 Attributes and Capability Flags"},
+    "unit definitions": _UNITS,
+    "type definitions": {2: "2.2.3 TypeDefinitions", 3: "2.4.4 Variable Types"},
+    "other definitions": {2: "2.2.4 LogCategories, 2.2.6 VendorAnnotations", 3: "2.4 FMI Description Schema"},
     "variables": _VARIABLES,
+    "sources": {2: "2.3 FMU Distribution", 3: "2.4.10 Build Configurations"},
+    "terminals": {2: "2.3 FMU Distribution; FMI 3.0.2, 2.4.9 Terminals and Icons", 3: "2.4.9 Terminals and Icons"},
+    "reading": _GETTING,
     "names": {2: "2.2.9 Variable Naming Conventions", 3: "2.4.7.5.1 Variable Naming Conventions"},
     "model structure": _STRUCTURE,
-    "units": {2: "2.2.2 UnitDefinitions", 3: "2.4.3 Physical Units"},
+    "units": _UNITS,
     "files": _DISTRIBUTION,
     "platforms": _DISTRIBUTION,
     "loads": _DISTRIBUTION,
@@ -25,6 +34,7 @@ SECTIONS = {
     "intermediate update": {3: "4.2.2 Intermediate Update Mode"},
     "dependencies": _STRUCTURE,
     "directional derivatives": {2: "2.1.9 Getting Partial Derivatives", 3: "2.2.12 Getting Partial Derivatives"},
+    "number of states": _STRUCTURE,
     "order of states": _STRUCTURE,
     "nominal values": {2: "3.2.2 Evaluation of Model Equations", 3: "2.3.1 FMU State Settable (nominals)"},
     "order of setting": _CACHING,

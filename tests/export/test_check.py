@@ -20,13 +20,14 @@ from tests.export.systems import arm_record, command_record
 from tests.export.test_description import read
 
 ROWS = {
-    "readable", "schema", "variables", "names", "model structure", "files", "platforms", "units", "loads", "runs",
-    "reset", "second instance", "state", "intermediate update", "dependencies", "directional derivatives", "NaN input",
+    "readable", "schema", "interfaces", "unit definitions", "type definitions", "other definitions", "variables",
+    "names", "model structure", "sources", "files", "platforms", "units", "loads", "runs", "reading", "reset",
+    "second instance", "state", "intermediate update", "dependencies", "directional derivatives", "NaN input",
     "unknown value reference", "step before initialization", "FMPy Co-Simulation", "libcosimpy", "reference",
 }  # fmt: skip
 OF_EXCHANGE = {
-    "loads", "runs", "nominal values", "order of states", "order of setting", "any order of calls", "reset", "state",
-    "dependencies", "directional derivatives", "NaN input",
+    "loads", "runs", "reading", "number of states", "nominal values", "order of states", "order of setting",
+    "any order of calls", "reset", "state", "dependencies", "directional derivatives", "NaN input",
 }  # fmt: skip
 
 

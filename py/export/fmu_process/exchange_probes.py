@@ -11,6 +11,8 @@ from .exchange import SolverFailure
 from .exchanger import LATER, SAMPLES, SECONDS, Exchanger, ExchangeTrial, continuous_outputs, moving_inputs
 from .master import abilities_of
 from .probes import gives_up, not_finite
+from .reading import Reader, every_variable
+from .states import number_of_states
 from .trial import REPEATS, SHARE, TINY, off, real_inputs, refused, same
 from .verdicts import FAIL, PASS, REMARK, NotTried
 
@@ -38,6 +40,13 @@ def _runs(trial: ExchangeTrial):
     return PASS, done
 
 
+def _reading(trial: ExchangeTrial):
+    def computes(instance):
+        instance.rates() if instance.count else instance.fmu.setTime(0.0)
+
+    return every_variable(trial.description.modelVariables, Reader(trial.exchange, computes))
+
+
 def _nominals(trial: ExchangeTrial):
     exchanger = trial.exchanger()
     if not exchanger.count:
@@ -56,8 +65,6 @@ def _order_of_states(trial: ExchangeTrial):
     """States and derivatives come in the order in which the derivatives are listed."""
     exchanger, rows = trial.exchanger(), trial.description.derivatives
     if not exchanger.count:
-        if refusal := refused(lambda: exchanger.fmu.getContinuousStates(None, 0)):
-            return REMARK, f"it lists no derivatives, and when it is asked for no states, it refuses: {refusal}"
         raise NotTried("no continuous state")
     rates = [u.variable for u in rows]
     if any(v.dimensions or v.derivative is None for v in rates):
@@ -307,6 +314,8 @@ def _nan_input(trial: ExchangeTrial):
 
 EXCHANGE_PROBES = {
     "runs": _runs,
+    "reading": _reading,
+    "number of states": number_of_states,
     "nominal values": _nominals,
     "order of states": _order_of_states,
     "order of setting": _order_of_setting,

@@ -61,14 +61,14 @@ class Instance:
     def write(self, values: Mapping[str, float]):
         """Set variables by name."""
         for kind, names in self._by_type(values).items():
-            setter = getattr(self.fmu, f"set{_setter(kind, self.fmi3)}")
+            setter = getattr(self.fmu, f"set{accessed_as(kind, self.fmi3)}")
             setter(self._references(names), [_as_type(kind, values[n]) for n in names])
 
     def read(self, names: Sequence[str]) -> list[float]:
         """Values by name, as numbers."""
         found = {}
         for kind, of_kind in self._by_type(names).items():
-            values = getattr(self.fmu, f"get{_setter(kind, self.fmi3)}")(self._references(of_kind))
+            values = getattr(self.fmu, f"get{accessed_as(kind, self.fmi3)}")(self._references(of_kind))
             found |= dict(zip(of_kind, values, strict=True))
         return [float(found[n]) for n in names]
 
@@ -256,7 +256,8 @@ def late_outputs(description: ModelDescription, outputs: Sequence[str], inputs: 
     return [name for name, late in zip(outputs, through, strict=True) if late]
 
 
-def _setter(kind: str, fmi3: bool) -> str:
+def accessed_as(kind: str, fmi3: bool) -> str:
+    """The type in the names of the functions that get and set variables of a kind."""
     return {"Enumeration": "Int64" if fmi3 else "Integer"}.get(kind, kind)
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 import re
+from functools import partial
 
 import numpy as np
 from fmpy.fmi1 import FMICallException
 from fmpy.model_description import ScalarVariable
 
-from .master import abilities_of, look_size
+from .master import Slave, abilities_of, look_size
+from .reading import Reader, every_variable
 from .trial import REPEATS, STEPS, Trial, in_time, off, same, size_of
 from .verdicts import FAIL, PASS, REMARK, NotTried
 
@@ -36,6 +38,11 @@ def _runs(trial: Trial):
     if trial.refusal is not None:
         return REMARK, f"{done} at the start values of its inputs; moved by a tenth of nominal: {trial.refusal}"
     return PASS, done
+
+
+def _reading(trial: Trial):
+    computes = partial(Slave.step, time=0.0, size=trial.step)
+    return every_variable(trial.description.modelVariables, Reader(trial.instance, computes))
 
 
 def gives_up(failure: Exception, inputs):
@@ -247,6 +254,7 @@ def _returned(asked: list[float]) -> str:
 
 PROBES = {
     "runs": _runs,
+    "reading": _reading,
     "reset": _reset,
     "second instance": _second_instance,
     "state": _state,

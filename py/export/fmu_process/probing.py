@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,12 @@ from .trial import Trial
 from .verdicts import FAIL, GOOD, NOT_TRIED, PASS, NotTried
 
 LOADS, RUNS, GATES_GROUP = "loads", "runs", "gates"
+READING, STATES = "reading", "number of states"
+LACKS = re.compile(
+    r"(?P<library>[^\s:/]+): cannot open shared object file|version `|executable stack|cannot allocate|"
+    r"Library not loaded|image not found|WinError 126"
+)
+"""What a loader says where the machine lacks something, and the library itself may be good."""
 SHOWN = 300  # characters of what the FMU said last
 
 
@@ -128,8 +135,7 @@ def _loads(description: ModelDescription, unzipped: str, interface: str) -> tupl
     try:
         functions = ctypes.CDLL(str(library))
     except OSError as failure:
-        reason = str(failure).replace(str(library), library.name).removeprefix(f"{library.name}: ")
-        raise NotTried(f"its library cannot be loaded on this machine ({reason}). Install what it needs") from None
+        return _not_loaded(library.name, str(failure).replace(str(library), library.name))
     finally:
         os.chdir(Path(unzipped).parent)
     wanted = _functions(description.fmiVersion, interface)
@@ -137,6 +143,17 @@ def _loads(description: ModelDescription, unzipped: str, interface: str) -> tupl
     if missing:
         return FAIL, f"{len(missing)} of {len(wanted)} functions are missing: {', '.join(missing[:3])}"
     return PASS, f"{library.name} has all {len(wanted)} functions"
+
+
+def _not_loaded(library: str, said: str) -> tuple[str, str]:
+    """What a loader that refuses a library says of it, unless it is the machine that lacks something."""
+    reason = said.removeprefix(f"{library}: ")
+    lacks = LACKS.search(said)
+    if lacks and lacks["library"] != library:
+        raise NotTried(f"its library cannot be loaded on this machine ({reason}). Install what it needs")
+    if lacks:  # what a loader says of a library for another kind of processor
+        reason = "it is damaged or made for another machine"
+    return FAIL, f"{library} is no library that this machine can load: {reason}. Ask its maker for a good one"
 
 
 def _functions(version: str, interface: str) -> list[str]:

@@ -9,8 +9,10 @@ from pathlib import Path, PurePosixPath
 from fmpy import platform as system
 from fmpy import platform_tuple
 
-from .archive import file_names
-from .fmu_process.verdicts import FAIL, NOT_TRIED, PASS
+from ..archive import file_names
+from ..fmu_process.verdicts import FAIL, NOT_TRIED, PASS
+from .declared import Declared
+from .findings import Findings
 
 METHODS = {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}
 VERSION = 20  # of zip needed to extract: 2.0
@@ -19,9 +21,9 @@ LIBRARIES = (".dll", ".so", ".dylib")
 EXTRAS = ("documentation", "sources", "resources", "terminalsAndIcons", "extra")
 
 
-def archive_rows(path: Path) -> dict[str, tuple[str, str]]:
+def archive_rows(path: Path, declared: Declared) -> dict[str, tuple[str, str]]:
     """Row -> verdict and detail."""
-    return {"files": _files(path), "platforms": _platforms(path)}
+    return {"files": _files(path), "platforms": _platforms(path, declared)}
 
 
 def _files(path: Path) -> tuple[str, str]:
@@ -50,18 +52,37 @@ def _strange(name: str) -> bool:
 
 def platforms_of(path: Path) -> list[str]:
     """The folders of binaries that hold a library, by the names they have in the FMU."""
-    parts = [PurePosixPath(n) for n in file_names(path)]
-    libraries = [p.parts for p in parts if len(p.parts) == 3 and p.suffix in LIBRARIES]
-    return sorted({platform for top, platform, _ in libraries if top == "binaries"})
+    return sorted(_libraries(path))
+
+
+def _libraries(path: Path) -> dict[str, set[str]]:
+    """Folder of a platform -> its libraries, those of Windows in small letters."""
+    found: dict[str, set[str]] = {}
+    for parts in (PurePosixPath(n).parts for n in file_names(path)):
+        if len(parts) == 3 and parts[0] == "binaries" and parts[2].endswith(LIBRARIES):
+            found.setdefault(parts[1], set()).add(_as_found(parts[2]))
+    return found
+
+
+def _as_found(library: str) -> str:
+    return library.lower() if library.endswith(".dll") else library
 
 
 def _has_sources(path: Path) -> bool:
     return any(n.startswith("sources/") and n.endswith((".c", ".cpp")) for n in file_names(path))
 
 
-def _platforms(path: Path) -> tuple[str, str]:
-    found = [*platforms_of(path), *(["sources"] if _has_sources(path) else [])]
-    return PASS if found else FAIL, ", ".join(found) or "no binary and no sources for any platform"
+def _platforms(path: Path, declared: Declared) -> tuple[str, str]:
+    """There is an implementation, and a library has the name that each interface says it has."""
+    found, libraries = Findings(), _libraries(path)
+    has = [*sorted(libraries), *(["sources"] if _has_sources(path) else [])]
+    if not has:
+        found.breaks("", ["no binary and no sources for any platform"])
+    for name in dict.fromkeys(e.get("modelIdentifier", "") for e in declared.interfaces):
+        called = {_as_found(name + ending) for ending in LIBRARIES}
+        lost = [f"{platform} has {', '.join(sorted(o)[:2])}" for platform, o in libraries.items() if not called & o]
+        found.breaks(f"no library is called '{name}', the modelIdentifier", lost)
+    return found.verdict(", ".join(has))
 
 
 def why_not_here(path: Path) -> str:

@@ -37,7 +37,8 @@ def _build(build: etree._Element, declared: Declared, files: set[str], found: Fi
     known = {e.get("modelIdentifier") for e in declared.interfaces}
     names = [c.get("modelIdentifier", "") for c in configurations]
     strange = [f"'{n}'" for n in dict.fromkeys(names) if n not in known]
-    found.breaks("build configurations of a modelIdentifier that no interface has", strange)
+    tell = found.notes if any(n.startswith("binaries/") for n in files) else found.breaks  # who builds needs the name
+    tell("build configurations of a modelIdentifier that no interface has", strange)
     plain = twice(c.get("modelIdentifier", "") for c in configurations if c.get("platform") is None)
     found.breaks("more than one build configuration without a platform", plain)
     named = (e.get("name", "") for e in build.iter("SourceFile"))

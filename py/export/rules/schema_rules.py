@@ -27,7 +27,7 @@ def schema_row(path: Path, declared: Declared) -> Findings:
     """Each XML file is valid and in UTF-8."""
     found, edition = Findings(), f"fmi{declared.version[0]}"
     found.breaks("", schema_errors(declared.root, f"{edition}/{edition}ModelDescription.xsd"))
-    found.breaks("", _encoding(DESCRIPTION, declared.raw))
+    _encoding(DESCRIPTION, declared.raw, found)
     for name in sorted(BESIDE.keys() & set(file_names(path))):
         try:
             raw = read_file(path, name)
@@ -40,7 +40,7 @@ def schema_row(path: Path, declared: Declared) -> Findings:
             found.breaks(name, schema_errors(root, f"fmi3/{BESIDE[name]}"))
         if declared.fmi3 and version != declared.version:
             found.breaks("", [f"{name} is of FMI {version}, where the description is of {declared.version}"])
-        found.breaks("", _encoding(name, raw))
+        _encoding(name, raw, found)
     if not declared.fmi3:
         reals = [(str(v), v.typed) for v in declared.variables if v.floating]
         reals += [(f"type '{name}'", e) for name, (kind, e) in declared.types.items() if kind in FLOATS]
@@ -60,14 +60,20 @@ def schema_errors(root: etree._Element, name: str) -> list[str]:
     return [] if schema.validate(root) else [f"line {e.line}: {e.message}" for e in schema.error_log]
 
 
-def _encoding(name: str, raw: bytes) -> list[str]:
-    """What is wrong with the encoding of a file: the first line names it, and it is UTF-8."""
+def _encoding(name: str, raw: bytes, found: Findings):
+    """What is wrong with the encoding of a file: it is UTF-8, and the first line says so.
+
+    Another name on a file of nothing but ASCII costs no importer anything: it is UTF-8 all the same.
+    """
     if raw.startswith((b"\xff\xfe", b"\xfe\xff", b"<\0", b"\0<", b"\0\0")):
-        return [f"{name} is in UTF-16 or UTF-32, where UTF-8 is required"]
-    if not (match := PROLOG.match(raw)):
-        return [f'the first line of {name} does not name its encoding (encoding="UTF-8")']
-    encoding = match[1].decode()
-    return [] if encoding.upper() == "UTF-8" else [f"{name} is in {encoding}, where UTF-8 is required"]
+        found.breaks("", [f"{name} is in UTF-16 or UTF-32, where UTF-8 is required"])
+        return
+    match = PROLOG.match(raw)
+    tell = found.notes if raw.isascii() else found.breaks
+    if not match:
+        tell("", [f'the first line of {name} does not name its encoding (encoding="UTF-8")'])
+    elif (encoding := match[1].decode()).upper() != "UTF-8":
+        tell("", [f"{name} is said to be in {encoding}, where UTF-8 is required"])
 
 
 def _infinite(element: etree._Element) -> list[str]:

@@ -71,7 +71,8 @@ def _initial_unknowns(declared: Declared, found: Findings):
     missing = [v for v in proper if _is_unknown(v) and v not in members]
     what = "calculated at the start and not among the InitialUnknowns"
     data = [v for v in missing if v.causality in ("output", "calculatedParameter")]
-    found.breaks(what, _names(data))
+    tell = found.breaks if listed else found.notes  # an exporter that writes no such list leaves importers to their own
+    tell(what, _names(data))
     found.notes(what, _names([v for v in missing if v not in data]))  # states can be asked for all the same
     if not declared.fmi3:
         places = {v: k for k, v in enumerate(declared.variables)}

@@ -32,6 +32,7 @@ _DISPLAY = {
     "W": ("kW",), "J": ("kJ",), "K": ("degC",), "Pa/s": ("bar/s",), "m3/(s.Pa)": ("L/(min.bar)",), "A": ("A", "mA"),
 }  # fmt: skip
 
+_GAUGE = re.compile(r"\b([mk]?bar|[kM]?Pa|psi) +([ga])\b")
 _TOKEN = re.compile(
     r"(?P<sqrt>sqrt\()|(?P<open>\()|(?P<close>\))|(?P<over>/)|(?P<power>\*\*|\^)|(?P<times>[.*·⋅ ])"
     r"|(?P<number>[-+]?\d+)|(?P<symbol>[A-Za-zμΩ°%‰]+)"
@@ -270,7 +271,8 @@ class _Reader:
         self.unit = unit
         if not isinstance(unit, str):
             raise UnitError(f"unit: not text (got {unit!r}). Write a string such as 'bar' or 'm3/s', '1' for none.")
-        text = re.sub(r"\s*([/.*·⋅()])\s*", r"\1", _plain(unit)) or "1"
+        text = _GAUGE.sub(r"\1\2", _plain(unit))  # of a pressure over the ambient one, and no gram
+        text = re.sub(r"\s*([/.*·⋅()])\s*", r"\1", text) or "1"
         text = f"1{text}" if text.startswith("/") else text
         self.tokens = self._split("1" if text == "-" else text)
         self.place = 0

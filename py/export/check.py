@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
+from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, UnitError
 from hydrotwin.records import Record, read_record
 from hydrotwin.records.between import told
 
@@ -194,11 +194,19 @@ def _references(
         why = nothing if record is None else description.elsewhere or "it does not load here, see 'loads'"
         return [("reference", (NOT_TRIED, why))]
     block = read_fmu(path, time_limit=limit, interpolation="hold")
+    absent = [s.name for s in block.inputs if s.name not in record]
+    if absent:
+        return [("reference", (NOT_TRIED, f"the reference lacks inputs ({', '.join(absent[:3])})"))]
     block = block.with_inputs(told(block.inputs, interpolation if reference is not None else {}, str(path)))
-    rows = [("reference", _replayed(block, record, AGREEMENT))]
-    if offers_both(description.source):
-        exchange = replace(block.description, interface="ModelExchange", any_step=True)
-        rows.append((f"reference{SECOND}", _replayed(replace(block, description=exchange), record, OTHER_SOLVER)))
+    try:
+        rows = [("reference", _replayed(block, record, AGREEMENT))]
+        if offers_both(description.source):
+            exchange = replace(block.description, interface="ModelExchange", any_step=True)
+            rows.append((f"reference{SECOND}", _replayed(replace(block, description=exchange), record, OTHER_SOLVER)))
+    except (DataError, UnitError) as reason:
+        if reference is not None:
+            raise
+        return [("reference", (NOT_TRIED, f"what it carries along cannot be replayed: {reason}"))]
     return rows
 
 

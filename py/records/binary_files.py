@@ -45,7 +45,10 @@ def _read(path: Path, kind: str, opened) -> Table:
         columns = _with_index(columns, arrow.schema)
     except Exception as error:  # a damaged file fails in many ways
         raise unreadable(path, kind, error) from None
-    return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest())
+    index = re.compile(r"__index_level_\d+__").fullmatch
+    numbers = any(index(f.name) and not _is_temporal(f.type) for f in arrow.schema)
+    said = "its index as the time in s (or --unit time=ms)" if numbers and columns[-1].name == "time" else ""
+    return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest(), understood=said)
 
 
 def _column(path: Path, field, values) -> Column:

@@ -43,8 +43,8 @@ SLOWEST = 0.5  # s: a machine is recorded faster; numbers that would mean longer
 MINUTES, HOURS = ("mm:ss", "m:s", "min:s", "min:sec"), ("hh:mm", "h:m", "h:min", "hh:mm:ss", "h:m:s", "hh:mm:ss.sss")
 
 
-def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int:
-    """Index of the time column: the one that is named, or the one whose name says so.
+def time_column(columns: Sequence[Column], wanted: str | None, path: str, unnamed: str = "") -> int:
+    """Index of the time column: the one that is named, or the one whose name says so; unnamed : place of one without.
 
     Raises `DataError` where there is none, or several that say so.
     """
@@ -72,9 +72,10 @@ def time_column(columns: Sequence[Column], wanted: str | None, path: str) -> int
             "or state the sampling rate: --rate 1000."
         )
     found = ", ".join(names[:8])
+    which = f"--time '{unnamed}' --unit '{unnamed}=s'" if unnamed else f"--time '{names[0]}'"
     raise DataError(
-        f"{path}: no column is called a time (got {found}). Say which one is: --time '{names[0]}', or state the "
-        "sampling rate where it has none: --rate 1000."
+        f"{path}: no column is called a time (got {found}). Say which one is: {which}, or state the sampling rate "
+        "where it has none: --rate 1000."
     )
 
 
@@ -213,7 +214,10 @@ def _is_fraction(column: Column, counts: np.ndarray) -> bool:
     """Whether a column holds the milliseconds of stamps in whole seconds."""
     values = column.values
     whole = not (counts % 10**9).any() and np.isfinite(values).all() and len(values) == len(counts)
-    return bool(whole and (np.diff(counts) == 0).any() and (values >= 0).all() and (values < 1000).all())
+    if not (whole and (np.diff(counts) == 0).any() and (values >= 0).all() and (values < 1000).all()):
+        return False
+    steps, later = np.diff(values), np.diff(counts)
+    return bool((later + 1e6 * steps > 0).all() and (steps[later == 10**9] < 0).all())  # else they count from the start
 
 
 def sampled_at(rate: float, count: int) -> Column:

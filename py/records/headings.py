@@ -22,6 +22,11 @@ WORDS = {
     "bara": "bar", "psia": "psi", "umin": "rpm", "watt": "W", "kelvin": "K", "umdrehungen/min": "rpm",
     "dimensionless": "1", "sek.": "s", "sec.": "s", "vdc": "V",
 }  # fmt: skip
+MISSPELT = {
+    "Mpa": "MPa", "MPA": "MPa", "KPa": "kPa", "Kpa": "kPa", "KPA": "kPa", "PA": "Pa", "KHz": "kHz", "HZ": "Hz",
+    "PSI": "psi", "Psi": "psi", "BAR": "bar", "KN": "kN", "Nmm": "N.mm", "KW": "kW", "Kg": "kg", "KG": "kg",
+    "RPM": "rpm",
+}  # fmt: skip
 _NO_UNIT = ("", "-", "--", "---", "none", "n/a", "unitless")  # what a row of units says of a pure number, or of nothing
 _BESIDE = (
     re.compile(r"(?P<name>.*?\S)\s*\((?P<unit>[^()]*(?:\([^()]*\)[^()]*)*)\)", re.DOTALL),
@@ -163,6 +168,7 @@ def spelt(unit: str) -> str:
     if unit.lower() in ("--", "---", "none", "unitless"):
         return "1"
     words = re.split(r"([/.*])", unit) if unit.lower() not in WORDS else [unit.lower()]
+    words = [MISSPELT.get(word.strip(), word) for word in words]
     return "".join("deg" if word == "Grad" else WORDS.get(word.strip().lower(), word) for word in words)
 
 

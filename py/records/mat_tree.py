@@ -201,6 +201,9 @@ class _Hdf5:
         if _holds_references(item):
             return [self._node(self._file[r], depth + 1) for r in values.ravel()]  # the order of MATLAB
         array, unit = _hdf5_array(values, kind), item.attrs.get("unit", item.attrs.get("units"))
+        if {"scale_factor", "add_offset"} & set(item.attrs):  # packed numbers, after the CF conventions
+            factor, offset = item.attrs.get("scale_factor", 1.0), item.attrs.get("add_offset", 0.0)
+            array = array * float(np.ravel(factor)[0]) + float(np.ravel(offset)[0])
         return array if unit is None else Struct({"value": array, "unit": _text(unit)})
 
     def _struct(self, group, depth: int) -> Struct | list:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fnmatch
 import math
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -56,7 +57,8 @@ class Reading:
         for f in fields(self):
             own, theirs = getattr(self, f.name), getattr(other, f.name)
             merged[f.name] = {**theirs, **own} if isinstance(own, Mapping) else theirs if own is None else own
-        variables = {ref: name for name, ref in merged["columns"].items() if ref not in merged["columns"]}
+        often = Counter(merged["columns"].values())
+        variables = {r: n for n, r in merged["columns"].items() if r not in merged["columns"] and often[r] == 1}
         for name in ("units", "scale"):  # whichever name of a column was used
             theirs, own = ({variables.get(k, k): v for k, v in getattr(r, name).items()} for r in (other, self))
             merged[name] = {**theirs, **own}
@@ -110,6 +112,8 @@ def _pairs(given: Mapping[str, str] | Sequence[str] | str, option: str) -> dict[
         name, equals, value = text.rpartition("=") if option == "units" else text.partition("=")
         if not (equals and name.strip() and value.strip()):
             raise DataError(f"{option}: no 'name=value' (got '{text}'). {_EXAMPLES[option]}")
+        if pairs.get(name.strip(), value.strip()) != value.strip():
+            raise DataError(f"{option}: '{name.strip()}' is given twice (got '{text}' too). Leave one out.")
         pairs[name.strip()] = value.strip()
     return pairs
 
@@ -157,6 +161,8 @@ def constant(name: str, text: str) -> tuple[float, str]:
     if not match:
         raise DataError(f"set: '{name}' is no number with a unit (got '{text}'). {_EXAMPLES['constants']}")
     _checked_unit(name, match[2] or "1")
+    if not math.isfinite(float(match[1])):
+        raise DataError(f"set: '{name}' is not finite (got '{text}'). {_EXAMPLES['constants']}")
     return float(match[1]), match[2] or "1"
 
 

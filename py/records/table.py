@@ -6,6 +6,7 @@ A column that cannot be used refuses no file: the record keeps its sentence, and
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +30,7 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     reading = _by_name(table, reading)
     table = _named(table, reading, refused)
     table = _with_units(table, reading)
-    table = _with_time(table, reading)
+    table = _with_time(table, reading, refused)
     _check_length(table)
     table = _usable(table, reading, refused)
     table = _without_missing(table, reading, refused)
@@ -43,14 +44,20 @@ def _by_name(table: Table, reading: Reading) -> Reading:
     """The reading with names in place of the places of columns; what has no name gets one."""
     names = [c.name for c in table.columns]
 
+    places = {r: int(r[1:]) - 1 for r in reading.columns.values() if re.fullmatch(r"#[0-9]+", r) and r not in names}
+    left = [name for k, name in enumerate(names) if k not in places.values()]
+
     def name_of(reference: str) -> str:
         if reference in names or not re.fullmatch(r"#[0-9]+", reference):
             return reference
-        return names[_place(reference, names, table.path, "a column")] or reference
+        name = names[_place(reference, names, table.path, "a column")]
+        return name if name and left.count(name) == 1 and reference not in places else reference
 
     units, scale = ({name_of(n): v for n, v in m.items()} for m in (reading.units, reading.scale))
-    alone = {reference: name_of(reference) for reference in reading.columns.values()}
-    columns = {v: alone[r] if names.count(alone[r]) == 1 else r for v, r in reading.columns.items()}
+    columns = {
+        v: names[places[r]] if places.get(r, len(names)) < len(names) and names.count(names[places[r]]) == 1 else r
+        for v, r in reading.columns.items()
+    }
     time = reading.time and name_of(reading.time)
     for reference in (time, *units, *scale):
         if reference and reference.startswith("#") and reference not in (*names, *columns.values(), *columns):
@@ -134,11 +141,13 @@ def _with_units(table: Table, reading: Reading) -> Table:
 
 
 def _scale_of(name: str, reading: Reading):
-    return reading.scale.get(name) or reading.scale.get(reading.columns.get(name, ""))
+    """The scale of a column under its own name, or under that of the file where no other column has that name now."""
+    reference = reading.columns.get(name, "")
+    return reading.scale.get(name) or (reading.scale.get(reference) if reference not in reading.columns else None)
 
 
 # -- time --------------------------------------------------------------------------------------------------------------
-def _with_time(table: Table, reading: Reading) -> Table:
+def _with_time(table: Table, reading: Reading, refused: Mapping[str, str]) -> Table:
     """The time axis [s] first. Raises DataError, UnitError where there is none."""
     columns = list(table.columns)
     if not columns:
@@ -152,7 +161,8 @@ def _with_time(table: Table, reading: Reading) -> Table:
         return _told(table, f"sampled at {reading.rate:g} Hz{instead}")
     renamed = {reference: variable for variable, reference in reading.columns.items()}
     wanted = renamed.get(reading.time, reading.time) if reading.time else None
-    at = time_column(columns, wanted, f"{table.path}: {table.header}")
+    unnamed = next((name for name in refused if name.startswith("#")), "")
+    at = time_column(columns, wanted, f"{table.path}: {table.header}", unnamed)
     time, said = in_seconds(columns, at, table.path, table.header)
     own = "" if columns[at].name == "time" else f"time is '{columns[at].name}'"
     words = ", ".join(w for w in (table.understood, own, f"{said} as time" if said else "") if w)

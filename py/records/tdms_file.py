@@ -69,7 +69,7 @@ def _channel(channel) -> _Channel:
     return _Channel(
         channel.group_name,
         name,
-        str(given.get("unit_string", "")).strip() or unit,
+        str(given.get("unit_string") or given.get("NI_UnitDescription", "")).strip() or unit,
         np.asarray(values),
         start if start is not None and start > _UNSET else None,
         float(given.get("wf_start_offset", 0.0)),

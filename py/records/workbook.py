@@ -22,6 +22,8 @@ from .text.read import Stated, table_of_text
 
 Cell = str | float | datetime.datetime | None
 
+LARGEST_SHARE = 10.0  # a cell that shows 1000 %
+DAY_ZERO = datetime.datetime(1899, 12, 31)  # from which Excel counts days
 _CELLS = 30_000_000  # of one sheet, from A1 to the last one; all are held in memory
 _UNPACKED = 2 << 30  # bytes; 30 million cells need half of it
 _CHUNK = 1 << 20  # bytes
@@ -45,7 +47,7 @@ def read_workbook(path: Path, sheet: str | None = None, decimal: str | None = No
 def _may_be_share(column: Column) -> bool:
     """Whether numbers in % are all so small that their cells may be shares, shown as %."""
     known = column.values[np.isfinite(column.values)]
-    return column.unit == "%" and len(known) > 0 and bool(np.abs(known).max() <= 1.0)
+    return column.unit == "%" and len(known) > 0 and bool(np.abs(known).max() <= LARGEST_SHARE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +119,8 @@ _NUMBERS = {float, int, datetime.datetime, datetime.date, datetime.time, datetim
 
 
 def _cell(value) -> Cell:
+    if isinstance(value, datetime.date) and value.year <= DAY_ZERO.year + 1:  # hours of a clock that passed midnight
+        return _of_day(datetime.datetime(*value.timetuple()[:6], getattr(value, "microsecond", 0)) - DAY_ZERO)
     if isinstance(value, float | datetime.datetime):
         return value
     if isinstance(value, str):
@@ -126,9 +130,13 @@ def _cell(value) -> Cell:
     if isinstance(value, datetime.date):
         return value.isoformat()
     if isinstance(value, datetime.timedelta):
-        hours, rest = divmod(value, datetime.timedelta(hours=1))
-        return f"{hours:02d}:{(datetime.datetime.min + rest).strftime('%M:%S.%f')}"
+        return _of_day(value)
     return value.strftime("%H:%M:%S.%f") if isinstance(value, datetime.time) else None
+
+
+def _of_day(duration: datetime.timedelta) -> str:
+    hours, rest = divmod(duration, datetime.timedelta(hours=1))
+    return f"{hours:02d}:{(datetime.datetime.min + rest).strftime('%M:%S.%f')}"
 
 
 def _check_size(path: Path, content: bytes) -> None:

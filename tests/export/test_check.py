@@ -46,6 +46,15 @@ def test_the_embedded_reference_is_replayed(systems, tmp_path):
     assert check["reference"].passed, str(check)
 
 
+def test_a_reference_inside_that_cannot_be_replayed_is_not_tried(systems, tmp_path):
+    record = command_record()
+    simulated = simulate(systems["lag"], record).with_signals({"command": record["command"]}, {"command": "V"})
+    fmu = export_fmu(systems["lag"], tmp_path / "a.fmu", reference=simulated)
+    check = check_fmu(rewritten(fmu, tmp_path / "b.fmu", xml={'unit="V"': 'unit="rad/s"'}))
+    assert check["reference"].verdict == "not tried"
+    assert "what it carries along cannot be replayed: " in check["reference"].detail
+
+
 def test_a_reference_that_differs_fails(fmus, systems):
     record = command_record()
     simulated = simulate(systems["lag"], record)

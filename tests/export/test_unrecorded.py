@@ -10,7 +10,7 @@ import pytest
 
 from hydrotwin.comparison import as_contender, compare
 from hydrotwin.comparison.scenario import load_contenders, read_scenario
-from hydrotwin.export import StartValueWarning, read_fmu
+from hydrotwin.export import StartValueWarning, check_fmu, read_fmu
 from hydrotwin.export.fmu_settings import AT_REST
 from hydrotwin.loading import load
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
@@ -157,3 +157,17 @@ def test_clocks_are_refused_by_name_before_anything_runs(variants, tmp_path):
     block = read_fmu(with_variables(variants, tmp_path, CLOCK))
     with pytest.raises(DeclarationError, match=r"input clocks \(tick\), and hydrotwin ticks none"):
         block.free_run(recorded(extra=1.0))
+
+
+def test_a_check_with_an_input_that_the_reference_lacks_is_not_tried(fmus):
+    row = check_fmu(fmus["delayed mass"], reference=recorded())["reference"]
+    assert (row.verdict, row.detail) == ("not tried", "the reference lacks inputs (extra)")
+
+
+def test_a_check_sets_inputs_of_the_reference_and_nothing_else(fmus, tmp_path):
+    run = read_fmu(fmus["delayed mass"]).free_run(recorded(force=3.0, extra=2.0))
+    write_record(run.with_signals({"force": np.full(len(TIME), 3.0)}, {"force": "N"}), tmp_path / "run.csv")
+    words = ("check", str(fmus["delayed mass"]), "--reference", str(tmp_path / "run.csv"), "--set")
+    assert hydrotwin(*words, "extra=2 N").code == 0
+    wrong = hydrotwin(*words, "mass.mass=2")
+    assert wrong.code == 2 and "--set mass.mass is no input of" in wrong.said

@@ -138,3 +138,10 @@ def test_parameters_take_a_unit_where_they_are_set(german):
     assert wrong.code == 2 and "--set motor.gain=100 bar: unit 'bar': cannot become" in wrong.said
     unknown = hydrotwin(*plain, "--set", "motor.gan=1 rad/(s.V)")
     assert unknown.code == 2 and "Did you mean 'motor.gain'?" in unknown.said
+
+
+@pytest.mark.parametrize("words", [("simulate", "cehA", "--input", RECORDING, "--set"), ("linearize", "cehA", "--at")])
+def test_a_name_is_set_once(german, words):
+    *command, option = words
+    answer = hydrotwin(*command, option, "motor.gain=1", option, "motor.gain=2")
+    assert answer.code == 2 and "motor.gain: it is given twice" in answer.said

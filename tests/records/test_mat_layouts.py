@@ -327,3 +327,13 @@ def test_a_cell_of_dates_is_the_time(table, tmp_path):
     record = read_record(tmp_path / "a.mat")
     np.testing.assert_allclose(record.time, T, atol=1e-12)
     np.testing.assert_allclose(record["p"], P * 1e5)
+
+
+def test_packed_numbers_of_hdf5_are_unpacked(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["time"] = np.arange(5) / 10
+        file["time"].attrs["units"] = "s"
+        file["p"] = np.arange(5, dtype=np.int16)
+        file["p"].attrs.update({"units": "bar", "scale_factor": 0.1, "add_offset": 5.0})
+    np.testing.assert_allclose(read_record(tmp_path / "a.h5")["p"], 1e5 * (5 + np.arange(5) / 10))

@@ -286,3 +286,66 @@ def test_a_constant_may_be_scaled_and_be_true(tmp_path):
     path = written(tmp_path, "time [s],p [bar]\n0,1\n1,2\n")
     record = read_record(path, constants=["current=5mA", "on=true"], scale="current=0.1 1/mA")
     assert record["current"].tolist() == [0.5, 0.5] and record["on"].tolist() == [1, 1]
+
+
+def test_a_scale_belongs_to_one_column_however_names_are_turned(tmp_path):
+    path = written(tmp_path, "time [s],a [V],b [V],c [V]\n0,1,10,100\n1,2,20,200\n")
+    swapped = read_record(path, columns=["a=b", "b=a"], scale="a=2 1")
+    assert swapped["a"].tolist() == [20, 40] and swapped["b"].tolist() == [1, 2]
+    chained = read_record(path, columns=["a=b", "b=c"], scale="b=2 1")
+    assert chained["a"].tolist() == [10, 20] and chained["b"].tolist() == [200, 400]
+    alike = read_record(path, columns=["x=b", "y=b"], scale="b=2 1")
+    assert alike["x"].tolist() == alike["y"].tolist() == [20, 40]
+
+
+def test_pairs_of_times_and_values_with_one_name_are_meant_by_their_places(tmp_path):
+    path = written(tmp_path, "Name\tp [bar]\tName\tq [bar]\n0\t1\t0\t5\n10\t2\t10\t6\n")
+    record = read_record(path, time="#1", units="#1=ms")
+    assert record.time.tolist() == [0, 0.01] and record["q"].tolist() == [5e5, 6e5]
+
+
+def test_blanks_in_stamps_part_no_cells_where_commas_do(tmp_path):
+    forms = (("time, p [bar]", "2020-01-01 12:00:0{}.500"), ("Date Time,p A [bar]", "1/2/2020 11:59:5{} PM"))
+    for head, stamp in forms:
+        record = read_record(written(tmp_path, head + "\n" + "".join(f"{stamp.format(k)}, {k}.5\n" for k in range(6))))
+        assert record.time.tolist() == list(range(6)) and record[record.names[0]][1] == 1.5e5
+
+
+def test_footers_of_several_rows_are_left_out_of_a_short_file(tmp_path):
+    rows = "".join(f"{k},{k}\n" for k in range(12))
+    for footer in ("Min,0\nMax,11\n", "Min,0\nMax,11\nMean,5.5\n"):
+        record = read_record(written(tmp_path, "time [s],p [bar]\n" + rows + footer))
+        assert len(record) == 12 and "below the numbers left out" in record.understood
+
+
+def test_milliseconds_that_count_from_the_start_are_no_fraction_of_a_second(tmp_path):
+    rows = "".join(f"10:00:0{k // 10},{100 * k},{k}\n" for k in range(5, 15))
+    with pytest.raises(DataError, match="the same time as in row"):
+        read_record(written(tmp_path, "time,ms,p [bar]\n" + rows.replace(",1000,", ",999,")))
+
+
+def test_marks_before_later_gaps_cost_no_sample(tmp_path):
+    rows = "".join(f"{'Start' if k % 20 == 0 else ''};{0.1 * k:.1f};{k}\n" for k in range(200))
+    assert len(read_record(written(tmp_path, "Marker;time [s];p [bar]\n" + rows))) == 200
+
+
+def test_gauge_pressure_is_refused_however_it_is_parted(tmp_path):
+    for unit in ("bar g", "barg", "psi g", "kPa a"):
+        with pytest.raises(DataError):
+            read_record(written(tmp_path, f"time [s],p [{unit}]\n0,1\n1,2\n"))["p"]
+
+
+def test_numbers_behind_stamps_with_a_point_are_read_quickly_too(tmp_path):
+    stamps = (f"01.05.2021 12:{k // 60000:02d}:{k // 1000 % 60:02d}.{k % 1000:03d}" for k in range(80_000))
+    rows = "".join(f"{stamp};{k},5;{k},25\n" for k, stamp in enumerate(stamps))
+    record = read_record(written(tmp_path, "Zeit;p [bar];q [bar]\n" + rows))
+    assert len(record) == 80_000 and record["q"][-1] == pytest.approx(79999.25e5)
+    np.testing.assert_allclose(np.diff(record.time), 1e-3, atol=1e-9)
+
+
+def test_an_option_says_one_thing_of_a_name(tmp_path):
+    path = written(tmp_path, "time [s],p\n0,1\n1,2\n")
+    with pytest.raises(DataError, match="'p' is given twice"):
+        read_record(path, units=["p=bar", "p=mbar"])
+    with pytest.raises(DataError, match="not finite"):
+        read_record(path, constants="q=1e400")

@@ -203,3 +203,18 @@ def test_numbers_kept_as_texts_have_a_decimal_sign_to_find_or_to_state(tmp_path)
     record = read_record(doubtful, decimal=".")
     np.testing.assert_allclose(record["p"], [1500e5, 2500e5, -1.25e5])
     np.testing.assert_array_equal(record.time, [1e-5, 0.25, 0.5])
+
+
+def test_a_time_of_day_goes_on_past_midnight(tmp_path):
+    path = book(tmp_path, Data=[["time", "p [bar]"], *([(86398 + k) / 86400, k] for k in range(6))])
+    workbook = openpyxl.load_workbook(path)
+    for row in range(2, 8):
+        workbook["Data"].cell(row, 1).number_format = "hh:mm:ss.000"
+    workbook.save(path)
+    np.testing.assert_allclose(read_record(path).time, np.arange(6), atol=1e-6)
+
+
+def test_percent_above_a_hundred_are_asked_for_too(tmp_path):
+    path = book(tmp_path, Data=[["time [s]", "u [%]"], [0, 0.5], [1, 2.75]])
+    with pytest.raises(DataError, match="its unit is % or 1"):
+        read_record(path)["u"]

@@ -143,8 +143,14 @@ def check(
     reading: Reading | None = None,
 ) -> None:
     """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken."""
-    from hydrotwin.export import check_fmu
+    from hydrotwin.export import check_fmu, read_fmu
 
+    if reading and reading.constants:  # constants of the recording, for inputs that it lacks
+        inputs = [s.name for s in read_fmu(fmu).inputs]
+        if lost := next((n for n in reading.constants if n not in inputs), None):
+            raise DeclarationError(
+                f"check: --set {lost} is no input of {fmu}, which runs at its own values here. {nearest(lost, inputs)}"
+            )
     record = read_all([reference], reading)[0] if reference else None
     answer = check_fmu(fmu, reference=record, interpolation=interpolation_from(interpolation))
     if as_json:

@@ -95,6 +95,7 @@ def settings_from(changes: list[str] | None, option: str, units: Mapping[str, st
     values = {}
     for change in changes or []:
         path, equals, text = (part.strip() for part in change.partition("="))
+        _check_once(option, path, values)
         value, unit = _number(path, text)
         if not equals or not np.isfinite(value):
             raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
@@ -108,6 +109,11 @@ def settings_from(changes: list[str] | None, option: str, units: Mapping[str, st
     return values
 
 
+def _check_once(option: str, name: str, known: Mapping) -> None:
+    if name in known:
+        raise DeclarationError(f"{option} {name}: it is given twice. Leave one out.")
+
+
 def _number(name: str, text: str) -> tuple[float, str]:
     """A number and the unit behind it, "" for none; NaN for anything else."""
     try:
@@ -118,11 +124,14 @@ def _number(name: str, text: str) -> tuple[float, str]:
 
 def texts_from(changes: list[str] | None, option: str) -> dict[str, str]:
     """The ``supply=35bar`` pairs of an option as they are written."""
-    pairs = [change.partition("=") for change in changes or []]
-    for (name, equals, text), change in zip(pairs, changes or [], strict=True):
+    values: dict[str, str] = {}
+    for change in changes or []:
+        name, equals, text = change.partition("=")
         if not (name and equals and text):
             raise DeclarationError(f"{option} {change}: no 'name=value'. Write for example supply=35bar.")
-    return {name: text for name, _, text in pairs}
+        _check_once(option, name, values)
+        values[name] = text
+    return values
 
 
 def interpolation_from(changes: list[str] | None) -> dict[str, str]:

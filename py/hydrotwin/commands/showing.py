@@ -81,7 +81,9 @@ def simulate(
     if hasattr(thing, "with_values"):
         if step is not None or method != "auto":
             raise DeclarationError(f"simulate: '{model}' is an FMU, which --step and --method do not reach. Drop them.")
-        thing = thing.with_values(texts_from(changes, "--set")).fed_by([record])
+        texts = texts_from(changes, "--set")
+        thing = thing.with_values(texts).fed_by([record])
+        tell_out_of_bounds(thing.parameters, {p.name: p.value for p in thing.parameters if p.name in texts})
         settings = {}
     else:
         settings = settings_from(changes, "--set", {p.name: p.unit for p in _parameters_of(thing)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -79,13 +80,16 @@ def _quick(body: str, place: Place) -> Block | None:
     layout, quoted = place.layout, '"' in body
     if place.decimal == layout.delimiter or (quoted and len(body) < LARGE):
         return None
+    if len(body) >= LARGE and layout.delimiter != " ":
+        with contextlib.suppress(ValueError):  # numbers in groups
+            return _with_arrow(body, body, place)
     plain = body if (layout.delimiter, place.decimal) == (",", ".") else without_groups(body, place.decimal)
     if plain is None:
         return None
     if layout.delimiter == " ":
         plain = re.sub(r"(?m)^ | $", "", re.sub(r"[ \t]+", " ", plain))
     if len(body) >= LARGE:
-        return _with_arrow(plain, body, place)
+        return _with_arrow(plain, body, replace(place, decimal="."))
     values = np.loadtxt(io.StringIO(plain), delimiter=layout.delimiter, comments=None, ndmin=2)
     if values.shape[1] != layout.width:
         return None
@@ -108,7 +112,9 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     kinds = {n: pyarrow.float64() if k in numbers else pyarrow.string() for k, n in enumerate(names)}
     read = arrow_csv.ReadOptions(column_names=names, block_size=1 << 24)
     missing = [text for word in MISSING_TEXTS for text in {word, word.upper(), word.capitalize(), _camel(word)}]
-    convert = arrow_csv.ConvertOptions(column_types=kinds, null_values=missing, strings_can_be_null=False)
+    convert = arrow_csv.ConvertOptions(
+        column_types=kinds, null_values=missing, strings_can_be_null=False, decimal_point=place.decimal
+    )
     parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
     table = arrow_csv.read_csv(pyarrow.BufferReader(plain.encode()), read, parse, convert)
     if any(table.column(k).null_count < len(table) for k in range(layout.width, count) if k in numbers):
@@ -117,10 +123,10 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     texts = [None if k in numbers else column.to_pylist() for k, column in enumerate(columns)]
     rows = _row_finder(body, place.first_row)
     values = [c.to_numpy() if t is None else np.full(len(c), np.nan) for c, t in zip(columns, texts, strict=True)]
-    pointed, problems, units = replace(place, decimal="."), [""] * layout.width, [None] * layout.width
+    problems, units = [""] * layout.width, [None] * layout.width
     for k in range(layout.width):
         if texts[k] is not None:
-            values[k], texts[k], problems[k], units[k] = _column(pointed, k, texts[k], rows)
+            values[k], texts[k], problems[k], units[k] = _column(place, k, texts[k], rows)
     return Block(values, texts, problems, rows, units)
 
 
@@ -148,7 +154,7 @@ def _carefully(body: str, place: Place) -> Block:
         if not line.strip():
             continue
         cells = cells_of(line, place.layout.delimiter)
-        if is_comment(line) and (len(cells) != width or (0 in place.layout.numeric and not _may_be_number(cells[0]))):
+        if is_comment(line) and not _may_be_number(cells[0]) and (len(cells) != width or 0 in place.layout.numeric):
             continue
         while len(cells) > width and not any(c.isdigit() for c in cells[-1]):
             cells.pop()  # an end of the row, or a remark

@@ -24,6 +24,7 @@ from ..stamps import is_stamp
 DELIMITERS = {"\t": "tab", ";": "semicolon", ",": "comma", "|": "bar", " ": "blanks"}
 LOOKED_AT = 400  # lines from which the block of numbers is told, and as many before the end of the file
 NUMERIC = 0.8  # of the rows of a block: from so many on a column with numbers in them is one of numbers
+FEW_BELOW = 4  # rows of a footer in a short file
 SMALL = 0.2  # of the rows of numbers that are looked at: fewer above another row of names are a table of their own
 EVEN = 1.5  # the longest of the steps of a clock over the shortest: rounding may make them differ
 COMMENTS = ("#", "%", "//", "'", "!")
@@ -123,8 +124,7 @@ def layout_of(lines: Sequence[str], path, delimiter: str | None = None) -> Layou
 
 def _rank(layout: Layout) -> tuple:
     """A better layout explains more: its names have its width, its cells are numbers, and there are more of them."""
-    named = layout.names is not None
-    return (named, len(layout.numeric) / layout.width if not named else 1.0, len(layout.numeric), layout.width)
+    return (layout.names is not None, len(layout.numeric) / layout.width, len(layout.numeric))
 
 
 def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout | None:
@@ -136,7 +136,7 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     rows = [cells for _, cells in block if len(cells) == width and any(map(_is_number, cells))]
     if not rows:
         return None
-    settled = rows[len(rows) // 2 :]  # behind whatever stands above the numbers
+    settled = _settled(rows)
     numeric = frozenset(j for j in range(width) if _is_numeric([row[j] for row in settled]))
     if not numeric:
         return None
@@ -160,6 +160,12 @@ def _with_delimiter(lines: Sequence[str], begin: int, delimiter: str) -> Layout 
     return Layout(first, last, delimiter, width, names, units, names_at, units_at, numeric)
 
 
+def _settled(rows: list) -> list:
+    """Rows behind whatever stands above the numbers, before whatever stands below them."""
+    below = max(len(rows) // 8, min(FEW_BELOW, len(rows) // 4))
+    return rows[len(rows) // 2 : len(rows) - below]
+
+
 def _filled(lines: Sequence[str], which: range, most: int) -> list[int]:
     """Lines of ``which`` that are not blank, ``most`` of them."""
     found = []
@@ -175,7 +181,7 @@ def _usual_width(looked: Sequence[tuple[int, list[str]]]) -> int:
     """The usual number of cells of lines with numbers, without one behind a trailing delimiter that nothing fills."""
     numbers = [any(map(_is_number, cells)) for _, cells in looked]
     rows = [cells for (_, cells), has in zip(looked, numbers, strict=True) if has]
-    counts = Counter(len(cells) for cells in rows[len(rows) // 2 :])
+    counts = Counter(len(cells) for cells in _settled(rows))
     if not counts:
         return 1
     width = max(counts, key=lambda n: (counts[n], n))
@@ -214,10 +220,10 @@ def _labels(rows: Sequence[tuple[int, list[str]]], numeric: frozenset[int]) -> s
     They have one where nearly all samples have none. A sample with a remark has it as well, but goes on as the samples
     do: with a date or time where they have one, with the usual step of a column that grows.
     """
-    bare = [cells for _, cells in rows if cells[0] == "" and any(_is_number(cells[j]) for j in numeric)]
-    if 0 in numeric or len(bare) < NUMERIC * sum(any(_is_number(cells[j]) for j in numeric) for _, cells in rows):
+    samples = [cells for _, cells in rows if any(_is_number(cells[j]) for j in numeric)]
+    if 0 in numeric or sum(cells[0] == "" for cells in samples) < NUMERIC * len(samples):
         return set()
-    clock = next((j for j in sorted(numeric) if _goes_on(bare[-LOOKED_AT // 4 :], j)), None)
+    clock = next((j for j in sorted(numeric) if _goes_on(samples[-(len(samples) // 2) :], j)), None)
     found, following = set(), []
     for k, cells in reversed(rows):
         named = cells[0] and any(_is_number(cells[j]) for j in numeric)

@@ -11,9 +11,9 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .clocks import called_time
+from .clocks import TIME_OF_DAY, called_time
 from .columns import Column, Table
-from .headings import split_header
+from .headings import split_header, together
 from .rasters import is_time_unit
 from .record import Record
 
@@ -48,6 +48,8 @@ def _read(path: Path, kind: str, opened) -> Table:
     index = re.compile(r"__index_level_\d+__").fullmatch
     numbers = any(index(f.name) and not _is_temporal(f.type) for f in arrow.schema)
     said = "its index as the time in s (or --unit time=ms)" if numbers and columns[-1].name == "time" else ""
+    times = [f for f in arrow.schema if called_time(split_header(f.name)[0]) or index(f.name)]
+    said = TIME_OF_DAY if any(_is_of_day(f.type) for f in times) else said
     return Table(str(path), tuple(columns), lambda k: k + 1, hashlib.sha256(content).hexdigest(), understood=said)
 
 
@@ -59,7 +61,7 @@ def _column(path: Path, field, values) -> Column:
     from pyarrow import types
 
     name, unit = split_header(field.name)
-    unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace") or unit
+    unit = together(unit, (field.metadata or {}).get(b"unit", b"").decode(errors="replace"))
     if types.is_dictionary(values.type):
         values = values.cast(values.type.value_type)
     kind = values.type
@@ -135,6 +137,12 @@ def _with_index(columns: list[Column], schema) -> list[Column]:
 def _in_fractions(values: np.ndarray) -> bool:
     """Does it grow in steps that are no whole numbers, as seconds do and row numbers do not?"""
     return len(values) > 1 and bool((np.diff(values) > 0).all() and (values != np.round(values)).any())
+
+
+def _is_of_day(kind) -> bool:
+    from pyarrow import types
+
+    return types.is_time(kind)
 
 
 def _is_stamp(kind) -> bool:

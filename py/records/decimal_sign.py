@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterable, Iterator
 from decimal import Decimal, localcontext
@@ -14,6 +15,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 SIGNS = (".", ",")
+LOOKED_AT = 2000  # cells from which a mixture of signs is told
 _SPACES = " \u00a0\u202f\u2009'\u2019"  # blanks and apostrophes: they only ever group thousands
 MINUS = str.maketrans(dict.fromkeys("\u2212\u2013\ufe63\uff0d", "-"))  # what word processors write for a minus
 MISSING_TEXTS = {
@@ -32,7 +34,17 @@ def found_decimal(body: str, delimiter: str, path, first_row: int) -> str:
 
     Raises `DataError` where every cell with a sign may be a decimal number or one of thousands.
     """
-    doubtful = None
+    doubtful, seen = None, {}
+    for match in itertools.islice(_cells_with_sign(body, delimiter), LOOKED_AT if delimiter == " " else 0):
+        own = {sign for sign in SIGNS if sign in match[1]}
+        if len(own) == 1 and _signs_of(match[1].strip(), match[2] or ""):
+            seen.setdefault(own.pop(), match)
+    if len(seen) == 2:  # programs that part cells by blanks group nothing
+        cells = " and ".join(f"'{m[1].strip()}'" for m in seen.values())
+        raise DataError(
+            f"{path}: {cells} have different decimal signs, and cells parted by blanks hold no groups of thousands. "
+            "Write one sign, or state which it is: --decimal ',' or --decimal '.'."
+        )
     for match in _cells_with_sign(body, delimiter):
         signs = _signs_of(match[1].strip(), match[2] or "")
         if len(signs) == 1:

@@ -23,7 +23,7 @@ WORDS = {
     "dimensionless": "1", "sek.": "s", "sec.": "s", "vdc": "V",
 }  # fmt: skip
 MISSPELT = {
-    "Mpa": "MPa", "MPA": "MPa", "KPa": "kPa", "Kpa": "kPa", "KPA": "kPa", "PA": "Pa", "KHz": "kHz", "HZ": "Hz",
+    "Mpa": "MPa", "MPA": "MPa", "KPa": "kPa", "Kpa": "kPa", "KPA": "kPa", "KHz": "kHz", "HZ": "Hz",
     "PSI": "psi", "Psi": "psi", "BAR": "bar", "KN": "kN", "Nmm": "N.mm", "KW": "kW", "Kg": "kg", "KG": "kg",
     "RPM": "rpm",
 }  # fmt: skip
@@ -74,7 +74,7 @@ def _may_be_unit(unit: str, name: str, letters: bool) -> bool:
     """Whether what stands behind a name is a unit: no letter that is as likely a port or a quantity."""
     if unit in LABELS:
         return unit in ("min", "h") and called_time(name)
-    if unit.isdigit():
+    if unit.isdigit() or re.fullmatch(r"[A-Za-z]+1", unit):  # a port; nobody writes the exponent 1
         return False
     if len(unit) == 1 and unit.isalpha() and unit not in SURE:
         if unit == "A":

@@ -57,10 +57,9 @@ class Reading:
         for f in fields(self):
             own, theirs = getattr(self, f.name), getattr(other, f.name)
             merged[f.name] = {**theirs, **own} if isinstance(own, Mapping) else theirs if own is None else own
-        often = Counter(merged["columns"].values())
-        variables = {r: n for n, r in merged["columns"].items() if r not in merged["columns"] and often[r] == 1}
         for name in ("units", "scale"):  # whichever name of a column was used
-            theirs, own = ({variables.get(k, k): v for k, v in getattr(r, name).items()} for r in (other, self))
+            theirs = _by_variable(getattr(other, name), other.columns)
+            own = _by_variable(getattr(self, name), merged["columns"])
             merged[name] = {**theirs, **own}
         if self.rate is not None or self.time is not None:  # one of them decides the time
             merged["rate"], merged["time"] = self.rate, self.time
@@ -68,6 +67,13 @@ class Reading:
 
     def __bool__(self) -> bool:
         return any(getattr(self, f.name) for f in fields(self))
+
+
+def _by_variable(said: Mapping, columns: Mapping[str, str]) -> dict:
+    """What is said of columns, by the names that these have in the record, where one of them has it alone."""
+    often = Counter(columns.values())
+    variables = {r: n for n, r in columns.items() if r not in columns and often[r] == 1}
+    return {variables.get(key, key): value for key, value in said.items()}
 
 
 def reading_of(**said) -> Reading:

@@ -41,8 +41,9 @@ def _spread(time: np.ndarray) -> np.ndarray:
     if not len(steps):
         return time
     rates = steps / lengths[:-1]
-    usual = float(np.median(rates[1:] if len(rates) > 1 else rates))  # the first may be cut
-    gaps = steps > LONG * np.median(steps)  # nothing was recorded at their end
+    gaps = steps > LONG * np.quantile(steps, 0.25)  # nothing was recorded at their end
+    whole = rates[1:][~gaps[1:]]  # the first may be cut
+    usual = float(np.median(whole if len(whole) else rates[~gaps]))
     each = np.concatenate([np.where(gaps, np.fmin(rates, usual), rates), [usual]])
     if 0 < usual * lengths[0] < steps[0]:  # the recording began within this stamp: its samples lie at its end
         stamps[0] += steps[0] - usual * lengths[0]

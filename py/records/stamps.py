@@ -67,11 +67,11 @@ def nanoseconds(cells: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     the index of the first cell that is neither a stamp nor empty.
     """
     readings, even = [], _evenly_written(cells)
-    for month_first in (False, True):
+    for order in ORDERS:
         try:
-            readings.append(even.read(month_first) if even else _read(cells, month_first))
+            readings.append(even.read(order) if even else _read(cells, order))
         except _NotADate as error:
-            if month_first and not readings:
+            if order == ORDERS[-1] and not readings:
                 raise ValueError(error.args[0]) from None
     return min(readings, key=lambda found: _span(*found))
 
@@ -85,10 +85,10 @@ class _Even:
     of_day: np.ndarray
     begins: np.ndarray
 
-    def read(self, month_first: bool) -> tuple[np.ndarray, np.ndarray]:
+    def read(self, order: str) -> tuple[np.ndarray, np.ndarray]:
         counts, absent = self.of_day, np.zeros(len(self.cells), dtype=bool)
         if self.form is not TIME_OF_DAY:
-            days = [_day(self.form.fullmatch(self.cells[k]), month_first, k) for k in self.begins.tolist()]
+            days = [_day(self.form.fullmatch(self.cells[k]), order, k) for k in self.begins.tolist()]
             counts = counts + np.repeat(days, np.diff([*self.begins, len(self.cells)])) * DAY
         return counts, absent
 
@@ -128,6 +128,9 @@ def _of_day_evenly(codes: np.ndarray, match: re.Match) -> np.ndarray:
     return ((hour * 60 + part("m") - east) * 60 + part("s")) * 10**9 + part("f")
 
 
+ORDERS = ("day first", "month first", "year first")  # of numbers; the last only of years of two digits
+
+
 class _NotADate(Exception):
     """Index of a cell that cannot be read so."""
 
@@ -137,7 +140,7 @@ def _span(counts: np.ndarray, absent: np.ndarray) -> float:
     return float(np.abs(np.diff(known)).sum()) if len(known) else 0.0
 
 
-def _read(cells: Sequence[str], month_first: bool) -> tuple[np.ndarray, np.ndarray]:
+def _read(cells: Sequence[str], order: str) -> tuple[np.ndarray, np.ndarray]:
     counts, absent = np.zeros(len(cells), dtype=np.int64), np.zeros(len(cells), dtype=bool)
     known: dict[str, int] = {}
     form = None
@@ -158,7 +161,7 @@ def _read(cells: Sequence[str], month_first: bool) -> tuple[np.ndarray, np.ndarr
             continue
         date = text[: match.start("h")] if match["h"] else text
         if date not in known:
-            known[date] = _day(match, month_first, k)
+            known[date] = _day(match, order, k)
         counts[k] = known[date] * DAY + of_day
     return counts, absent
 
@@ -179,15 +182,17 @@ def _of_day(match: re.Match) -> int:
     return seconds * 10**9 + int((parts["f"] or "0").ljust(9, "0"))
 
 
-def _day(match: re.Match, month_first: bool, k: int) -> int:
+def _day(match: re.Match, order: str, k: int) -> int:
     parts = match.groupdict()
     year = int(parts["y"]) + (2000 if len(parts["y"]) == 2 else 0)
     if parts.get("name"):
         month, day = _MONTHS.get(parts["name"].lower()[:3], 0), int(parts["d"])
     elif parts.get("a"):
-        swapped = month_first and parts["by"] != "."  # with points the day comes first
+        swapped = order == "month first" and parts["by"] != "."  # with points the day comes first
         first, second = int(parts["a"]), int(parts["b"])
         day, month = (second, first) if swapped else (first, second)
+        if order == "year first" and len(parts["y"]) == 2:
+            year, month, day = 2000 + first, second, int(parts["y"])
     else:
         month, day = int(parts["mo"]), int(parts["d"])
     try:

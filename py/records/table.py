@@ -33,8 +33,10 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     table = _with_time(table, reading, refused)
     _check_length(table)
     table = _usable(table, reading, refused)
-    table = _without_missing(table, reading, refused)
-    table = _with_clock(table, reading.clock)
+    if np.isnan(table.columns[0].values).any():
+        table = _with_clock(_without_missing(table, reading, refused), reading.clock)
+    else:  # a repair counts the samples of a stamp: none may be gone before
+        table = _without_missing(_with_clock(table, reading.clock), reading, refused)
     table = _with_constants(table, reading)
     return _in_si(table, name, reading, refused)
 
@@ -51,7 +53,8 @@ def _by_name(table: Table, reading: Reading) -> Reading:
         if reference in names or not re.fullmatch(r"#[0-9]+", reference):
             return reference
         name = names[_place(reference, names, table.path, "a column")]
-        return name if name and left.count(name) == 1 and reference not in places else reference
+        plain = name and left.count(name) == 1 and name not in reading.columns and reference not in places
+        return name if plain else reference
 
     units, scale = ({name_of(n): v for n, v in m.items()} for m in (reading.units, reading.scale))
     columns = {
@@ -163,6 +166,11 @@ def _with_time(table: Table, reading: Reading, refused: Mapping[str, str]) -> Ta
     wanted = renamed.get(reading.time, reading.time) if reading.time else None
     unnamed = next((name for name in refused if name.startswith("#")), "")
     at = time_column(columns, wanted, f"{table.path}: {table.header}", unnamed)
+    if _scale_of(columns[at].name, reading):
+        raise DataError(
+            f"{table.path}: column '{columns[at].name}' is the time, which takes no scale. State its unit (--unit "
+            f"'{columns[at].name}=ms'), or the sampling rate: --rate 1000."
+        )
     time, said = in_seconds(columns, at, table.path, table.header)
     own = "" if columns[at].name == "time" else f"time is '{columns[at].name}'"
     words = ", ".join(w for w in (table.understood, own, f"{said} as time" if said else "") if w)

@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import DataError
 from .binary_files import content_of, unreadable
 from .clocks import called_time
 from .columns import Table
-from .headings import spelt, split_header
+from .headings import spelt, split_header, together
 from .rasters import Axis, Signal, in_seconds, is_time_unit, table_of
 
 _EPOCH = np.datetime64("1904-01-01", "ns")
@@ -69,7 +69,7 @@ def _channel(channel) -> _Channel:
     return _Channel(
         channel.group_name,
         name,
-        str(given.get("unit_string") or given.get("NI_UnitDescription", "")).strip() or unit,
+        together(unit, str(given.get("unit_string") or given.get("NI_UnitDescription", "")).strip()),
         np.asarray(values),
         start if start is not None and start > _UNSET else None,
         float(given.get("wf_start_offset", 0.0)),

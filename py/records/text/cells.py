@@ -18,7 +18,7 @@ from ..stamps import is_stamp
 from .layout import Layout, cells_of, is_comment
 
 LARGE = 2_000_000  # characters: from here on pyarrow is worth its import
-_WITH_UNIT = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?\s*([^\s\d.,:;+-][^\s:;]*)")
+_WITH_UNIT = re.compile(r"[-+]?\d[\d.,]*(?:[eE][-+]?\d+)?(?:\s+|(?=[%°])|(?=[^\W\d]{2}))([^\s\d.,:;+-][^\s:;]*)")
 _HEAD = 100  # cells that tell a column of text
 _SHOWN = 40  # characters of a cell in a sentence
 
@@ -117,8 +117,8 @@ def _with_arrow(plain: str, body: str, place: Place) -> Block | None:
     )
     parse = arrow_csv.ParseOptions(delimiter=layout.delimiter)
     table = arrow_csv.read_csv(pyarrow.BufferReader(plain.encode()), read, parse, convert)
-    if any(table.column(k).null_count < len(table) for k in range(layout.width, count) if k in numbers):
-        return None
+    if any(cell for k in range(layout.width, count) for cell in table.column(k).unique().to_pylist()):
+        return None  # values without a column
     columns = [table.column(k) for k in range(layout.width)]
     texts = [None if k in numbers else column.to_pylist() for k, column in enumerate(columns)]
     rows = _row_finder(body, place.first_row)
@@ -199,6 +199,8 @@ def _column(place: Place, j: int, cells: Sequence[str], row: Callable[[int], int
 
 def _unit_behind(cells: Sequence[str]) -> str | None:
     """The unit that stands behind the number in all of these cells."""
+    if any(number_in(cell, d) is not None for cell in cells for d in SIGNS):
+        return None  # 1.5d2 is a number
     matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
     units = {match[1] for match in matches if match}
     return units.pop() if matches and all(matches) and len(units) == 1 and is_unit(next(iter(units))) else None

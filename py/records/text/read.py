@@ -23,7 +23,7 @@ from .layout import Layout, Lines, cells_of, is_comment, layout_of
 HEAD = 20_000  # characters in which a name in quotes may span two lines
 _BROKEN = re.compile(r'(?:^|(?<=[,;\t\n]))"[^"\n]{0,80}\n[^"\n]{0,80}"(?=[,;\t\n])')
 _QUOTED = re.compile(r'(?:"[^"\n]*(?:[;\t]|,[^"\n]*,)[^"\n]*"[ \t]*\n){3}')
-_SECONDS = re.compile(r"(:\d{2}:\d{2}),(\d{3})(?=,)")  # Python's logging writes its stamps so
+_SECONDS = re.compile(r"(\d{4}-\d{2}-\d{2} \d{2}:\d{2}:\d{2}),(\d{3})(?=,)")  # Python's logging writes its stamps so
 _BETWEEN = "\x1f"  # delimiter in place of the comma where quoted cells hold commas: no number contains it
 
 
@@ -91,7 +91,7 @@ def _plain(text: str) -> str:
     if match := _SECONDS.search(text[:HEAD]):
         *above, row = text[: text.find("\n", match.end())].rstrip("\n").split("\n")
         names = next((line for line in reversed(above) if line.strip()), "")
-        if len(cells_of(names, ",")) == len(cells_of(row, ",")) - 1:
+        if len(cells_of(names.rstrip(", "), ",")) == len(cells_of(row.rstrip(", "), ",")) - 1:
             return _SECONDS.sub(r"\1.\2", text)
     return text
 

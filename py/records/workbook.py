@@ -87,7 +87,11 @@ def read_sheet(path: Path, name: str | None = None) -> Sheet:
     except Exception as error:  # a damaged archive fails in many ways
         raise unreadable(path, "Excel", error) from None
     name = next(iter(sheets), "") if len(sheets) < 2 else max(sheets, key=lambda n: _numbers_in(sheets[n]))
-    rows = [[_cell(v) for v in row] for row in sheets.get(name, [])]
+    raw = sheets.get(name, [])
+    mixed = {j for row in raw for j, v in enumerate(row) if type(v) is float} & {
+        j for row in raw for j, v in enumerate(row) if type(v) is bool
+    }  # a truth value among numbers is none of them
+    rows = [[str(v) if j in mixed and type(v) is bool else _cell(v) for j, v in enumerate(row)] for row in raw]
     others = tuple(n for n in book.sheet_names if n != name)
     return Sheet(name, rows, others, hashlib.sha256(content).hexdigest())
 

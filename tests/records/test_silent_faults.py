@@ -77,3 +77,10 @@ def test_ports_with_a_number_and_letters_behind_numbers_are_no_units(tmp_path):
     record = read_record(written(tmp_path, "time [s];p (A1);x;y;z [bar]\n0;1;1A;1.5d2;0\n1;2;1A;1.5d2;0\n"))
     assert set(record.refused) == {"p (A1)", "x", "y"} and record.names == ("z",)
     assert "has no unit" in record.refused["p (A1)"] and "text" in record.refused["x"]
+
+
+def test_what_instruments_write_for_an_overflow_is_no_value(tmp_path):
+    path = written(tmp_path, "time [s];p [bar]\n0;1\n1;+9.9E37\n2;3\n")
+    with pytest.raises(DataError, match="row 3, column 'p': no value"):
+        read_record(path)["p"]
+    assert np.isnan(read_record(path, missing="keep")["p"][1])

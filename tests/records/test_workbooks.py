@@ -218,3 +218,10 @@ def test_percent_above_a_hundred_are_asked_for_too(tmp_path):
     path = book(tmp_path, Data=[["time [s]", "u [%]"], [0, 0.5], [1, 2.75]])
     with pytest.raises(DataError, match="its unit is % or 1"):
         read_record(path)["u"]
+
+
+def test_a_truth_value_among_numbers_is_none_of_them(tmp_path):
+    rows = [*([k / 10, k + 0.5, k > 2] for k in range(6)), [0.6, True, True]]
+    path = book(tmp_path, Data=[["t [s]", "p [bar]", "on [1]"], *rows])
+    record = read_record(path)
+    assert "not a number (got 'True')" in record.refused["p"] and record["on"].tolist() == [0, 0, 0, 1, 1, 1, 1]

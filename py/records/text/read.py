@@ -20,6 +20,7 @@ from .decode import text_of
 from .labview import is_labview, labview_layout
 from .layout import Layout, Lines, cells_of, is_comment, layout_of
 
+OVERFLOW = (9.9e37, 9.91e37)  # what instruments write after SCPI for a value beyond the range, and for none
 HEAD = 20_000  # characters in which a name in quotes may span two lines
 _BROKEN = re.compile(r'(?:^|(?<=[,;\t\n]))"[^"\n]{0,80}\n[^"\n]{0,80}"(?=[,;\t\n])')
 _QUOTED = re.compile(r'(?:"[^"\n]*(?:[;\t]|,[^"\n]*,)[^"\n]*"[ \t]*\n){3}')
@@ -123,6 +124,8 @@ def _headings(layout: Layout) -> list[tuple[str, str | None]]:
 def _column(heading, block: Block, k: int, body: str, layout: Layout, decimal: str) -> Column:
     name, unit = heading
     values, texts = block.values[k], block.texts[k]
+    if len(values) and np.nanmax(np.abs(values), initial=0.0) >= OVERFLOW[0]:
+        values = np.where(np.isin(np.abs(values), OVERFLOW), np.nan, values)
     if texts is None and len(values) > 1 and np.isfinite(values).all() and UNSEEN < rounding_of(values) < np.inf:
         texts = [cell if decimal == "." else cell.replace(",", ".") for cell in column_cells(body, layout, k)]
     return Column(name, unit, values, block.problems[k], texts)

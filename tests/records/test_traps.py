@@ -319,9 +319,11 @@ def test_footers_of_several_rows_are_left_out_of_a_short_file(tmp_path):
 
 
 def test_milliseconds_that_count_from_the_start_are_no_fraction_of_a_second(tmp_path):
-    rows = "".join(f"10:00:0{k // 10},{100 * k},{k}\n" for k in range(5, 15))
+    rows = "".join(f"10:00:0{(k + 5) // 10},{100 * k},{k}\n" for k in range(10))
     with pytest.raises(DataError, match="the same time as in row"):
-        read_record(written(tmp_path, "time,ms,p [bar]\n" + rows.replace(",1000,", ",999,")))
+        read_record(written(tmp_path, "time,ms,p [bar]\n" + rows))
+    rows = "".join(f"10:00:0{(k + 5) // 10},{(100 * k + 500) % 1000},{k}\n" for k in range(10))
+    np.testing.assert_allclose(read_record(written(tmp_path, "time,ms,p [bar]\n" + rows)).time, np.arange(10) / 10)
 
 
 def test_marks_before_later_gaps_cost_no_sample(tmp_path):

@@ -64,6 +64,7 @@ def minimise(
     most: int = 50,
     hold: bool = False,
     until: float = np.inf,
+    at: Linearisation | None = None,
     on_step: Callable[[int, float, float], None] = lambda number, cost, damping: None,
 ) -> Minimum:
     """Minimise the cost; stop when a full step promises less than ``absolute`` (plus ``relative`` of the unexplained).
@@ -73,11 +74,12 @@ def minimise(
     twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale,
     or when steps that promised less than that kept no promise: a cost that is rough on a small scale never ends to
     promise. A step that diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start
-    states alone. ``until``: the processor time [s], as of `time.process_time`, at which it stops where it is.
+    states alone. ``until``: the processor time [s], as of `time.process_time`, at which it stops where it is. ``at``:
+    the expansion at q and z, where it is known.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     logarithmic = shooting.free.logarithmic
-    at = shooting.linearise(q, z)
+    at = at or shooting.linearise(q, z)
     if at.diverged.all():
         raise SolveError(
             f"identify: every run diverges at {_where(shooting, q)}. Start elsewhere or use shorter windows."
@@ -135,6 +137,13 @@ def without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Lin
     moves = np.concatenate([np.ones((len(z), shared)), ~stays], axis=1)
     hessian = at.hessian * moves[:, :, None] * moves[:, None, :] + _diagonal_blocks(1 - moves)
     return dataclasses.replace(at, gradient=at.gradient * moves, hessian=hessian)
+
+
+def states_alone(at: Linearisation, shared: int) -> np.ndarray:
+    """The step of the start states (segments, private) when the shared parameters stay where they are."""
+    H, g = at.hessian[:, shared:, shared:], at.gradient[:, shared:]
+    floor = _diagonal_blocks(1e-9 * _floored(np.einsum("sii->si", H)) + at.diverged[:, None])
+    return -np.linalg.solve(H + floor, g[:, :, None])[:, :, 0]
 
 
 class DampedStep:

@@ -22,7 +22,7 @@ from hydrotwin.identification.descent import Task, held_out_run, undecided, whol
 from hydrotwin.identification.excitation import sigmas
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
-from hydrotwin.identification.shooting import Shooting
+from hydrotwin.identification.shooting import Linearisation, Shooting
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
@@ -31,6 +31,7 @@ from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, t
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
+ROUGHLY = {"absolute": 2.0, "relative": 0.02, "stalled": 10.0}  # of such a look: candidates must be told apart
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
 COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
@@ -63,7 +64,7 @@ def glance(job: Job) -> Look | str:
     """
     began = time.perf_counter()
     try:
-        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW))
+        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW), ROUGHLY)
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
@@ -84,25 +85,25 @@ def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
     return settled(*_first(job), job.iterations, job.seconds)
 
 
-def _first(job: Job) -> tuple[Task, Minimum]:
+def _first(job: Job, rules: Mapping[str, float] = FIRST) -> tuple[Task, Minimum]:
     """The task and its first minimum from the cheapest start."""
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     task = task_of(job, job.starts[0], size, moving_starts(job))
     shooting, z = whole_runs(task)
     z = given(shooting, z, job.states)
-    start = _cheapest(task, job, shooting, z)
-    return task, minimise(shooting, start, z, **FIRST, most=job.iterations, until=job.seconds)
+    start, at = _cheapest(task, job, shooting, z)
+    return task, minimise(shooting, start, z, **rules, most=job.iterations, until=job.seconds, at=at)
 
 
-def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> np.ndarray:
-    """Scaled parameters of the cheapest start from which a derivative leads on; the task's own where there is but one.
+def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> tuple[np.ndarray, Linearisation | None]:
+    """Scaled parameters of the cheapest start from which a derivative leads on, and the expansion there if it is known.
 
     Far from the machine a free run may be so sensitive that its derivatives explode, though it ends nearby.
     """
     free = task.free
     if len(job.starts) == 1:
-        return free.scaled(free.start)
+        return free.scaled(free.start), None
     points = [point_of(free, start) for start in job.starts]
     began = time.process_time()
     costs = []
@@ -112,9 +113,9 @@ def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> np.nda
             break  # so stiff that the first few must do
     points = [points[k] for k in np.argsort(costs)]
     if time.process_time() - began > COSTLY * (job.seconds - began):
-        return points[0]
-    leading = (q for q in points if not shooting.linearise(q, z).diverged.any())
-    return next(leading, points[0])
+        return points[0], None
+    expansions = ((q, shooting.linearise(q, z)) for q in points)
+    return next(((q, at) for q, at in expansions if not at.diverged.any()), (points[0], None))
 
 
 def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tuple[Task, Minimum, list[np.ndarray]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from ..fits.whole import trajectories
 from .starts import diagonal, looks, seen_by, small, usual
 from .table import Entry, Table
 
+TOGETHER = 6  # starts of several effects, of all combinations of theirs
 SOON = 2.0  # looks that a fit from where a good one ended may take
 
 
@@ -49,11 +50,16 @@ EFFORTS = {
 
 @dataclass(eq=False)
 class Jobs:
-    """What can be asked of the structures of a table. extent : what looks at whole recordings see; None: all."""
+    """What can be asked of the structures of a table.
+
+    extent : what looks at whole recordings see; None: all. begin : base parameters by path that begin elsewhere than
+    where the user put them, since the recordings show another frequency.
+    """
 
     table: Table
     effort: Effort
     extent: Question | None = None
+    begin: Mapping[str, float] = field(default_factory=dict)
     trajectories: list[np.ndarray] | None = None
 
     def next(self, entry: Entry, first: int) -> Job:
@@ -66,17 +72,18 @@ class Jobs:
             return self.of(entry, self.starts(entry), stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
-            end = at + 1 if entry.members else lengths
+            end = at + 1 if entry.members else max(at + 1, first)
             limit = self.effort.look if entry.members else self.effort.seconds
             return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self.whole(entry)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
-        known, starts = self.table.entry().fitted, self.starts(entry)
+        """A few steps over whole recordings from where the base ended there, effects at usual sizes or a tenth of them."""
+        base, starts = self.table.entry(), self.starts(entry)
+        known = base.look if entry.members and base.look.left is not None else base.fitted
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
         starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
-        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
+        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
 
     def whole(self, entry: Entry) -> Job:
@@ -109,11 +116,11 @@ class Jobs:
         return self.of(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
-        """Starts of a structure: each of its effects at usual values, the base where its user put it."""
+        """Starts of a structure: each of its effects at usual values, the base where its user put it or as it begins."""
         each = [usual(c, self._seen(c)) for c in entry.members]
-        if len(each) < 2:
-            return each[0] if each else [{}]
-        return [{n: v for start in starts for n, v in start.items()} for starts in itertools.islice(diagonal(each), 6)]
+        together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
+        found = [{n: v for start in starts for n, v in start.items()} for starts in together]
+        return [{**self.begin, **start} for start in found] + (found[:1] if self.begin and entry.members else [])
 
     def _seen(self, candidate: Candidate):
         base, flat = self.table.entries[NOTHING], self.table.base.flat

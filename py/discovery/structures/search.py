@@ -8,11 +8,12 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydrotwin.identification.frequencies import detuned
 from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.problem import free_parameters
 from hydrotwin.models.effects import Candidate
@@ -32,6 +33,7 @@ FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of what explains all
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
+LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -129,21 +131,41 @@ class Search:
         start = free_parameters(table.base.flat, table.free)
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
-        self._advance([base], SHORT)
+        if lengths:
+            self._find_valley(base, detuned(table.base.flat, q.fit, start, q.usual))
+        self._lead(base, SHORT)
         self.first = telling(table)
         if with_fewer_windows(table, self.first):
             base.look = None  # it begins anew with those
-        self._advance([base], len(lengths))
-        starts = self.jobs.whole(base).starts if base.look else ({},)
+        self._lead(base, len(lengths))
+        starts = different(self.jobs.whole(base).starts if base.look else ({},))
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        jobs = [self.jobs.of(base, [start], size=size, states=states) for start in different(starts)]
-        found = [f for f in self._ran(jobs) if isinstance(f, Fitted)]
-        base.fitted = min(found, key=lambda f: score(f.left, table.floor()), default=None)
+        for some in (starts[:1], starts[1:]):
+            found = self._ran([self.jobs.of(base, [start], size=size, states=states) for start in some])
+            known = [f for f in (*found, base.fitted) if isinstance(f, Fitted)]
+            base.fitted = min(known, key=lambda f: score(f.left, table.floor()), default=None)
+            if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
+                break
         if not base.fitted:
             raise SolveError(
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
+
+    def _lead(self, base: Entry, lengths: int) -> None:
+        """Lead the base through the first ``lengths`` of windows, where it has not gone through them."""
+        if base.open and (not base.look or len(base.look.squares) < min(lengths, len(self.table.question.lengths))):
+            self._advance([base], lengths)
+
+    def _find_valley(self, base: Entry, starts: Sequence[Mapping[str, float]]) -> None:
+        """Look at the base from starts of other frequencies, and begin where the shortest windows leave clearly least."""
+        table = self.table
+        looks = self._ran([self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in starts])
+        found = [(look, start) for look, start in zip(looks, starts, strict=True) if isinstance(look, Look)]
+        if found:
+            least = min(table.in_windows(look, 0) for look, _ in found)
+            enough = (1 + SAME) * least + 1.0
+            base.look, self.jobs.begin = next(pair for pair in found if table.in_windows(pair[0], 0) <= enough)
 
     def take_looks(self, before: Search) -> None:
         """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings.

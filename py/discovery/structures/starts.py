@@ -81,8 +81,8 @@ def _paths(candidate: Candidate) -> dict[str, str]:
 
 
 def different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """The user's start, and of those that windows led to the last and the first: a free run may lead from one alone."""
-    chosen = [starts[-1], *starts[:1], *starts[1:-1][:1]]
+    """Where windows led to at last, the user's start, and where they led to first: a free run may lead from one alone."""
+    chosen = [*starts[:1], starts[-1], *starts[1:-1][:1]]
     return [start for i, start in enumerate(chosen) if start not in chosen[:i]]
 
 

@@ -144,6 +144,10 @@ class Table:
         """S of what the base leaves in windows of one length, nats."""
         return self._in_windows(self.base_in_windows(stage))
 
+    def in_windows(self, look: Look, stage: int) -> float:
+        """S of what a look leaves in windows of one length, nats."""
+        return self._in_windows(self._left(look, stage))
+
     def base_in_windows(self, stage: int) -> Spectrum:
         """What the base leaves in windows of one length, and never more than the mean of an output would."""
         left = self._left(self.entries[NOTHING].look, stage)

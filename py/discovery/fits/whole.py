@@ -57,6 +57,15 @@ def fit(job: Job) -> Fitted | str:
     return dataclasses.replace(_answer(task, found, left), seconds=time.perf_counter() - began)
 
 
+def led(job: Job) -> Fitted | str:
+    """Fit a structure to whole recordings from its start through all windows. Pure and picklable."""
+    found = look(dataclasses.replace(job, stages=(0, len(job.question.lengths))))
+    if isinstance(found, str):
+        return found
+    starts = (found.values, *found.trail[::-1], *job.starts)
+    return fit(dataclasses.replace(job, starts=starts, states=found.states, size=found.size))
+
+
 def glance(job: Job) -> Look | str:
     """A few steps over whole recordings, of what cannot begin in their middle; a sentence when it diverges.
 

@@ -52,13 +52,15 @@ EFFORTS = {
 class Jobs:
     """What can be asked of the structures of a table.
 
-    extent : what looks at whole recordings see; None: all. begin : base parameters by path that begin elsewhere than
+    extent : what looks at whole recordings see; None: all. windows : the question whose windows lead a fit from its
+    start, where looks do not go through them. begin : base parameters by path that begin elsewhere than
     where the user put them, since the recordings show another frequency.
     """
 
     table: Table
     effort: Effort
     extent: Question | None = None
+    windows: Question | None = None
     begin: Mapping[str, float] = field(default_factory=dict)
     trajectories: list[np.ndarray] | None = None
 
@@ -91,6 +93,10 @@ class Jobs:
         seen = entry.look
         starts = [seen.values, *seen.trail, *self.starts(entry)]
         return self.of(entry, starts, size=seen.size, states=seen.states)
+
+    def anew(self, entry: Entry) -> Job:
+        """The fit from its own start through windows: looks at whole recordings begin where the base was bent to."""
+        return dataclasses.replace(self.of(entry, self.starts(entry)), question=self.windows)
 
     def of(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
         """The job of a structure from these starts; settings as in `Job`."""

@@ -22,7 +22,7 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
 from ..fits.job import Fitted, Job, Look
-from ..fits.whole import step
+from ..fits.whole import led, step
 from .extent import SHORT, enough_of, telling, with_fewer_windows
 from .jobs import Effort, Jobs
 from .starts import compatible, different
@@ -115,6 +115,7 @@ class Search:
         The base is near what it would be then, or what is missing acts seldom.
         """
         table, base = self.table, self.table.entry()
+        self.jobs.windows = table.question if table.question.lengths else None
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
         self.jobs.extent, base.look = enough_of(
             table, lambda question: self._ran([self.jobs.glance(base, question)])[0]
@@ -293,6 +294,9 @@ class Search:
         """
         known = [e for e in entries if e.open and self._usable(e)]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
+        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.explained([e])]
+        for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
+            self._keep_better(entry, found)
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self._keep_better(entry, found)
@@ -336,14 +340,14 @@ class Search:
         best = min(parts, key=self.table.score, default=None)
         return best if best and self.table.score(best) < self.table.score(entry) - 1.0 else None
 
-    def _ran(self, jobs: Sequence[Job]) -> list:
+    def _ran(self, jobs: Sequence[Job], function: Callable = step) -> list:
         if not jobs:
             return []
         if time.monotonic() > self.until and len(self.table.entries) > 1:
             raise OutOfTime
         if self.pause:
             self.pause(self)
-        return self.run(step, jobs, "search")
+        return self.run(function, jobs, "search")
 
     def _usable(self, entry: Entry) -> bool:
         try:

@@ -340,14 +340,14 @@ class Search:
         best = min(parts, key=self.table.score, default=None)
         return best if best and self.table.score(best) < self.table.score(entry) - 1.0 else None
 
-    def _ran(self, jobs: Sequence[Job], function: Callable = step) -> list:
+    def _ran(self, jobs: Sequence[Job], function: Callable | None = None) -> list:
         if not jobs:
             return []
         if time.monotonic() > self.until and len(self.table.entries) > 1:
             raise OutOfTime
         if self.pause:
             self.pause(self)
-        return self.run(function, jobs, "search")
+        return self.run(function or step, jobs, "search")
 
     def _usable(self, entry: Entry) -> bool:
         try:

@@ -71,16 +71,38 @@ class Jobs:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
-            return self.of(entry, self.starts(entry), stages=(0, min(first, lengths)), seconds=limit)
+            starts, begins = self._beside_base(entry)
+            return self.of(entry, starts, begins=begins, stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else max(at + 1, first)
             limit = self.effort.look if entry.members else self.effort.seconds
-            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+            begins = (*seen.begins[-1:], *self.table.entry().look.begins[at:end])
+            settings = {"size": seen.size, "begins": begins, "stages": (at, end), "seconds": limit}
+            return self.of(entry, [seen.values], **settings)
         return self.whole(entry)
 
+    def _beside_base(self, entry: Entry) -> tuple[list[dict[str, float]], tuple[Mapping, ...]]:
+        """Starts, and start states of windows: where the base ended in the shortest ones, and where the user put it.
+
+        A structure that contains the base must not end above it, and short windows bend the base little. So effects
+        begin beside it at a tenth of the usual sizes and at these.
+        """
+        known, starts = self.table.entry().look, self.starts(entry)
+        if not entry.members or known is None or not known.begins:
+            return starts, ()
+        ended = [*known.trail, known.values][0]
+        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
+        return [{**ended, **little}, *({**ended, **start} for start in starts), starts[0]], known.begins
+
+    def through_windows_of(self, other: Entry) -> Job:
+        """The base through all windows from where another structure began to explain them."""
+        base, look, stages = self.table.entry(), other.look, (0, len(self.table.question.lengths))
+        start = {n: v for n, v in [*look.trail, look.values][0].items() if n in self.table.names(base)}
+        return self.of(base, [start], begins=look.begins, stages=stages)
+
     def glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where the base ended there, effects at usual sizes or a tenth of them."""
+        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
         base, starts = self.table.entry(), self.starts(entry)
         known = base.look if entry.members and base.look.left is not None else base.fitted
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
@@ -122,7 +144,7 @@ class Jobs:
         return self.of(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
-        """Starts of a structure: each of its effects at usual values, the base where its user put it or as it begins."""
+        """Starts of a structure: each of its effects at usual values, the base where its user put it."""
         each = [usual(c, self._seen(c)) for c in entry.members]
         together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
         found = [{n: v for start in starts for n, v in start.items()} for starts in together]

@@ -45,6 +45,10 @@ class Surprised(Exception):
     """A structure explains all in short windows, whose starts are free, and not in longer runs."""
 
 
+class Freed(Exception):
+    """A structure has led the base out of a local minimum: what was seen beside it says little."""
+
+
 @dataclass(eq=False)
 class Search:
     """A table, how jobs are run, and how far to go.
@@ -64,6 +68,7 @@ class Search:
     first: int = 0
     pause: Callable[[Search], None] | None = None
     surprises: list[Entry] = field(default_factory=list)
+    _best: float = np.inf
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -74,7 +79,8 @@ class Search:
         A surprise is answered before that; the search goes on from there when it is called again.
         """
         try:
-            self._go()
+            while self._freed():
+                pass
         except Surprised:
             return self.surprises[-1]
         except OutOfTime:
@@ -86,6 +92,14 @@ class Search:
             self._take(chosen, self._ran([self.jobs.whole(e) for e in chosen]))
             self._without_each()
         return None
+
+    def _freed(self) -> bool:
+        """Search to the end; whether the base was freed from a local minimum, so that it is to begin again."""
+        try:
+            self._go()
+        except Freed:
+            return True
+        return False
 
     def _go(self) -> None:
         if self.explained([self.identify()]):
@@ -115,7 +129,7 @@ class Search:
         The base is near what it would be then, or what is missing acts seldom.
         """
         table, base = self.table, self.table.entry()
-        self.jobs.windows = table.question if table.question.lengths else None
+        self.jobs.windows = table.question if table.question.lengths else self.jobs.windows
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
         self.jobs.extent, base.look = enough_of(
             table, lambda question: self._ran([self.jobs.glance(base, question)])[0]
@@ -159,7 +173,7 @@ class Search:
             self._advance([base], lengths)
 
     def _find_valley(self, base: Entry, starts: Sequence[Mapping[str, float]]) -> None:
-        """Look at the base from starts of other frequencies, and begin where the shortest windows leave clearly least."""
+        """Look at the base from starts of other frequencies, and begin where short windows leave clearly least."""
         table = self.table
         looks = self._ran([self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in starts])
         found = [(look, start) for look, start in zip(looks, starts, strict=True) if isinstance(look, Look)]
@@ -297,10 +311,31 @@ class Search:
         bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.explained([e])]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self._keep_better(entry, found)
+        self._free_base(known)
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self._keep_better(entry, found)
         self._wonder(known)
+
+    def _free_base(self, entries: Sequence[Entry]) -> None:
+        """Fit the base from where a structure ended that leaves far less; raise Freed where that was what it lacked."""
+        table, base = self.table, self.table.entry()
+        best = min((e for e in entries if e.fitted and e.members), key=table.score, default=None)
+        before = table.score(base) if best else 0.0
+        if not best or table.score(best) >= INSTEAD * min(before, self._best):
+            return
+        self._best = table.score(best)
+        (found,) = self._ran([self.jobs.from_there(base, best)])
+        self._keep_better(base, found)
+        if table.score(base) > INSTEAD * before:
+            return
+        if self.first and best.look:
+            (look,) = self._ran([self.jobs.through_windows_of(best)])
+            base.look = look if isinstance(look, Look) else base.look
+            self.first = telling(table)
+        for entry in table.entries.values():
+            entry.look = None if entry.open and entry.members else entry.look
+        raise Freed
 
     def _wonder(self, entries: Sequence[Entry]) -> None:
         """Raise Surprised for a structure that explains all in some windows and not in longer runs, a few times."""

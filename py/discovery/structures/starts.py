@@ -81,7 +81,7 @@ def _paths(candidate: Candidate) -> dict[str, str]:
 
 
 def different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Where windows led to at last, the user's start, and where they led to first: a free run may lead from one alone."""
+    """Where windows led to at last, the user's start, and where they led to first: one alone may lead on."""
     chosen = [*starts[:1], starts[-1], *starts[1:-1][:1]]
     return [start for i, start in enumerate(chosen) if start not in chosen[:i]]
 

@@ -68,13 +68,13 @@ class Job:
     question: Question
     starts: tuple[Mapping[str, float], ...] = ({},)
     states: tuple[Mapping[str, float], ...] = ()
-    begins: tuple[Mapping[str, np.ndarray], ...] = ()
     size: np.ndarray | None = None
     label: str = ""
     iterations: int = 15
     seconds: float = 60.0
     stages: tuple[int, int] | None = None
     threads: int = 1
+    begins: tuple[Mapping[str, np.ndarray], ...] = ()
 
     def beginning(self) -> Job:
         """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""

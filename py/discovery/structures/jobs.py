@@ -85,15 +85,13 @@ class Jobs:
     def _beside_base(self, entry: Entry) -> tuple[list[dict[str, float]], tuple[Mapping, ...]]:
         """Starts, and start states of windows: where the base ended in the shortest ones, and where the user put it.
 
-        A structure that contains the base must not end above it, and short windows bend the base little. So effects
-        begin beside it at a tenth of the usual sizes and at these.
+        Short windows bend the base little. Effects begin at usual sizes: one that hardly acts may never wake.
         """
         known, starts = self.table.entry().look, self.starts(entry)
         if not entry.members or known is None or not known.begins:
             return starts, ()
         ended = [*known.trail, known.values][0]
-        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
-        return [{**ended, **little}, *({**ended, **start} for start in starts), starts[0]], known.begins
+        return [*({**ended, **start} for start in starts), starts[0]], known.begins
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""

@@ -8,6 +8,7 @@ import pytest
 from hydrotwin.discovery.evidence.score import spectrum
 from hydrotwin.discovery.fits.job import Fitted, Look
 from hydrotwin.discovery.fits.whole import as_look
+from hydrotwin.discovery.structures import extent as extents
 from hydrotwin.discovery.structures.extent import beginnings, enough_of
 from tests.discovery.slides import begun, records
 from tests.discovery.test_table import NOISE
@@ -63,3 +64,10 @@ def test_a_beginning_keeps_inputs_and_outputs_beside_their_times(table):
     for cut, whole in zip(part.fit, table.question.fit, strict=True):
         n = len(whole.time) // 4
         assert len(cut.time) == len(cut.u) == len(cut.y) == n and (cut.y == whole.y[:n]).all()
+
+
+def test_a_small_gap_in_long_recordings_is_looked_for_in_a_part_that_holds_its_share(table, monkeypatch):
+    monkeypatch.setattr(extents, "LONG", 1000)
+    everywhere = extent(table, lambda over: np.full(len(over), 0.06))
+    assert everywhere == 300, "half of 1800 samples; twice as much would be too long"
+    assert extent(table, lambda over: 0.1 * (over > 0.7)) == 600

@@ -7,9 +7,12 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.fits import windows
 from hydrotwin.discovery.fits.job import Job, Look
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.fits.windows import look
+from hydrotwin.identification.horizon import cut
+from hydrotwin.identification.shooting import Shooting
 from hydrotwin.models.language import Model
 from tests.discovery.slides import MASS, NOISE, START, Unstable, drive_records, question, records, slide, started
 
@@ -89,3 +92,32 @@ def test_the_next_step_is_windows_where_there_are_lengths_and_else_whole_recordi
     assert isinstance(there, Look) and there.left is None
     whole = step(rubbing(dataclasses.replace(asked, lengths=()), 50.0, stages=(0, 0)))
     assert isinstance(whole, Look) and whole.left.counts.sum() == 1800
+
+
+def test_a_look_tells_the_start_states_of_its_windows(asked, led):
+    assert len(led.begins) == len(LENGTHS)
+    firsts = [recording.y[:, 0][[w.first for w in cut([recording], LENGTHS[0])]] for recording in asked.fit]
+    assert led.begins[0]["mass.speed"] == pytest.approx(np.concatenate(firsts), abs=5 * NOISE)
+
+
+def test_start_states_that_another_fit_found_are_taken_where_they_cost_less(asked, led, monkeypatch):
+    calls, real = [], Shooting.linearise
+    monkeypatch.setattr(Shooting, "linearise", lambda *words: calls.append(1) or real(*words))
+    start = dict(led.shortest)
+    job = dataclasses.replace(rubbing(asked, 1.0, stages=(0, 1)), starts=(start,), size=np.array([NOISE]))
+    plain, number = look(job), len(calls)
+    helped = look(dataclasses.replace(job, begins=led.begins))
+    assert len(calls) - number < number
+    assert helped.squares == pytest.approx(plain.squares, rel=0.02)
+    far = {"mass.speed": np.full(len(led.begins[0]["mass.speed"]), 1e3)}
+    for useless in (far, {"mass.speed": np.ones(3)}):  # they cost more, or are of other windows
+        others = look(dataclasses.replace(job, begins=(useless,)))
+        assert others.squares == pytest.approx(plain.squares, rel=1e-6)
+
+
+def test_all_windows_of_a_length_hold_no_more_than_so_many_samples(asked, monkeypatch):
+    monkeypatch.setattr(windows, "SAMPLES", 600)
+    monkeypatch.setattr(windows, "ALWAYS", 2)
+    short, long = look(rubbing(asked, 140.0)).begins
+    assert len(short["mass.speed"]) == 29, "of 87, every third: 0.4 s hold twenty samples"
+    assert 2 <= len(long["mass.speed"]) <= 7

@@ -103,6 +103,11 @@ class Look:
     left: Spectrum | None = None
     seconds: float = 0.0
 
+    @property
+    def shortest(self) -> Mapping[str, float]:
+        """Values after the first length of windows."""
+        return [*self.trail, self.values][0]
+
     def after(self, before: Look | None) -> Look:
         """The same with the stages that were gone through before it."""
         if before is None:
@@ -110,9 +115,7 @@ class Look:
         squares, counts = (np.concatenate([getattr(before, n), getattr(self, n)]) for n in ("squares", "counts"))
         trail = (*before.trail, before.values, *self.trail)
         seconds, begins = before.seconds + self.seconds, (*before.begins, *self.begins)
-        return dataclasses.replace(
-            self, squares=squares, counts=counts, trail=trail, seconds=seconds, begins=begins
-        )
+        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, seconds=seconds, begins=begins)
 
 
 @dataclass(frozen=True, eq=False)

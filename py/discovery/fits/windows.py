@@ -84,7 +84,7 @@ def _known(flat: FlatModel, shooting: Shooting, z: np.ndarray, known: Mapping[st
 
 
 def _from_new_run(task: Task, shooting: Shooting, q: np.ndarray, seconds: float) -> np.ndarray:
-    """Scaled start states of windows from a new run through shorter ones, where what these left leads to less."""
+    """Scaled start states of windows from a new run through windows of ``seconds`` at these parameters."""
     guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), seconds)
     return shooting.clip(horizon.window_starts(shooting.segments, guess, shooting.start))
 

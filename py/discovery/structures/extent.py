@@ -15,7 +15,7 @@ from .table import Table
 SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in what is looked through: more would cost time and tell no more
 FEWEST = 40  # windows of a length
-SAMPLES = 15000  # of all recordings: where the gap is small, the most that a look goes through
+LONG = 15000  # samples of all recordings from which on a look goes through no more of them than it must
 PARTS = (1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
 FAIR = 0.5  # of the gap in all recordings, in proportion: what acts later than in such a part is looked for in all
 
@@ -51,19 +51,18 @@ def beginnings(question: Question, part: float) -> Question:
 def enough_of(table: Table, look: Callable[[Question], object]) -> tuple[Question, Look]:
     """The shortest beginnings of the recordings that show the gap well, and what the base leaves there.
 
-    Where none does, they are as long as a look may be. look : of the base through the recordings of a question, from
-    where its fit ended.
+    Where twice as much would be too long for a look, a fair share of the gap is enough. look : of the base through the
+    recordings of a question, from where its fit ended.
     """
     base = table.entry()
     total, floor = table.score(base), Floor(table.noise, table.coloured)
     samples = sum(len(r.time) for r in table.question.fit)
-    longest = max((part for part in PARTS if part * samples <= SAMPLES < samples), default=PARTS[0])
     for part in PARTS:
-        if total <= ENOUGH and (samples <= SAMPLES or part < longest):
+        enough = ENOUGH if 2 * part * samples <= LONG else 0.0
+        if total <= enough:
             continue
         question = beginnings(table.question, part)
         found = look(question)
-        enough = 0.0 if part >= longest and samples > SAMPLES else ENOUGH
         if isinstance(found, Look) and score(found.left, floor) > max(enough, FAIR * part * total):
             return question, found
     return table.question, as_look(base.fitted)

@@ -90,13 +90,12 @@ class Jobs:
         known, starts = self.table.entry().look, self.starts(entry)
         if not entry.members or known is None or not known.begins:
             return starts, ()
-        ended = [*known.trail, known.values][0]
-        return [*({**ended, **start} for start in starts), starts[0]], known.begins
+        return [*({**known.shortest, **start} for start in starts), starts[0]], known.begins
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
         base, look, stages = self.table.entry(), other.look, (0, len(self.table.question.lengths))
-        start = {n: v for n, v in [*look.trail, look.values][0].items() if n in self.table.names(base)}
+        start = {n: v for n, v in look.shortest.items() if n in self.table.names(base)}
         return self.of(base, [start], begins=look.begins, stages=stages)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:

@@ -19,6 +19,7 @@ from hydrotwin.identification.problem import free_parameters
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
+from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
 from ..fits.job import Fitted, Job, Look
@@ -56,7 +57,8 @@ class Search:
     until : the time of `time.monotonic` [s] at which it ends; complete : whether it came to its end.
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
-    windows, whose starts are free, and not in longer runs.
+    windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
+    base was fitted, too.
     """
 
     table: Table
@@ -68,7 +70,7 @@ class Search:
     first: int = 0
     pause: Callable[[Search], None] | None = None
     surprises: list[Entry] = field(default_factory=list)
-    _best: float = np.inf
+    least: float = np.inf
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -79,8 +81,9 @@ class Search:
         A surprise is answered before that; the search goes on from there when it is called again.
         """
         try:
-            while self._freed():
-                pass
+            self._go()
+        except Freed:
+            return self.go()
         except Surprised:
             return self.surprises[-1]
         except OutOfTime:
@@ -92,14 +95,6 @@ class Search:
             self._take(chosen, self._ran([self.jobs.whole(e) for e in chosen]))
             self._without_each()
         return None
-
-    def _freed(self) -> bool:
-        """Search to the end; whether the base was freed from a local minimum, so that it is to begin again."""
-        try:
-            self._go()
-        except Freed:
-            return True
-        return False
 
     def _go(self) -> None:
         if self.explained([self.identify()]):
@@ -150,9 +145,11 @@ class Search:
             self._find_valley(base, detuned(table.base.flat, q.fit, start, q.usual))
         self._lead(base, SHORT)
         self.first = telling(table)
+        seen = base.look
         if with_fewer_windows(table, self.first):
             base.look = None  # it begins anew with those
         self._lead(base, len(lengths))
+        base.look = base.look or seen
         starts = different(self.jobs.whole(base).starts if base.look else ({},))
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
         for some in (starts[:1], starts[1:]):
@@ -173,14 +170,20 @@ class Search:
             self._advance([base], lengths)
 
     def _find_valley(self, base: Entry, starts: Sequence[Mapping[str, float]]) -> None:
-        """Look at the base from starts of other frequencies, and begin where short windows leave clearly least."""
-        table = self.table
-        looks = self._ran([self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in starts])
-        found = [(look, start) for look, start in zip(looks, starts, strict=True) if isinstance(look, Look)]
+        """Look at the base from the user's start, and where that leaves much from those of other frequencies, too.
+
+        It begins where the shortest windows leave clearly least.
+        """
+        table, found = self.table, []
+        for some in (starts[:1], starts[1:]):
+            jobs = [self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in some]
+            looks = zip(self._ran(jobs), some, strict=True)
+            found += [(table.in_windows(look, 0), look, start) for look, start in looks if isinstance(look, Look)]
+            if found and found[0][0] < DECIDING.visible:
+                break
         if found:
-            least = min(table.in_windows(look, 0) for look, _ in found)
-            enough = (1 + SAME) * least + 1.0
-            base.look, self.jobs.begin = next(pair for pair in found if table.in_windows(pair[0], 0) <= enough)
+            enough = (1 + SAME) * min(left for left, *_ in found) + 1.0
+            base.look, self.jobs.begin = next(pair for left, *pair in found if left <= enough)
 
     def take_looks(self, before: Search) -> None:
         """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings.
@@ -322,9 +325,9 @@ class Search:
         table, base = self.table, self.table.entry()
         best = min((e for e in entries if e.fitted and e.members), key=table.score, default=None)
         before = table.score(base) if best else 0.0
-        if not best or table.score(best) >= INSTEAD * min(before, self._best):
+        if not best or table.score(best) >= INSTEAD * min(before, self.least):
             return
-        self._best = table.score(best)
+        self.least = table.score(best)
         (found,) = self._ran([self.jobs.from_there(base, best)])
         self._keep_better(base, found)
         if table.score(base) > INSTEAD * before:

@@ -32,8 +32,7 @@ def detuned(
         return [{}]
     steps = [k * APART for j in range(1, FURTHEST + 1) for k in (-j, j)]
     moved = [free.values(start + slope * (step / (slope @ slope))) for step in steps]
-    names = [(i, n) for i, n in enumerate(free.names) if slope[i]]
-    return [{}, *({n: float(np.clip(p[i], free.lower[i], free.upper[i])) for i, n in names} for p in moved)]
+    return [{}, *({n: float(v) for n, v, s in zip(free.names, p, slope, strict=True) if s} for p in moved)]
 
 
 def _slope(mode: Callable, free: FreeParameters, start: np.ndarray, moves: np.ndarray) -> np.ndarray:

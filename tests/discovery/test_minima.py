@@ -62,9 +62,35 @@ def test_a_base_that_was_stuck_is_freed_by_what_contains_it_and_nothing_is_named
     search = stuck(begun(records(3), SOME))
     base = search.identify()
     assert search.table.score(base) > 1000.0
+    asked, real = [], search.run
+    search.run = lambda function, jobs, stage: asked.extend(jobs) or real(function, jobs, stage)
     search.go()
     assert search.table.score(base) == pytest.approx(0.0, abs=1.0)
     assert standing(search.table).verdict == "none"
+    assert not asked[-1].free[2:], "it begins again with the base, which lacks nothing"
+
+
+def test_a_base_that_is_freed_only_in_part_is_looked_beside_anew():
+    search = stuck(begun(records(3, dry=30.0), SOME), 1e4)
+    base = search.identify()
+    before = search.table.score(base)
+    search.go()
+    assert search.table.score(base) < 0.5 * before
+    assert [c.id for c in standing(search.table).order] == ["coulomb_friction"]
+
+
+def test_a_base_that_diverges_in_fewer_windows_keeps_its_look():
+    search = begun(records(3, dry=150.0), SOME)
+
+    def run(function, jobs, stage):
+        fewer = search.table.question.windows < 200
+        return ["it diverges" if fewer and job.stages else function(job) for job in jobs]
+
+    search.run = run
+    base = search.identify()
+    assert search.table.question.windows < 200, "or this tests nothing"
+    assert base.look and base.fitted
+    search.go()
 
 
 def test_a_base_that_lacks_an_effect_is_not_freed(monkeypatch):

@@ -8,13 +8,25 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.fits import windows
-from hydrotwin.discovery.fits.job import Job, Look
+from hydrotwin.discovery.fits.job import Job, Look, task_of
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.fits.windows import look
-from hydrotwin.identification.horizon import cut
+from hydrotwin.identification.horizon import cut, first_guess
+from hydrotwin.identification.least_squares import minimise
 from hydrotwin.identification.shooting import Shooting
 from hydrotwin.models.language import Model
-from tests.discovery.slides import MASS, NOISE, START, Unstable, drive_records, question, records, slide, started
+from tests.discovery.slides import (
+    DAMPING,
+    MASS,
+    NOISE,
+    START,
+    Unstable,
+    drive_records,
+    question,
+    records,
+    slide,
+    started,
+)
 
 LENGTHS = (0.4, 1.6)  # s
 
@@ -121,3 +133,13 @@ def test_all_windows_of_a_length_hold_no_more_than_so_many_samples(asked, monkey
     short, long = look(rubbing(asked, 140.0)).begins
     assert len(short["mass.speed"]) == 29, "of 87, every third: 0.4 s hold twenty samples"
     assert 2 <= len(long["mass.speed"]) <= 7
+
+
+def test_a_start_is_judged_by_what_it_costs_when_the_start_states_have_followed(asked):
+    task = task_of(rubbing(asked, 30.0), {}, np.array([NOISE]), [s.name for s in started("coulomb_friction")[0].states])
+    q = task.free.scaled(np.array([MASS, DAMPING, 30.0]))
+    states = first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), LENGTHS[0])
+    shooting, z = windows._cut(task, q, LENGTHS[0], states, asked)
+    least = minimise(shooting, q, z, hold=True).cost
+    assert shooting.cost(q, z + 0.1) > 100 * least
+    assert windows._with_its_states(shooting, q, z + 0.1) < 3 * least, "one step, through a kink"

@@ -1,0 +1,63 @@
+"""Where the jobs of a search begin: beside the base in the same windows, and where its user put it."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.discovery.slides import begun, records
+
+SOME = ("coulomb_friction", "null_bias")
+
+
+@pytest.fixture
+def search():
+    found = begun(records(3, dry=30.0), SOME)
+    found.identify()
+    return found
+
+
+def friction(search):
+    return search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
+
+
+def test_a_look_begins_where_the_base_ended_in_the_shortest_windows_and_where_the_user_put_it(search):
+    base, entry = search.table.entry().look, friction(search)
+    job = search.jobs.next(entry, 1)
+    assert job.begins is base.begins and job.stages == (0, 1)
+    *beside, users = job.starts
+    assert all(start["mass.mass"] == base.shortest["mass.mass"] for start in beside)
+    assert "mass.mass" not in users and entry.members[0].free[0] in users
+    assert len({start[entry.members[0].free[0]] for start in beside}) == len(beside), "one start for every usual size"
+
+
+def test_longer_windows_begin_where_shorter_ones_ended_or_where_the_base_began_there(search):
+    entry, base = friction(search), search.table.entry().look
+    search._advance([entry], 1)
+    job = search.jobs.next(entry, 1)
+    assert job.begins[0] is entry.look.begins[-1] and job.begins[1] is base.begins[1]
+    assert job.starts == (entry.look.values,)
+
+
+def test_another_frequency_is_where_structures_begin_beside_the_users(search):
+    search.jobs.begin = {"mass.mass": 7.0}
+    *moved, users = search.jobs.starts(friction(search))
+    assert all(start["mass.mass"] == 7.0 for start in moved) and "mass.mass" not in users
+    assert search.jobs.starts(search.table.entry()) == [{"mass.mass": 7.0}]
+
+
+def test_a_look_at_a_part_of_the_recordings_begins_where_the_base_ended_in_that_part(search):
+    search._to_whole_recordings()
+    base = search.table.entry()
+    assert base.look.left is not None
+    values = {n: 1.01 * v for n, v in base.look.values.items()}
+    object.__setattr__(base.look, "values", values)
+    job = search.jobs.next(friction(search), 0)
+    assert job.stages == (0, 0) and all(start["mass.mass"] == values["mass.mass"] for start in job.starts)
+
+
+def test_a_fit_from_its_own_start_goes_through_the_windows_that_looks_left_out(search):
+    lengths = search.table.question.lengths
+    search._to_whole_recordings()
+    job = search.jobs.anew(friction(search))
+    assert lengths and job.question.lengths == lengths and not search.table.question.lengths
+    assert all("mass.mass" not in start for start in job.starts)

@@ -77,6 +77,7 @@ def test_a_base_that_is_freed_only_in_part_is_looked_beside_anew():
     search.go()
     assert search.table.score(base) < 0.5 * before
     assert [c.id for c in standing(search.table).order] == ["coulomb_friction"]
+    assert search.table.seen_all(), "also those that were seen beside the base as it was before"
 
 
 def test_a_base_that_diverges_in_fewer_windows_keeps_its_look():

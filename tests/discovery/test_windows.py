@@ -127,14 +127,6 @@ def test_start_states_that_another_fit_found_are_taken_where_they_cost_less(aske
         assert others.squares == pytest.approx(plain.squares, rel=1e-6)
 
 
-def test_all_windows_of_a_length_hold_no_more_than_so_many_samples(asked, monkeypatch):
-    monkeypatch.setattr(windows, "SAMPLES", 600)
-    monkeypatch.setattr(windows, "ALWAYS", 2)
-    short, long = look(rubbing(asked, 140.0)).begins
-    assert len(short["mass.speed"]) == 29, "of 87, every third: 0.4 s hold twenty samples"
-    assert 2 <= len(long["mass.speed"]) <= 7
-
-
 def test_a_start_is_judged_by_what_it_costs_when_the_start_states_have_followed(asked):
     task = task_of(rubbing(asked, 30.0), {}, np.array([NOISE]), [s.name for s in started("coulomb_friction")[0].states])
     q = task.free.scaled(np.array([MASS, DAMPING, 30.0]))

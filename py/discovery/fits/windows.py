@@ -24,8 +24,6 @@ from hydrotwin.models.language.flat import FlatModel
 from .job import Job, Look, Question, broad, not_below, point_of, task_of
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
-SAMPLES = 6000  # in all windows of a length, at most ...
-ALWAYS = 6  # ... but never fewer windows than these
 TURNS = 2  # of weights and minimum at every length
 CHANGED = np.log(1.5)  # of the sizes that are left, from which on another turn is worth it
 
@@ -116,7 +114,7 @@ def _cut(
     delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
     places = horizon.cut(task.recordings, question.lengths[0])
     segments: list[Segment] = []
-    for place in places[:: int(np.ceil(len(places) / _number(question, seconds)))]:
+    for place in places[:: int(np.ceil(len(places) / question.windows))]:
         time = task.recordings[place.recording].time
         end = int(np.searchsorted(time, time[place.first] + seconds - 1e-9))
         free = not segments or segments[-1].recording != place.recording or segments[-1].last <= place.first
@@ -124,12 +122,6 @@ def _cut(
             lead_in = int(np.searchsorted(time, time[place.first] - delay, side="right")) - 1
             segments.append(Segment(place.recording, max(lead_in, 0), place.first, min(end, len(time))))
     return freely(task, segments, states)
-
-
-def _number(question: Question, seconds: float) -> int:
-    """How many windows of ``seconds``: what all of them cost grows with the length only up to a point."""
-    samples = sum(len(r.time) for r in question.fit) * seconds / sum(r.time[-1] - r.time[0] for r in question.fit)
-    return min(question.windows, max(int(SAMPLES / samples), ALWAYS))
 
 
 def _left(shooting: Shooting, found: Minimum) -> tuple[np.ndarray, np.ndarray]:

@@ -71,8 +71,9 @@ class Jobs:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
-            starts, begins = self._beside_base(entry)
-            return self.of(entry, starts, begins=begins, stages=(0, min(first, lengths)), seconds=limit)
+            base = self.table.entry().look
+            begins = base.begins if entry.members and base else ()  # of start states alone: its parameters may be bent
+            return self.of(entry, self.starts(entry), begins=begins, stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else max(at + 1, first)
@@ -81,16 +82,6 @@ class Jobs:
             settings = {"size": seen.size, "begins": begins, "stages": (at, end), "seconds": limit}
             return self.of(entry, [seen.values], **settings)
         return self.whole(entry)
-
-    def _beside_base(self, entry: Entry) -> tuple[list[dict[str, float]], tuple[Mapping, ...]]:
-        """Starts, and start states of windows: where the base ended in the shortest ones, and where the user put it.
-
-        Short windows bend the base little. Effects begin at usual sizes: one that hardly acts may never wake.
-        """
-        known, starts = self.table.entry().look, self.starts(entry)
-        if not entry.members or known is None or not known.begins:
-            return starts, ()
-        return [*({**known.shortest, **start} for start in starts), starts[0]], known.begins
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""

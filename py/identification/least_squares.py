@@ -139,13 +139,6 @@ def without_blocked(at: Linearisation, shooting: Shooting, z: np.ndarray) -> Lin
     return dataclasses.replace(at, gradient=at.gradient * moves, hessian=hessian)
 
 
-def states_alone(at: Linearisation, shared: int) -> np.ndarray:
-    """The step of the start states (segments, private) when the shared parameters stay where they are."""
-    H, g = at.hessian[:, shared:, shared:], at.gradient[:, shared:]
-    floor = _diagonal_blocks(1e-9 * _floored(np.einsum("sii->si", H)) + at.diverged[:, None])
-    return -np.linalg.solve(H + floor, g[:, :, None])[:, :, 0]
-
-
 class DampedStep:
     """The damped system of one iteration, with the start states eliminated."""
 

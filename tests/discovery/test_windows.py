@@ -7,26 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.fits import windows
-from hydrotwin.discovery.fits.job import Job, Look, task_of
+from hydrotwin.discovery.fits.job import Job, Look
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.fits.windows import look
-from hydrotwin.identification.horizon import cut, first_guess
-from hydrotwin.identification.least_squares import minimise
-from hydrotwin.identification.shooting import Shooting
 from hydrotwin.models.language import Model
-from tests.discovery.slides import (
-    DAMPING,
-    MASS,
-    NOISE,
-    START,
-    Unstable,
-    drive_records,
-    question,
-    records,
-    slide,
-    started,
-)
+from tests.discovery.slides import MASS, NOISE, START, Unstable, drive_records, question, records, slide, started
 
 LENGTHS = (0.4, 1.6)  # s
 
@@ -104,34 +89,3 @@ def test_the_next_step_is_windows_where_there_are_lengths_and_else_whole_recordi
     assert isinstance(there, Look) and there.left is None
     whole = step(rubbing(dataclasses.replace(asked, lengths=()), 50.0, stages=(0, 0)))
     assert isinstance(whole, Look) and whole.left.counts.sum() == 1800
-
-
-def test_a_look_tells_the_start_states_of_its_windows(asked, led):
-    assert len(led.begins) == len(LENGTHS)
-    firsts = [recording.y[:, 0][[w.first for w in cut([recording], LENGTHS[0])]] for recording in asked.fit]
-    assert led.begins[0]["mass.speed"] == pytest.approx(np.concatenate(firsts), abs=5 * NOISE)
-
-
-def test_start_states_that_another_fit_found_are_taken_where_they_cost_less(asked, led, monkeypatch):
-    calls, real = [], Shooting.linearise
-    monkeypatch.setattr(Shooting, "linearise", lambda *words: calls.append(1) or real(*words))
-    start = dict(led.shortest)
-    job = dataclasses.replace(rubbing(asked, 1.0, stages=(0, 1)), starts=(start,), size=np.array([NOISE]))
-    plain, number = look(job), len(calls)
-    helped = look(dataclasses.replace(job, begins=led.begins))
-    assert len(calls) - number < number
-    assert helped.squares == pytest.approx(plain.squares, rel=0.02)
-    far = {"mass.speed": np.full(len(led.begins[0]["mass.speed"]), 1e3)}
-    for useless in (far, {"mass.speed": np.ones(3)}):  # they cost more, or are of other windows
-        others = look(dataclasses.replace(job, begins=(useless,)))
-        assert others.squares == pytest.approx(plain.squares, rel=1e-6)
-
-
-def test_a_start_is_judged_by_what_it_costs_when_the_start_states_have_followed(asked):
-    task = task_of(rubbing(asked, 30.0), {}, np.array([NOISE]), [s.name for s in started("coulomb_friction")[0].states])
-    q = task.free.scaled(np.array([MASS, DAMPING, 30.0]))
-    states = first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), LENGTHS[0])
-    shooting, z = windows._cut(task, q, LENGTHS[0], states, asked)
-    least = minimise(shooting, q, z, hold=True).cost
-    assert shooting.cost(q, z + 0.1) > 100 * least
-    assert windows._with_its_states(shooting, q, z + 0.1) < 3 * least, "one step, through a kink"

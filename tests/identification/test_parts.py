@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from hydrotwin.identification import descent, horizon
-from hydrotwin.identification.least_squares import minimise, states_alone
+from hydrotwin.identification.least_squares import minimise
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import output_noise, weights
 from hydrotwin.identification.problem import free_parameters, recordings
@@ -124,17 +124,6 @@ def test_windows_of_a_delayed_input_begin_early():
     early = horizon.cut(record, 1.0, delay=0.2)
     assert early[0].begin == 0
     assert all(record[0].time[s.first] - record[0].time[s.begin] >= 0.19 for s in early[1:])
-
-
-def test_start_states_alone_step_to_the_minimum_that_parameters_leave_them():
-    t = task()
-    q = t.free.scaled(t.free.start) + 0.1
-    states = horizon.first_guess(t.flat, t.recordings, t.propagator, t.free.vector(q), 1.0)
-    shooting, z = descent.windows(t, q, 1.0, states)
-    held = minimise(shooting, q, z, hold=True, absolute=1e-9)
-    stepped = z + states_alone(shooting.linearise(q, z), len(q))
-    assert shooting.cost(q, stepped) == pytest.approx(held.cost, rel=1e-6)
-    assert held.cost < 0.999 * shooting.cost(q, z)
 
 
 def test_an_expansion_that_is_known_is_not_made_again(monkeypatch):

@@ -56,8 +56,6 @@ class Job:
 
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
     where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
-    begins : start states by name (windows,), SI, of the windows of every length that it goes through, where another fit
-    knows them.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
     which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
     over recordings.
@@ -74,7 +72,6 @@ class Job:
     seconds: float = 60.0
     stages: tuple[int, int] | None = None
     threads: int = 1
-    begins: tuple[Mapping[str, np.ndarray], ...] = ()
 
     def beginning(self) -> Job:
         """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""
@@ -88,8 +85,7 @@ class Look:
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
     states by name and recording. trail : values after the stages before. sigmas : of the values, by path, infinite
-    where nothing shows. begins : start states by name (windows,), SI, of every length. left : of whole recordings,
-    where it looked at them.
+    where nothing shows. left : of whole recordings, where it looked at them.
     """
 
     values: Mapping[str, float]
@@ -99,7 +95,6 @@ class Look:
     states: tuple[Mapping[str, float], ...] = ()
     trail: tuple[Mapping[str, float], ...] = ()
     sigmas: Mapping[str, float] = field(default_factory=dict)
-    begins: tuple[Mapping[str, np.ndarray], ...] = ()
     left: Spectrum | None = None
     seconds: float = 0.0
 
@@ -114,8 +109,8 @@ class Look:
             return self
         squares, counts = (np.concatenate([getattr(before, n), getattr(self, n)]) for n in ("squares", "counts"))
         trail = (*before.trail, before.values, *self.trail)
-        seconds, begins = before.seconds + self.seconds, (*before.begins, *self.begins)
-        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, seconds=seconds, begins=begins)
+        seconds = before.seconds + self.seconds
+        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, seconds=seconds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from hydrotwin.identification import horizon
 from hydrotwin.identification.descent import Task, freely, undecided
 from hydrotwin.identification.excitation import sigmas
-from hydrotwin.identification.least_squares import Minimum, minimise, states_alone
+from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import FlatModel
 
 from .job import Job, Look, Question, broad, not_below, point_of, task_of
 
@@ -44,12 +43,11 @@ def _led(job: Job) -> Look:
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, few_runs=True)
     point, states = _cheapest(task, job)
-    squares, counts, trail, begins = [], [], [], []
-    for stage, seconds in enumerate(q.lengths[again:end]):
+    squares, counts, trail = [], [], []
+    for seconds in q.lengths[again:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
-        others = [_from_new_run(task, shooting, point, q.lengths[0])] if trail else []
-        others += [_known(job.flat, shooting, z, known) for known in job.begins[stage : stage + 1]]
-        z = min([z, *others], key=lambda each: shooting.cost(point, each)) if others else z
+        if trail:
+            z = _nearer(task, shooting, point, z, q.lengths[0])
         for _ in range(TURNS):
             found = minimise(shooting, point, z, **STAGE, until=job.seconds)
             point, z = found.q, found.z
@@ -64,27 +62,18 @@ def _led(job: Job) -> Look:
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
         squares.append(left)
         counts.append(count)
-        begins.append(dict(zip(names, (z * shooting.start.nominal).T, strict=True)))
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
     new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(found, task.free), strict=True))
-    squares, counts, begins = np.array(squares[new]), np.array(counts[new]), tuple(begins[new])
-    return Look(trail[-1], squares, counts, size, first, tuple(trail[new][:-1]), known_to, begins)
+    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to)
 
 
-def _known(flat: FlatModel, shooting: Shooting, z: np.ndarray, known: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Scaled start states of windows, those put in by name that another fit knows of the same windows."""
-    z = z.copy()
-    for j, (state, nominal) in enumerate(zip(flat.states, shooting.start.nominal, strict=True)):
-        if state.name in known and len(known[state.name]) == len(z):
-            z[:, j] = known[state.name] / nominal
-    return shooting.clip(z)
-
-
-def _from_new_run(task: Task, shooting: Shooting, q: np.ndarray, seconds: float) -> np.ndarray:
-    """Scaled start states of windows from a new run through windows of ``seconds`` at these parameters."""
-    guess = horizon.first_guess(task.flat, task.recordings, task.propagator, task.free.vector(q), seconds)
-    return shooting.clip(horizon.window_starts(shooting.segments, guess, shooting.start))
+def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
+    """Scaled start states from the shorter windows, or from a new run where these lead to less."""
+    p = task.free.vector(q)
+    guess = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
+    other = shooting.clip(horizon.window_starts(shooting.segments, guess, shooting.start))
+    return min(z, other, key=lambda each: shooting.cost(q, each))
 
 
 def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -93,15 +82,9 @@ def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
     p = task.free.vector(points[0])
     states = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
     if len(points) > 1:
-        shooting, z = _cut(task, points[0], job.question.lengths[max(job.stages[0] - 1, 0)], states, job.question)
-        z = _known(job.flat, shooting, z, job.begins[0]) if job.begins else z
-        points.sort(key=lambda q: _with_its_states(shooting, q, z))
+        shooting, z = _cut(task, points[0], seconds, states, job.question)
+        points.sort(key=lambda q: shooting.cost(q, z))
     return points[0], states
-
-
-def _with_its_states(shooting: Shooting, q: np.ndarray, z: np.ndarray) -> float:
-    """The cost of parameters when the start states have followed them, by one step."""
-    return min(shooting.cost(q, z), shooting.cost(q, shooting.clip(z + states_alone(shooting.linearise(q, z), len(q)))))
 
 
 def _cut(

@@ -71,23 +71,19 @@ class Jobs:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
-            base = self.table.entry().look
-            begins = base.begins if entry.members and base else ()  # of start states alone: its parameters may be bent
-            return self.of(entry, self.starts(entry), begins=begins, stages=(0, min(first, lengths)), seconds=limit)
+            return self.of(entry, self.starts(entry), stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
-            end = at + 1 if entry.members else max(at + 1, first)
+            end = at + 1 if entry.members else lengths
             limit = self.effort.look if entry.members else self.effort.seconds
-            begins = (*seen.begins[-1:], *self.table.entry().look.begins[at:end])
-            settings = {"size": seen.size, "begins": begins, "stages": (at, end), "seconds": limit}
-            return self.of(entry, [seen.values], **settings)
+            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self.whole(entry)
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
-        base, look, stages = self.table.entry(), other.look, (0, len(self.table.question.lengths))
-        start = {n: v for n, v in look.shortest.items() if n in self.table.names(base)}
-        return self.of(base, [start], begins=look.begins, stages=stages)
+        base, stages = self.table.entry(), (0, len(self.table.question.lengths))
+        start = {n: v for n, v in other.look.shortest.items() if n in self.table.names(base)}
+        return self.of(base, [start], stages=stages)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
         """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""

@@ -178,12 +178,12 @@ class Search:
         for some in (starts[:1], starts[1:]):
             jobs = [self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in some]
             looks = zip(self._ran(jobs), some, strict=True)
-            found += [(table.in_windows(look, 0), look, start) for look, start in looks if isinstance(look, Look)]
+            found += [(table.in_windows(look, 0), start) for look, start in looks if isinstance(look, Look)]
             if found and found[0][0] < DECIDING.visible:
                 break
         if found:
-            enough = (1 + SAME) * min(left for left, *_ in found) + 1.0
-            base.look, self.jobs.begin = next(pair for left, *pair in found if left <= enough)
+            enough = (1 + SAME) * min(left for left, _ in found) + 1.0
+            self.jobs.begin = next(start for left, start in found if left <= enough)
 
     def take_looks(self, before: Search) -> None:
         """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings.
@@ -216,12 +216,15 @@ class Search:
 
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:
-        """Look at structures; those that promise everything are fitted as soon as they are seen."""
+        """Look at structures; those that promise everything are fitted as soon as they are seen, the best first."""
         size = self.effort.batch if np.isinf(self.until) else self.effort.together  # the limit is seen between batches
         for batch in _batches([e for e in entries if e.open and not e.look], size):
             self._advance(batch, self.first)
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
-                self._advance(early)
+                level = SAME + min(self.table.promise(e) for e in early)
+                self._advance([e for e in early if self.table.promise(e) < level])
+                if self.explained():
+                    break
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.

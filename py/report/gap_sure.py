@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hydrotwin.discovery.answer.discovery import Discovery, Ranked
+from hydrotwin.discovery.answer.standing import UNSEEN
 from hydrotwin.discovery.answer.words import certainty, joined, lowered, placed
 
 from .figure import Figure
@@ -14,6 +15,10 @@ from .page import Note, Section
 from .tables import Cell, Column, Table, table, texts
 
 NOTHING, ELSE = "nothing", "something else"  # keys of `Discovery.probabilities` beside the structures
+OWN = {  # what is no structure, in a sentence and at a bar
+    NOTHING: ("that nothing is missing", "Nothing"),
+    UNSEEN: ("that it is an effect which the search had no time to look at", "An effect that was not looked at"),
+}
 TOLD = 3  # structures in the sentence; the table has all
 SMALL = 0.005  # a probability that is not worth a word
 LEAST = 1e-9  # nothing is impossible
@@ -90,7 +95,7 @@ def _rows(discovery: Discovery) -> list[tuple[str, float, str]]:
     odds, names = discovery.probabilities, _names(discovery)
     found = []
     for key in sorted((k for k in odds if k != ELSE), key=lambda k: -odds[k]):
-        label = "Nothing" if key == NOTHING else capital(_structure(key, names))
+        label = OWN[key][1] if key in OWN else capital(_structure(key, names))
         found.append((label, float(odds[key]), _colour(key, discovery)))
     if others(odds):
         found.append(("Others, each less likely", others(odds), FAINT))
@@ -109,7 +114,7 @@ def _colour(key: str, discovery: Discovery) -> str:
 
 
 def _as_clause(key: str, discovery: Discovery) -> str:
-    return "that nothing is missing" if key == NOTHING else f"for {_structure(key, _names(discovery))}"
+    return OWN[key][0] if key in OWN else f"for {_structure(key, _names(discovery))}"
 
 
 def _structure(key: str, names: Mapping[str, str]) -> str:

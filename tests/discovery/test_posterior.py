@@ -120,3 +120,11 @@ def test_a_class_holds_95_percent_of_what_is_known_and_nothing_below_a_hundredth
     assert class_(a=0.96, b=0.04) == [("a",)]
     assert class_(a=0.94, **{c: 0.006 for c in "bcdefghijk"}) == [("a",)]
     assert Posterior({("a",): 0.06, ("b",): 0.04}, 0.9, {}).class_() == [("a",), ("b",)], "shares of what is known"
+
+
+def test_effects_that_nobody_looked_at_keep_their_priors():
+    said = {(): 3000.0, ("a",): 0.0}
+    half = posterior(said, said, said, {(): 0, ("a",): 1}, PRICES, unseen=1.0)
+    assert half.unseen == pytest.approx(half.structures[("a",)], rel=DECIDING.rarely + 1e-6)
+    assert half.unseen + half.else_ + sum(half.structures.values()) == pytest.approx(1.0)
+    assert half.best == ("a",) and half.class_() == [("a",)]

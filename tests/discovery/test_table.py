@@ -129,3 +129,15 @@ def test_a_look_at_a_part_of_the_recordings_is_held_against_what_the_base_leaves
 def test_a_base_that_diverged_has_no_part_in_the_floor(told):
     told.entry().fitted = Fitted({}, (), Spectrum(np.array([[np.inf]]), np.array([[1800.0]])), (), False, 1)
     assert told.floor().base is None
+
+
+def test_of_effects_that_nobody_looked_at_as_many_explain_all_as_of_the_others(told):
+    one, other, third = singles(told)
+    told.entry().fitted, told.entry().look = leaving(30.0), seen(20.0, 30.0)
+    one.fitted = leaving(1.0)
+    assert told.unseen() == pytest.approx(2 * 0.5 / 2), "two of three were not looked at, one was and is right"
+    other.fitted = leaving(1.0)
+    assert told.unseen() == pytest.approx(1 * 1.5 / 3), "a twin: where there is one, there may be more"
+    assert 0.1 < told.posterior().unseen < 0.5
+    third.failed = "it diverges"
+    assert told.unseen() == 0.0 == told.posterior().unseen

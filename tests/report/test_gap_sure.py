@@ -100,3 +100,10 @@ def test_a_search_that_its_limit_ended_says_what_a_longer_one_would_try(tmp_path
 
 def test_without_probabilities_there_is_no_section():
     assert section(replace(named(), probabilities={})) is None
+
+
+def test_effects_that_the_search_had_no_time_to_look_at_are_told():
+    odds = {"nothing": 0.0, "coulomb_friction at cylinder.rod": 0.7, "not looked at": 0.28, "something else": 0.02}
+    told = replace(named(), probabilities=odds)
+    assert "28\u00a0% that it is an effect which the search had no time to look at" in sure_sentences(told)[0]
+    assert "An effect that was not looked at" in [cell.text for cell in sure_table(told).columns[0].cells]

@@ -228,7 +228,8 @@ class Discovery:
     fit_before, fit_after : the `Fit` of each on all fit recordings.
     outputs : per role ("train", "validate") the pooled OutputGap of every output.
     screened : how many candidates were looked at, each an effect at a place; fitted : how many of them were fitted.
-    probabilities : of "nothing", of every structure that is likely enough to tell, and of "something else".
+    probabilities : of "nothing", of every structure that is likely enough to tell, of effects that were "not looked
+    at" before the time limit, and of "something else".
     untried : what a longer search would try next, labels; only of one that its limit ended.
     given : how many recordings were given by role, a lone one counted once though it is cut into parts.
     seconds : of the whole search [s], of all its parts when it was interrupted.

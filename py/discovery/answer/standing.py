@@ -13,6 +13,9 @@ from ..evidence.posterior import NOTHING, Key, Posterior
 from ..structures.table import Entry, Table
 
 
+UNSEEN = "not looked at"  # the key of effects that nobody looked at, among probabilities
+
+
 @dataclass(frozen=True, eq=False)
 class Standing:
     """What a table says.
@@ -55,12 +58,13 @@ class Standing:
         return found
 
     def told(self) -> dict[str, float]:
-        """Probabilities of nothing, of every structure that is likely enough to tell, and of something else."""
+        """Probabilities of nothing, of structures likely enough to tell, of what was not looked at, something else."""
         known = self.posterior.structures
         likely = {
             " + ".join(k): known[k] for k in self.posterior.ranked() if k != NOTHING and known[k] >= DECIDING.told
         }
-        return {"nothing": known.get(NOTHING, 0.0), **likely, "something else": self.posterior.else_}
+        unseen = {UNSEEN: self.posterior.unseen} if self.posterior.unseen else {}
+        return {"nothing": known.get(NOTHING, 0.0), **likely, **unseen, "something else": self.posterior.else_}
 
 
 def standing(table: Table) -> Standing:

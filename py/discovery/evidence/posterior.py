@@ -6,7 +6,8 @@ m effects cost one name each out of N candidates, k parameters half the logarith
 law is exactly the machine's: of a large gap two right structures leave shares that say nothing, so scores count in
 units of T. With the prior probability r the law of what is missing is only roughly the catalogue's, and S_rough allows
 for that. Something else would leave nothing, at the price of the best structure, and has a small prior. Beside it the
-law of an effect is seen through what else is missing, so there structures are compared by exp(-S_beside / T).
+law of an effect is seen through what else is missing, so there structures are compared by exp(-S_beside / T). Effects
+that nobody looked at have priors, too: some of them may explain all, at the price of the best structure.
 Source: G. Schwarz, Annals of Statistics 6 (1978); P. Grunwald, Bayesian Analysis 12 (2017) (tempered likelihood).
 """
 
@@ -39,12 +40,14 @@ class Prices:
 class Posterior:
     """Probabilities of structures by key (labels of their effects), the empty one nothing; ``else_`` something else.
 
+    unseen : that an effect is missing which nobody looked at.
     beside : logarithms of the weights of structures with effects beside something else, as far as they compare.
     """
 
     structures: Mapping[Key, float]
     else_: float
     beside: Mapping[Key, float]
+    unseen: float = 0.0
 
     @property
     def best(self) -> Key:
@@ -77,8 +80,12 @@ def posterior(
     beside: Mapping[Key, float],
     parameters: Mapping[Key, int],
     prices: Prices,
+    unseen: float = 0.0,
 ) -> Posterior:
-    """Of scores S, S_rough and S_beside by key; those of the base, the empty key, must be among them."""
+    """Of scores S, S_rough and S_beside by key; those of the base, the empty key, must be among them.
+
+    unseen : how many effects that explain all are to be expected among those that nobody looked at.
+    """
     keys = [k for k in scores if np.isfinite(scores[k])] or [NOTHING]
     T = temperature(scores[NOTHING])
     costs = {k: prices.of(len(k), parameters[k]) for k in keys}
@@ -87,8 +94,10 @@ def posterior(
     effects = [k for k in keys if k]
     as_dear = costs[max(effects, key=logs.__getitem__)] if effects else prices.of(1, 1)
     known, else_ = np.log(1 - DECIDING.something_else), np.log(DECIDING.something_else) - as_dear
-    values = np.array([*(known + logs[k] for k in keys), else_])
+    others = known + np.log(unseen) - as_dear if unseen > 0 else -np.inf
+    values = np.array([*(known + logs[k] for k in keys), else_, others])
     weights = np.exp(values - values.max())
     weights /= weights.sum()
     partly = {k: -beside[k] / T - costs[k] for k in effects}
-    return Posterior(dict(zip(keys, weights[:-1].tolist(), strict=True)), float(weights[-1]), partly)
+    structures = dict(zip(keys, weights[:-2].tolist(), strict=True))
+    return Posterior(structures, float(weights[-2]), partly, float(weights[-1]))

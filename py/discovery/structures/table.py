@@ -11,7 +11,7 @@ from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.model import Model
 
 from ..evidence.deciding import DECIDING
-from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior
+from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior, temperature
 from ..evidence.score import Floor, Spectrum, score, sharper
 from ..fits.job import Fitted, Look, Question
 
@@ -78,8 +78,21 @@ class Table:
 
     def seen_all(self) -> bool:
         """Whether every single effect was looked at, fitted, or cannot be."""
+        return self._seen() == len(self.candidates)
+
+    def _seen(self) -> int:
         alone = (self.entries.get((c.label,)) for c in self.candidates)
-        return all(e and (e.look or e.fitted or e.failed) for e in alone)
+        return sum(bool(e and (e.look or e.fitted or e.failed)) for e in alone)
+
+    def unseen(self) -> float:
+        """How many effects that explain all are to be expected among those that nobody looked at.
+
+        As large a share as of the others, beside the one that is right. Source: H. Jeffreys, Proc. R. Soc. A 186 (1946).
+        """
+        seen, scores = self._seen(), self.scores()
+        enough = temperature(scores[NOTHING]) * self.prices.of(1, 1) / 2
+        twins = max(sum(len(key) == 1 and score < enough for key, score in scores.items()), 1) - 1
+        return (len(self.candidates) - seen) * (twins + 0.5) / (seen + 1)
 
     # -- what the fits say ---------------------------------------------------------------------------------------
     @property
@@ -115,7 +128,7 @@ class Table:
         """What all fits together say."""
         parameters = {e.key: self.parameters(e) for e in self.fitted}
         rough, beside = ({e.key: self.score(e, law) for e in self.fitted} for law in (DECIDING.rough, DECIDING.beside))
-        return posterior(self.scores(), rough, beside, parameters, self.prices)
+        return posterior(self.scores(), rough, beside, parameters, self.prices, self.unseen())
 
     # -- what the windows promise ----------------------------------------------------------------------------------
     def promise(self, entry: Entry, most: int | None = None) -> float:

@@ -12,7 +12,6 @@ from ..evidence.gaps import gap_closed
 from ..evidence.posterior import NOTHING, Key, Posterior
 from ..structures.table import Entry, Table
 
-
 UNSEEN = "not looked at"  # the key of effects that nobody looked at, among probabilities
 
 

@@ -87,7 +87,7 @@ class Table:
     def unseen(self) -> float:
         """How many effects that explain all are to be expected among those that nobody looked at.
 
-        As large a share as of the others, beside the one that is right. Source: H. Jeffreys, Proc. R. Soc. A 186 (1946).
+        As large a share as of others, beside the one that is right. Source: Jeffreys, Proc. R. Soc. A 186 (1946).
         """
         seen, scores = self._seen(), self.scores()
         enough = temperature(scores[NOTHING]) * self.prices.of(1, 1) / 2

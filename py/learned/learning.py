@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -49,6 +50,12 @@ def trainer(kind: str, fit: str | None = None) -> Callable:
     if fit not in (None, "default", "paper"):
         raise DeclarationError(f"learn {kind}: no fit '{fit}'. {nearest(str(fit), ('default', 'paper'))}")
     return PUBLISHED[kind] if fit == "paper" else KINDS[kind]
+
+
+def takes(kind: str, option: str) -> bool:
+    """Whether the trainer of a kind has an option."""
+    parameters = inspect.signature(trainer(kind)).parameters
+    return option in parameters and parameters[option].kind is inspect.Parameter.KEYWORD_ONLY
 
 
 def learn(

@@ -1,0 +1,158 @@
+"""Acceptance criteria: sentences such as ``arm_angle.rmse < 0.2 deg``, and whether they hold.
+
+    [GROUP:] OUTPUT.METRIC < VALUE [UNIT]           also <=, > and >=
+    [GROUP:] OUTPUT.METRIC in [LOW, HIGH] [UNIT]
+    [GROUP:] OUTPUT[.METRIC] not worse than MODEL [by SHARE %]
+
+GROUP is the name of a recording, or ``tag=value``; without one a criterion is about all recordings together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.units import compatible, convert, display_units
+
+OF_OUTPUT, SHARE = "output", "share"  # what a metric is measured in; a share may be written in percent
+METRICS: Mapping[str, str] = {
+    "rmse": OF_OUTPUT,
+    "mae": OF_OUTPUT,
+    "max": OF_OUTPUT,
+    "bias": OF_OUTPUT,  # its size, whatever its sign
+    "nrmse": SHARE,  # of the range of the measurement
+    "fit": SHARE,  # the NRMSE fit
+    "coverage": SHARE,  # of the measurements, inside the 95 % band
+}
+SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
+_WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
+_BOUND = re.compile(rf"{_WHERE}(?P<what>[^\s<>]+)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
+_RANGE = re.compile(
+    rf"{_WHERE}(?P<what>\S+)\s+in\s*\[\s*(?P<low>{NUMBER})\s*,\s*(?P<high>{NUMBER})\s*\]\s*(?P<unit>\S.*?)?\s*$"
+)
+_THAN = re.compile(rf"{_WHERE}(?P<what>\S+)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$")
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One sentence, understood.
+
+    text : as written. group : "" for all recordings. low, high : SI, or a share of 1; both are allowed themselves.
+    than : the model that must not be better, ``by`` : the share that it may be.
+    """
+
+    text: str
+    output: str
+    metric: str
+    group: str = ""
+    low: float = -np.inf
+    high: float = np.inf
+    than: str = ""
+    by: float = 0.0
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A criterion with what was found.
+
+    value : SI or a share of 1. low, high : what it had to lie in. margin : how far inside, over the size of the bound;
+    negative outside.
+    """
+
+    criterion: Criterion
+    value: float
+    low: float
+    high: float
+
+    @property
+    def passed(self) -> bool:
+        return bool(self.low <= self.value <= self.high)
+
+    @property
+    def margin(self) -> float:
+        sides = [(self.value - self.low, self.low), (self.high - self.value, self.high)]
+        found = [room / (abs(bound) or 1.0) for room, bound in sides if np.isfinite(bound)]
+        return min(found) if np.isfinite(self.value) and found else float("nan" if self.passed else "-inf")
+
+
+def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
+    """The criterion that a sentence says.
+
+    Raises `DeclarationError` for a sentence that is none, an output or a metric that does not exist, `UnitError` for a
+    unit that the metric of this output cannot be in.
+    """
+    signals = {s.name: s for s in outputs}
+    for pattern, meant in ((_RANGE, _in_range), (_THAN, _not_worse), (_BOUND, _bounded)):
+        if found := pattern.match(text):
+            return meant(text, found, signals)
+    raise DeclarationError(f"accept: '{text}' is no criterion. Write for example {EXAMPLES}.")
+
+
+def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judged:
+    """Whether it holds. value : what was found for (group, output, metric, model), model "" the one that is judged."""
+    found = value(one.group, one.output, one.metric, "")
+    found = abs(found) if one.metric == "bias" else found
+    if not one.than:
+        return Judged(one, found, one.low, one.high)
+    other = value(one.group, one.output, one.metric, one.than)
+    return Judged(one, found, -np.inf, abs(other) * (1 + one.by))
+
+
+def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
+    output, metric = _named(text, found["what"], signals)
+    bound = _si(text, float(found["bound"]), found["unit"], signals[output], metric)
+    sides = {"high": bound} if found["sign"] in ("<", "<=") else {"low": bound}
+    return Criterion(text, output, metric, found["group"] or "", **sides)
+
+
+def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
+    output, metric = _named(text, found["what"], signals)
+    low, high = (_si(text, float(found[side]), found["unit"], signals[output], metric) for side in ("low", "high"))
+    if low > high:
+        raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
+    return Criterion(text, output, metric, found["group"] or "", low, high)
+
+
+def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
+    output, metric = (found["what"], SIZE) if found["what"] in signals else _named(text, found["what"], signals)
+    if METRICS[metric] == SHARE and metric != "nrmse":
+        raise DeclarationError(f"accept: '{text}' compares no error. Compare rmse, mae, max, bias or nrmse.")
+    by = float(found["by"] or 0.0) / 100
+    return Criterion(text, output, metric, found["group"] or "", than=found["than"].strip(), by=by)
+
+
+def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, str]:
+    output, _, metric = what.rpartition(".")
+    if what in signals or not output:
+        raise DeclarationError(f"accept: '{text}' names no metric. Write {what}.rmse; known: {', '.join(METRICS)}.")
+    if output not in signals:
+        raise DeclarationError(f"accept: '{text}': no output '{output}'. {nearest(output, signals)}")
+    if metric not in METRICS:
+        raise DeclarationError(f"accept: '{text}': no metric '{metric}'. {nearest(metric, METRICS)}")
+    return output, metric
+
+
+def _si(text: str, value: float, unit: str | None, signal: Signal, metric: str) -> float:
+    """A bound in SI; a metric of an output is a difference, so that degC counts as K."""
+    if unit and unit.startswith(","):
+        raise DeclarationError(f"accept: '{text}' has a decimal comma. Write a point.")
+    if METRICS[metric] == SHARE:
+        if unit not in (None, "%") or (unit is None and abs(value) > 1):
+            raise UnitError(f"accept: '{text}': {metric} is a share. Write it as 5 % or as 0.05.")
+        return value / 100 if unit else value
+    if value < 0:
+        raise DeclarationError(f"accept: '{text}': {metric} is never negative. Give the size that it may have.")
+    if not unit and signal.unit == "1":
+        return value
+    usual = display_units(signal.unit)[0]
+    if not unit or not compatible(unit, signal.unit):
+        got = f"'{unit}' does not fit" if unit else "a unit is missing"
+        share = " A share of the range is nrmse." if unit == "%" else ""
+        raise UnitError(f"accept: '{text}': {got}. {signal.name} is in {usual}. Write {value:g} {usual}.{share}")
+    return convert(value, unit, signal.unit) - convert(0.0, unit, signal.unit)

@@ -1,0 +1,167 @@
+"""Try every kind of learned model on the same recordings; rank them by how well they run freely on what is held out.
+
+Each kind is trained in a process of its own, one per core, so that none can take the others with it. The held-out part
+chooses here, so the figure of the best is a little too good: as many kinds were tried as stand in the table.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from multiprocessing import connection, get_context
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.writing import write_whole
+from hydrotwin.records import Record
+
+from .block_file import LearnedBlock, read_block, write_block
+from .interruption import INTERRUPTED
+from .learning import KINDS, learn, takes
+
+ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A kind that was tried.
+
+    shares : by output, the RMS error of its free run on what was held out over the output's range. seconds : of the
+    training. failed : why there is no block, a sentence.
+    """
+
+    kind: str
+    block: LearnedBlock | None = None
+    shares: Mapping[str, float] = field(default_factory=dict)
+    seconds: float = 0.0
+    failed: str = ""
+
+    @property
+    def share(self) -> float:
+        """Mean over the outputs; infinite where it failed, or where nothing could be held out."""
+        return sum(self.shares.values()) / len(self.shares) if self.shares else float("inf")
+
+    def told(self) -> dict:
+        """For the provenance and JSON."""
+        answer = {"kind": self.kind, "seconds": round(self.seconds, 2)}
+        if self.shares:
+            answer |= {"percent_of_range": {name: 100 * share for name, share in self.shares.items()}}
+        return answer | ({"failed": self.failed} if self.failed else {})
+
+
+def learn_best(
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str],
+    outputs: Sequence[Signal | str],
+    *,
+    kinds: Sequence[str] | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+    **options,
+) -> LearnedBlock:
+    """Train every kind as `learn` does, and answer the block that runs best on what was held out.
+
+    ``provenance["ranking"]`` lists all kinds, the best first: mean share of the range, seconds, why one failed.
+
+    Args:
+        records, inputs, outputs: as in `learn`.
+        kinds: names of `KINDS`; None: all that need nothing else.
+        workers: processes; None: one per core.
+        progress: called with (kinds done, kinds in all, what was found).
+        options: those of `learn` that a kind takes are passed on to it (seed, validate, name, budget).
+
+    Ctrl-C ends the trials with the best so far.
+
+    Raises:
+        DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
+    """
+    every = [k for k in KINDS if k not in ALONE]
+    chosen = list(dict.fromkeys(kinds)) if kinds is not None else every
+    for kind in chosen:
+        if kind not in every:
+            raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
+    found = _tried(chosen, (list(records), list(inputs), list(outputs), options), workers, progress)
+    ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
+    best = ranked[0] if ranked else None
+    if best is None or best.block is None:
+        reasons = " ".join(f"{t.kind}: {t.failed}" for t in found)
+        raise DataError(f"learn auto: no kind could be trained. {reasons}")
+    told = {"ranking": [t.told() for t in ranked], "chosen_on": "the part of the training recordings that was held out"}
+    stopped = {"stopped": INTERRUPTED} if len(found) < len(chosen) else {}
+    return replace(best.block, provenance={**best.block.provenance, **told, **stopped})
+
+
+def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Callable | None) -> list[Tried]:
+    """What became of each kind, in the order of their ends; those that ended before Ctrl-C."""
+    found: list[Tried] = []
+    waiting, running = list(kinds), {}
+    workers = workers or len(os.sched_getaffinity(0))
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            while waiting or running:
+                while waiting and len(running) < workers:
+                    kind = waiting.pop(0)
+                    running[kind] = _start(kind, given, Path(folder))
+                connection.wait([child.sentinel for child in running.values()])
+                for kind in [k for k, child in running.items() if not child.is_alive()]:
+                    running.pop(kind).join()
+                    found.append(_answer(kind, Path(folder)))
+                    if progress:
+                        best = min(found, key=lambda t: t.share)
+                        progress(len(found), len(kinds), f"{kind} ended, best so far {best.kind}")
+        except KeyboardInterrupt:
+            if not any(t.block for t in found):
+                raise
+        finally:
+            for child in running.values():
+                child.terminate()
+                child.join()
+    return found
+
+
+def _start(kind: str, given: tuple, folder: Path):
+    """A process that trains one kind, with one thread: there are as many processes as cores."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        child = get_context("spawn").Process(target=_try, args=(kind, *given, folder), daemon=True)
+        child.start()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+    return child
+
+
+def _answer(kind: str, folder: Path) -> Tried:
+    """What a process left behind; one that broke costs only itself."""
+    answer = folder / f"{kind}.json"
+    if not answer.exists():
+        return Tried(kind, failed="its process ended without an answer.")
+    told = json.loads(answer.read_text(encoding="utf-8"))
+    block = None if told["failed"] else read_block(folder / f"{kind}.toml")
+    return Tried(kind, block, told["shares"], told["seconds"], told["failed"])
+
+
+def _try(kind: str, records, inputs, outputs, options: Mapping, folder: Path) -> None:
+    """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    began, shares, failed = time.process_time(), {}, ""
+    try:
+        block = learn(kind, records, inputs, outputs, **{k: v for k, v in options.items() if takes(kind, k)})
+        write_block(block, folder / f"{kind}.toml")
+        rows = block.provenance["free_run"]["outputs"]
+        shares = {name: row.get("percent_of_range", float("inf")) / 100 for name, row in rows.items()}
+    except HydrotwinError as error:
+        failed = str(error)
+    told = {"shares": shares, "seconds": time.process_time() - began, "failed": failed}
+    write_whole(folder / f"{kind}.json", json.dumps(told))

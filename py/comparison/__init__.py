@@ -1,5 +1,6 @@
 """Comparison: every kind of model on the same recordings, scored alike."""
 
+from .acceptance import Acceptance, Change, Wanted, acceptance, junit
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -15,36 +16,48 @@ from .comparison import (
     Unscored,
 )
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
+from .criteria import Criterion, Judged, criterion, judge
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare
 from .scenario import ModelEntry, Scenario, load_contenders, read_scenario, run_scenario
+from .tags import Tags
 
 __all__ = [
     "FREE_RUN",
     "MEAN",
     "MODES",
     "ONE_STEP",
+    "Acceptance",
     "BlockContender",
+    "Change",
     "Comparison",
     "Contender",
+    "Criterion",
     "DomainShare",
     "Entrant",
     "Errors",
     "Failure",
     "HoldLast",
+    "Judged",
     "ModelEntry",
     "PhysicalContender",
     "Residual",
     "Scenario",
     "Score",
+    "Tags",
     "Timing",
     "Trajectory",
     "Unscored",
+    "Wanted",
+    "acceptance",
     "as_contender",
     "compare",
+    "criterion",
     "errors_of",
     "explain",
+    "judge",
+    "junit",
     "load_contenders",
     "read_scenario",
     "run_scenario",

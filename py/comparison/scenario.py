@@ -10,14 +10,18 @@ from pathlib import Path
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.records import Reading, Record, import_from, read_record, reading_of
 
+from .acceptance import Wanted, check_wanted
 from .comparison import MODES, Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import Loop, in_loop, read_loop
+from .rates import rate_signal
 from .run import compare
+from .tags import Tags
 
 HOLD_LAST = "hold_last"
 OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "loop")
-KEYS = ("title", "models", "validate", "train", *OPTIONS)
+JUDGING = ("tags", "accept", "judge", "against")
+KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING)
 _FILES = (".toml", ".fmu", ".npz")
 
 
@@ -39,7 +43,8 @@ class Scenario:
 
     ``validate`` and ``train`` are paths of recordings, ``reading`` says how they are read, ``interpolation`` "hold" or
     "linear" by input, ``base`` the folder that relative paths start from. With ``loop`` every model runs under the same
-    controller and follows the recorded reference.
+    controller and follows the recorded reference. ``tags`` says of which condition each recording is, ``wanted`` what
+    is asked of the result.
     """
 
     title: str
@@ -53,6 +58,8 @@ class Scenario:
     interpolation: Mapping[str, str] = field(default_factory=dict)
     base: Path = Path(".")
     loop: Loop | None = None
+    tags: Tags = field(default_factory=Tags)
+    wanted: Wanted = field(default_factory=Wanted)
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -62,7 +69,7 @@ def read_scenario(path: str | Path) -> Scenario:
 
         title = "C-EHA: physics against formula"
         models = ["cehA", "fitted.toml", {model = "vendor.fmu", name = "vendor"}]
-        validate = ["validation_*.csv"]
+        validate = ["validation_*.csv", {file = "winter.csv", tags = {oil = "cold"}}]
         train = ["training_1.csv"]                # optional, as all that follow
         modes = ["free run", "one step"]
         outputs = ["arm_angle"]
@@ -71,6 +78,10 @@ def read_scenario(path: str | Path) -> Scenario:
         missing = "keep"                          # empty cells: error, drop rows or keep
         import.rate = 1000                        # and all that an import.toml may say, see `read_record`
         interpolation = {force = "linear"}        # between samples, in place of what the recordings show
+        tags = "load{load}_stroke{stroke}"        # conditions in the names of the recordings
+        accept = ["arm_angle.rmse < 0.2 deg", "load=2: arm_angle.fit > 90 %"]   # see `criteria`
+        judge = "fitted.toml"                     # the model that is judged; by default the first
+        against = "last/compare.json"             # an earlier comparison
 
         [loop]                                    # closed loop: see `Loop`
         reference = "reference"
@@ -99,10 +110,11 @@ def read_scenario(path: str | Path) -> Scenario:
     for mode in modes:
         if mode not in MODES:
             raise DeclarationError(f"{where}: no mode '{mode}'. {nearest(mode, MODES)}")
+    files, tags = _tagged(table, path)
     return Scenario(
         title=str(table.get("title", path.stem)),
         models=tuple(_entry(e, path) for e in _list(table, "models", where)),
-        validate=_paths(_strings(table, "validate", where), path),
+        validate=_paths(files, path),
         train=_paths(_strings(table, "train", where), path),
         modes=tuple(modes),
         outputs=_strings(table, "outputs", where) or None,
@@ -111,6 +123,8 @@ def read_scenario(path: str | Path) -> Scenario:
         interpolation=_texts(table, "interpolation", where, "force = 'linear'"),
         base=path.parent,
         loop=read_loop(table["loop"], where) if "loop" in table else None,
+        tags=tags,
+        wanted=_wanted(table, path),
     )
 
 
@@ -126,9 +140,14 @@ def run_scenario(
     ``resolve`` turns a model as written (name or path) into a Model, Block or Contender; the face knows how.
     """
     contenders = load_contenders(scenario, resolve)
+    read = zip(_read(scenario.validate, scenario), scenario.validate, strict=True)
+    records = [scenario.tags.put(record, path) for record, path in read]
+    outputs = {s.name: s for c in contenders for s in c.outputs}
+    slopes = [rate_signal(outputs[name]) for name in scenario.rates if name in outputs]
+    check_wanted(scenario.wanted, [c.name for c in contenders], [*outputs.values(), *slopes], records)
     return compare(
         contenders,
-        _read(scenario.validate, scenario),
+        records,
         modes=scenario.modes,
         outputs=scenario.outputs,
         rates=scenario.rates,
@@ -207,6 +226,42 @@ def _strings(table: Mapping, key: str, where: str) -> tuple[str, ...]:
         if not isinstance(value, str):
             raise DeclarationError(f"{where}: '{key}' holds no text (got {value!r}). Put it in quotes.")
     return tuple(values)
+
+
+def _tagged(table: Mapping, path: Path) -> tuple[list[str], Tags]:
+    """The files of ``validate``, and what is said of their conditions."""
+    files, by_file = [], {}
+    for item in _list(table, "validate", path.name):
+        if isinstance(item, dict):
+            _only(item, ("file", "tags"), f"{path.name}: validate")
+            said = item.get("tags", {})
+            if not isinstance(item.get("file"), str) or not isinstance(said, dict):
+                raise DeclarationError(
+                    f"{path.name}: a recording with tags is {{file = 'a.csv', tags = {{load = 2}}}} (got {item!r})."
+                )
+            by_file |= {file: said for file in _paths([item["file"]], path)}
+            item = item["file"]
+        if not isinstance(item, str):
+            raise DeclarationError(f"{path.name}: 'validate' holds no text (got {item!r}). Put it in quotes.")
+        files.append(item)
+    return files, Tags(_text(table, "tags", path.name), by_file)
+
+
+def _wanted(table: Mapping, path: Path) -> Wanted:
+    against = _text(table, "against", path.name)
+    return Wanted(
+        _strings(table, "accept", path.name),
+        _text(table, "judge", path.name),
+        path.parent / against if against else None,
+        path.parent,
+    )
+
+
+def _text(table: Mapping, key: str, where: str) -> str:
+    value = table.get(key, "")
+    if not isinstance(value, str):
+        raise DeclarationError(f"{where}: '{key}' is no text (got {value!r}). Put it in quotes.")
+    return value
 
 
 def _texts(table: Mapping, key: str, where: str, example: str) -> dict[str, str]:

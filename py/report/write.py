@@ -7,9 +7,10 @@ from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 
-from hydrotwin.comparison import FREE_RUN, Comparison
+from hydrotwin.comparison import FREE_RUN, Acceptance, Comparison
 from hydrotwin.records.between import between
 
+from .acceptance import acceptance_data, acceptance_sections, verdict
 from .answer import answer, facts, winners
 from .comparison_figures import error_bar_groups, overlay_groups, peak, plan
 from .comparison_tables import (
@@ -22,6 +23,7 @@ from .comparison_tables import (
     score_tables,
     unscored_table,
 )
+from .conditions import conditions_section
 from .copies import copies
 from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
@@ -36,6 +38,7 @@ def write_report(
     *,
     fits: Iterable = (),
     sections: Iterable[Section] = (),
+    accepted: Acceptance | None = None,
     command: str | None = None,
     date: datetime | None = None,
 ) -> dict[str, Path]:
@@ -43,9 +46,10 @@ def write_report(
 
     fits : Fit objects whose parameters and residuals get a section each.
     sections : further sections, put before the provenance.
+    accepted : whether it is good enough, said first.
     command : as printed under provenance; by default the running command.
     """
-    page = comparison_page(comparison, fits=fits, sections=sections, command=command, date=date)
+    page = comparison_page(comparison, fits=fits, sections=sections, accepted=accepted, command=command, date=date)
     return write_page(page, out_dir, data_name="compare.json")
 
 
@@ -54,6 +58,7 @@ def comparison_page(
     *,
     fits: Iterable = (),
     sections: Iterable[Section] = (),
+    accepted: Acceptance | None = None,
     command: str | None = None,
     date: datetime | None = None,
 ) -> Page:
@@ -63,6 +68,8 @@ def comparison_page(
     command = command_line() if command is None else command
     shown, look = display_units(comparison), styles(comparison.models)
     made = (
+        *(acceptance_sections(accepted, shown) if accepted else ()),
+        conditions_section(comparison, shown, look),
         _plots(comparison, shown, look),
         _error_bars(comparison, shown, look),
         *(_scores(comparison, shown, look, mode) for mode in comparison.modes),
@@ -77,12 +84,12 @@ def comparison_page(
     return Page(
         title=comparison.title,
         eyebrow=_eyebrow(comparison, date),
-        answer=answer(comparison, shown),
+        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), answer(comparison, shown)]),
         facts=facts(comparison, shown),
         notices=_notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),
         sections=tuple(s for s in made if s.parts),
-        data=comparison_data(comparison, fits, command, date),
+        data=comparison_data(comparison, fits, command, date) | acceptance_data(accepted),
     )
 
 

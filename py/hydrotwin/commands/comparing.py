@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
@@ -58,6 +60,22 @@ def compare(
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     interpolation: InterpolationOption = None,
+    accept: Annotated[
+        list[str] | None,
+        typer.Option("--accept", metavar="CRITERION", help="'arm_angle.rmse < 0.2 deg'; exit 1 where it does not hold"),
+    ] = None,
+    judged: Annotated[
+        str, typer.Option("--judge", metavar="MODEL", help="the model that criteria are about; by default the first")
+    ] = "",
+    against: Annotated[
+        Path | None, typer.Option(metavar="compare.json", help="an earlier comparison: what became better and worse")
+    ] = None,
+    tags: Annotated[
+        str, typer.Option(metavar="PATTERN", help="conditions in file names: 'load{load}_stroke{stroke}'")
+    ] = "",
+    junit_file: Annotated[
+        Path | None, typer.Option("--junit", metavar="FILE.xml", help="also write the criteria as JUnit XML")
+    ] = None,
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
@@ -65,27 +83,31 @@ def compare(
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, read_scenario, run_scenario
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, acceptance, junit, read_scenario, run_scenario
     from hydrotwin.export.fmu_settings import AT_REST
     from hydrotwin.report import write_report
 
     check_folder(output)
     if ssp is not None:
         check_file(ssp, ".ssp")
+    if junit_file is not None:
+        check_file(junit_file, ".xml")
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
-    said |= {"--interpolation": interpolation}
+    said |= {"--interpolation": interpolation, "--tags": tags}
     doubled = [option for option, value in {**said, "--title": title}.items() if value]
     doubled += told_in(reading)
     if scenario is not None and doubled:
         raise DeclarationError(
             f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
         )
+    asked = Wanted(tuple(accept or ()), judged, against)
     if scenario is not None:
         described = read_scenario(scenario)
+        described = replace(described, wanted=asked.over(described.wanted))
     else:
         read_all(validate, reading)  # tells gaps before a long run
         described = Scenario(
@@ -98,7 +120,11 @@ def compare(
             rates=tuple(rates or ()),
             reading=reading or Reading(),
             interpolation=interpolation_from(interpolation),
+            tags=Tags(tags),
+            wanted=asked,
         )
+    if junit_file is not None and not described.wanted.accept:
+        raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
     with progress_bar() as bar:
         row = bar.add_task("compare", total=None)
 
@@ -112,14 +138,20 @@ def compare(
             mark(err, "note", f"{entrant.name}: {at_rest}")
     if not comparison.scores:
         refuse_unscored(comparison)
-    paths = write_report(comparison, output)
+    accepted = acceptance(comparison, described.wanted)
+    paths = write_report(comparison, output, accepted=accepted)
+    if junit_file is not None:
+        write_whole(junit_file, junit(accepted, comparison.title))
+        paths |= {"junit": junit_file}
     if ssp is not None:
         paths |= {"ssp": pack(described, loaded, comparison, ssp)}
     if as_json:
         typer.echo(paths["json"].read_text(encoding="utf-8"))
     else:
-        print_comparison(comparison)
+        print_comparison(comparison, accepted)
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
+    if accepted and not accepted.passed:
+        raise typer.Exit(1)
 
 
 class Loaded(dict):
@@ -179,9 +211,10 @@ def entry(text: str):
     return ModelEntry(text, Path(text).name if text.endswith(".toml") or is_fmu(text) else None)
 
 
-def print_comparison(comparison) -> None:
-    """Mean scores over the recordings in the units of the report, best first, and what failed."""
+def print_comparison(comparison, accepted=None) -> None:
+    """Mean scores over the recordings in the units of the report, best first, what failed, and whether it is enough."""
     from hydrotwin.report import answer, display_units
+    from hydrotwin.report.acceptance import acceptance_lines
     from hydrotwin.report.format import difference_to_shown
 
     units = display_units(comparison)
@@ -199,4 +232,6 @@ def print_comparison(comparison) -> None:
                 out.print()
     for failure in comparison.failures:
         mark(out, "failed", f"{failure.model} on {failure.record}, {failure.mode}: {failure.sentence}")
+    for good, line in acceptance_lines(accepted, units) if accepted else ():
+        out.print(line, style="green" if good else "red")
     out.print(answer(comparison, units))

@@ -1,0 +1,142 @@
+"""Whether a model is good enough: the first sentence of a comparison that has criteria, their table, and changes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+
+from hydrotwin.comparison import Acceptance, Change, Judged
+from hydrotwin.models.language.units import si_unit
+
+from .format import NONE, difference_to_shown, number_text, with_unit
+from .page import Section
+from .tables import Cell, Column, Table, numbers, table, texts
+
+SHARES = ("nrmse", "fit", "coverage")  # metrics that are shown in percent
+
+
+def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
+    """PASS or FAIL in a sentence, and how close the tightest criterion is; shown : the unit of each output."""
+    if not accepted.judged:
+        return ()
+    tightest = min(accepted.judged, key=lambda one: one.margin if not math.isnan(one.margin) else math.inf)
+    count = len(accepted.judged)
+    if accepted.passed:
+        many = "its criterion" if count == 1 else f"all {count} criteria"
+        return (f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest)}.",)
+    missed = [one for one in accepted.judged if not one.passed]
+    many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
+    told = "; ".join(f"“{one.criterion.text}”: found {found_told(one, shown)}" for one in missed[:3])
+    return (f"FAIL: {accepted.model} misses {many}: {told}.",)
+
+
+def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:
+    """For a screen: the verdict, each criterion, and what became better or worse; good news or bad, and a line."""
+    lines = [(accepted.passed, text) for text in verdict(accepted, shown)]
+    for one in accepted.judged:
+        word = "PASS" if one.passed else "FAIL"
+        lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one, shown)}, {margin_told(one)}"))
+    for one in accepted.changes:
+        if one.better or one.worse:
+            now, before = (_size(value, one, shown).text for value in (one.now, one.before))
+            word = "better" if one.better else "worse"
+            lines.append(
+                (one.better, f"  {word} than before: {one.model}, {one.output}, {one.mode}: {now} from {before}")
+            )
+    return lines
+
+
+def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[Section, ...]:
+    """The criteria one by one, and what changed against an earlier comparison."""
+    lead = (
+        f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest."
+    )
+    judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged, shown),) if accepted.judged else (), lead)
+    if not accepted.changes and not accepted.new and not accepted.gone:
+        return (judged,)
+    lead = "Mean RMSE, and what it was in the earlier comparison. Changes of less than 2\u00a0% are none."
+    lead += f" New: {', '.join(accepted.new)}." if accepted.new else ""
+    lead += f" No longer compared: {', '.join(accepted.gone)}." if accepted.gone else ""
+    parts = (_changes(accepted.changes, shown),) if accepted.changes else ()
+    return judged, Section("changes", "Against the earlier comparison", parts, lead)
+
+
+def acceptance_data(accepted: Acceptance | None) -> dict:
+    """For the JSON, SI; empty where nothing was asked."""
+    if accepted is None:
+        return {}
+    criteria = [
+        asdict(one.criterion)
+        | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
+        for one in accepted.judged
+    ]
+    changes = [asdict(one) | {"better": one.better, "worse": one.worse} for one in accepted.changes]
+    return {
+        "acceptance": {
+            "model": accepted.model,
+            "mode": accepted.mode,
+            "passed": accepted.passed,
+            "criteria": criteria,
+            "changes": changes,
+            "new": list(accepted.new),
+            "gone": list(accepted.gone),
+        }
+    }
+
+
+def found_told(one: Judged, shown: Mapping[str, str]) -> str:
+    """The value of a criterion in the unit that a person reads."""
+    return _told(one.value, one, shown)
+
+
+def margin_told(one: Judged) -> str:
+    """How far inside or outside of its bound."""
+    if not math.isfinite(one.margin):
+        return "no number" if not one.passed else "any margin"
+    return f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
+
+
+def _told(value: float, one: Judged, shown: Mapping[str, str]) -> str:
+    if not math.isfinite(value):
+        return NONE
+    if one.criterion.metric in SHARES:
+        return f"{number_text(100 * value, 3)}\u00a0%"
+    unit = shown.get(one.criterion.output, "1")
+    return with_unit(number_text(float(difference_to_shown(value, si_unit(unit), unit)), 3), unit)
+
+
+def _criteria(judged: Sequence[Judged], shown: Mapping[str, str]) -> Table:
+    columns = [
+        texts("criterion", "Criterion", [one.criterion.text for one in judged]),
+        Column("found", "Found", tuple(Cell(one.value, found_told(one, shown)) for one in judged)),
+        Column("margin", "Margin", tuple(Cell(one.margin, margin_told(one)) for one in judged)),
+        Column(
+            "result",
+            "Result",
+            tuple(
+                Cell(one.passed, "PASS" if one.passed else "FAIL", tone="" if one.passed else "warning")
+                for one in judged
+            ),
+        ),
+    ]
+    return table("acceptance", "", columns)
+
+
+def _changes(changes: Sequence[Change], shown: Mapping[str, str]) -> Table:
+    rows = sorted(changes, key=lambda c: -(c.now / c.before) if c.before else 0.0)
+    words = ["worse" if c.worse else "better" if c.better else "as before" for c in rows]
+    columns = [
+        texts("model", "Model", [c.model for c in rows]),
+        texts("output", "Output", [f"{c.output}, {c.mode}" for c in rows]),
+        Column("before", "Before", tuple(_size(c.before, c, shown) for c in rows)),
+        Column("now", "Now", tuple(_size(c.now, c, shown) for c in rows)),
+        numbers("ratio", "Now over before", [c.now / c.before if c.before else None for c in rows], common=False),
+        Column("change", "", tuple(Cell(w, w, tone="warning" if w == "worse" else "") for w in words)),
+    ]
+    return table("changes", "", columns)
+
+
+def _size(value: float, change: Change, shown: Mapping[str, str]) -> Cell:
+    unit = shown.get(change.output, change.unit)
+    return Cell(value, with_unit(number_text(float(difference_to_shown(value, change.unit, unit)), 3), unit))

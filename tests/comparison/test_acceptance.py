@@ -1,0 +1,164 @@
+"""Whether a model is good enough: by criteria, by condition, against an earlier comparison; for scripts and servers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+from hydrotwin.comparison import Scenario, Tags, Wanted, acceptance, compare, junit, read_scenario, run_scenario
+from hydrotwin.comparison.scenario import ModelEntry
+from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
+from hydrotwin.records import write_record
+from hydrotwin.report import write_report
+from tests.comparison.toys import Toy, recording
+
+MODELS = {"good": Toy("good"), "bad": Toy("bad", gain=130.0), "broken": Toy("broken", fails_on="load2_stroke1")}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    found = tmp_path_factory.mktemp("recordings")
+    for load in (1, 2):
+        for stroke in (1, 2):
+            write_record(recording(10 * load + stroke), found / f"load{load}_stroke{stroke}.csv")
+    return found
+
+
+def scenario(folder, *models, **more):
+    return Scenario(
+        "Toys",
+        tuple(ModelEntry(m, m) for m in models),
+        tuple(sorted(folder.glob("load*.csv"))),
+        modes=("free run",),
+        tags=Tags("load{load}_stroke{stroke}"),
+        **more,
+    )
+
+
+def run(folder, *models, **wanted):
+    asked = scenario(folder, *models, wanted=Wanted(**wanted))
+    comparison = run_scenario(asked, MODELS.__getitem__, repeats=1)
+    return comparison, acceptance(comparison, asked.wanted)
+
+
+def test_criteria_are_judged_over_all_recordings_and_by_condition(folder):
+    comparison, found = run(
+        folder,
+        "good",
+        "bad",
+        accept=("motor_speed.rmse < 3 rad/s", "load=2: motor_speed.max < 20 rad/s", "motor_speed not worse than bad"),
+    )
+    assert found.model == "good" and found.passed
+    everywhere, second, _ = (one.value for one in found.judged)
+    means = {s.model: s for s in comparison.means if s.output == "motor_speed"}
+    assert everywhere == means["good"].rmse
+    of_load = [s.maximum for s in comparison.scores if (s.model, s.output) == ("good", "motor_speed")
+               and s.record.startswith("load2")]  # fmt: skip
+    assert second == max(of_load) and len(of_load) == 2
+
+
+def test_a_wrong_model_fails_and_says_what_it_misses(folder):
+    _, found = run(folder, "bad", "good", accept=("motor_speed.rmse < 3 rad/s", "motor_speed not worse than good"))
+    assert not found.passed and not any(one.passed for one in found.judged)
+    _, found = run(folder, "good", "bad", model="bad", accept=("motor_speed.rmse < 3 rad/s",))
+    assert found.model == "bad" and not found.passed
+
+
+def test_a_recording_that_failed_passes_nothing(folder):
+    _, found = run(folder, "broken", accept=("motor_speed.rmse < 1e6 rad/s", "load=1: motor_speed.rmse < 3 rad/s"))
+    assert [one.passed for one in found.judged] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "says"),
+    [
+        ({"accept": ("load=3: motor_speed.rmse < 3 rad/s",)}, "no recordings 'load=3'. .*load=2"),
+        ({"accept": ("motor_speed not worse than goood",)}, "no model 'goood'.*good"),
+        ({"accept": ("motor_speed.rmse < 3 mm",)}, "does not fit"),
+        ({"model": "worse", "accept": ("motor_speed.rmse < 3 rad/s",)}, "no model 'worse'"),
+        ({"against": Path("nowhere.json")}, "cannot be read"),
+        ({"accept": ("motor_speed.coverage in [0.9, 0.99]",)}, "no band"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(folder, wanted, says):
+    with pytest.raises((DataError, DeclarationError, UnitError), match=says):
+        run(folder, "good", **wanted)
+
+
+def test_an_earlier_comparison_shows_what_became_better_and_worse(folder, tmp_path):
+    before, _ = run(folder, "bad", "broken")
+    write_report(before, tmp_path)
+    mended = {"bad": MODELS["good"], "good": MODELS["good"]}
+    asked = scenario(folder, "bad", "good", wanted=Wanted(against=tmp_path / "compare.json", base=tmp_path))
+    comparison = run_scenario(asked, mended.__getitem__, repeats=1)
+    found = acceptance(comparison, asked.wanted)
+    speed = next(c for c in found.changes if c.output == "motor_speed")
+    assert speed.model == "bad" and speed.better and not speed.worse and speed.now < 0.5 * speed.before
+    assert (found.new, found.gone) == (("good",), ("broken",))
+    kept = Wanted(("motor_speed not worse than compare.json by 5 %",), "bad", base=tmp_path)
+    assert acceptance(comparison, kept).passed
+    with pytest.raises(DeclarationError, match="has no motor_speed of 'good'"):
+        acceptance(comparison, Wanted(("motor_speed not worse than compare.json",), "good", base=tmp_path))
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"means": [{"model": "a"}]}', '{"means": 3}'])
+def test_a_file_that_is_no_comparison_is_refused(tmp_path, text):
+    (tmp_path / "compare.json").write_text(text)
+    comparison = compare([MODELS["good"]], [recording(1)], repeats=1, modes=("free run",))
+    with pytest.raises(DataError, match=r"not the compare\.json"):
+        acceptance(comparison, Wanted(against=tmp_path / "compare.json"))
+
+
+def test_servers_read_the_criteria_as_test_cases(folder):
+    _, found = run(folder, "bad", accept=("motor_speed.rmse < 3 rad/s", "motor_speed.fit > 10 %"))
+    root = ElementTree.fromstring(junit(found, "Toys & more").encode())
+    (suite,) = root
+    assert (suite.get("name"), suite.get("tests"), suite.get("failures")) == ("Toys & more", "2", "1")
+    failed, passed = suite
+    assert failed.get("name") == "motor_speed.rmse < 3 rad/s" and failed.find("failure") is not None
+    assert passed.find("failure") is None
+
+
+def test_the_page_says_first_whether_it_is_good_enough(folder, tmp_path):
+    comparison, found = run(folder, "bad", accept=("motor_speed.rmse < 3 rad/s", "motor_speed.fit > 10 %"))
+    files = write_report(comparison, tmp_path, accepted=found)
+    text = files["markdown"].read_text(encoding="utf-8")
+    assert "**FAIL: bad misses 1 of 2 criteria: “motor_speed.rmse < 3 rad/s”: found " in text
+    assert "## By operating condition" in text and "| FAIL |" in text and "| PASS |" in text
+    told = json.loads(files["json"].read_text(encoding="utf-8"))["acceptance"]
+    assert not told["passed"] and [one["passed"] for one in told["criteria"]] == [False, True]
+
+
+def test_a_scenario_file_holds_tags_and_criteria(folder):
+    path = folder / "scenario.toml"
+    path.write_text(
+        'models = ["good"]\n'
+        'validate = ["load1_*.csv", {file = "load2_stroke1.csv", tags = {oil = "cold", load = 20}}]\n'
+        'tags = "load{load}"\naccept = ["oil=cold: motor_speed.rmse < 3 rad/s"]\njudge = "good"\n'
+    )
+    asked = read_scenario(path)
+    comparison = run_scenario(asked, MODELS.__getitem__, repeats=1)
+    assert [r.tags for r in comparison.records] == [{"load": "1"}, {"load": "1"}, {"load": "20", "oil": "cold"}]
+    assert acceptance(comparison, asked.wanted).passed
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('tags = "load{load}"\nvalidate = ["other.csv"]', "does not fit 'other.csv'"),
+        ('tags = "load"\nvalidate = ["load1_stroke1.csv"]', "names no tag"),
+        ('tags = 3\nvalidate = ["load1_stroke1.csv"]', "is no text"),
+        ('validate = [{file = "load1_stroke1.csv", tag = {a = 1}}]', "unknown key 'tag'"),
+        ("validate = [{tags = {a = 1}}]", "a recording with tags is"),
+        ("validate = [3]", "holds no text"),
+    ],
+)
+def test_tags_that_do_not_fit_are_refused(folder, line, says):
+    write_record(recording(3), folder / "other.csv")
+    path = folder / "refused.toml"
+    path.write_text(f'models = ["good"]\n{line}\n')
+    with pytest.raises(DeclarationError, match=says):
+        run_scenario(read_scenario(path), MODELS.__getitem__, repeats=1)

@@ -1,0 +1,96 @@
+"""Acceptance criteria: sentences understood, or refused with what to write instead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import criterion, judge
+from hydrotwin.models.language.errors import DeclarationError, UnitError
+from hydrotwin.models.language.flat import Signal
+
+OUTPUTS = (Signal("arm_angle", "rad"), Signal("pump.p", "Pa"), Signal("oil", "K"), Signal("ratio", "1"))
+
+
+def understood(text):
+    return criterion(text, OUTPUTS)
+
+
+@pytest.mark.parametrize(
+    ("text", "output", "metric", "low", "high"),
+    [
+        ("arm_angle.rmse < 0.2 deg", "arm_angle", "rmse", -np.inf, np.deg2rad(0.2)),
+        ("arm_angle.rmse<=0.2deg", "arm_angle", "rmse", -np.inf, np.deg2rad(0.2)),
+        ("pump.p.max < 2 bar", "pump.p", "max", -np.inf, 2e5),
+        ("pump.p.mae < 3e5 Pa", "pump.p", "mae", -np.inf, 3e5),
+        ("oil.bias < 1.5 degC", "oil", "bias", -np.inf, 1.5),
+        ("ratio.rmse < 0.03", "ratio", "rmse", -np.inf, 0.03),
+        ("arm_angle.fit > 90 %", "arm_angle", "fit", 0.9, np.inf),
+        ("arm_angle.nrmse < 0.02", "arm_angle", "nrmse", -np.inf, 0.02),
+        ("arm_angle.coverage in [0.9, 0.99]", "arm_angle", "coverage", 0.9, 0.99),
+        ("arm_angle.coverage in [90, 99] %", "arm_angle", "coverage", 0.9, 0.99),
+    ],
+)
+def test_a_bound_is_read_in_its_unit(text, output, metric, low, high):
+    one = understood(text)
+    assert (one.output, one.metric, one.group, one.than) == (output, metric, "", "")
+    assert (one.low, one.high) == pytest.approx((low, high))
+
+
+def test_groups_and_other_models_are_read():
+    one = understood("load=2: pump.p.rmse < 1 bar")
+    assert (one.group, one.output, one.high) == ("load=2", "pump.p", 1e5)
+    other = understood("arm_angle not worse than eq17 by 5 %")
+    assert (other.metric, other.than, other.by) == ("rmse", "eq17", 0.05)
+    assert understood("pump.p.mae not worse than last/compare.json").than == "last/compare.json"
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("arm_angel.rmse < 2 deg", "Did you mean 'arm_angle'"),
+        ("arm_angle.rsme < 2 deg", "Did you mean 'rmse'"),
+        ("arm_angle < 2 deg", "names no metric"),
+        ("arm_angle.rmse < 2", "Write 2 deg"),
+        ("arm_angle.rmse < 2 mm", "'mm' does not fit"),
+        ("arm_angle.rmse < 2 %", "share of the range is nrmse"),
+        ("arm_angle.rmse < 0,2 deg", "decimal comma"),
+        ("arm_angle.rmse < -1 deg", "never negative"),
+        ("arm_angle.fit > 90", "90 %|as 5 %"),
+        ("arm_angle.fit > 90 deg", "is a share"),
+        ("arm_angle.coverage in [0.99, 0.9]", "ends before it begins"),
+        ("arm_angle.fit not worse than eq17", "compares no error"),
+        ("arm_angle.rmse < nan deg", "is no criterion"),
+        ("good enough", "is no criterion"),
+        ("", "is no criterion"),
+    ],
+)
+def test_what_is_no_criterion_is_refused_with_the_way_out(text, says):
+    with pytest.raises((DeclarationError, UnitError), match=says):
+        understood(text)
+
+
+def found(values):
+    return lambda group, output, metric, model: values[metric, model]
+
+
+def test_a_criterion_passes_or_fails_by_its_margin():
+    text = "arm_angle.rmse < 0.2 rad"
+    inside = judge(understood(text), found({("rmse", ""): 0.15}))
+    outside = judge(understood(text), found({("rmse", ""): 0.3}))
+    assert inside.passed and inside.margin == pytest.approx(0.25)
+    assert not outside.passed and outside.margin == pytest.approx(-0.5)
+    nothing = judge(understood(text), found({("rmse", ""): float("inf")}))
+    unknown = judge(understood(text), found({("rmse", ""): float("nan")}))
+    assert not nothing.passed and not unknown.passed and unknown.margin == -np.inf
+
+
+def test_a_bias_counts_by_its_size_and_another_model_by_its_error():
+    assert not judge(understood("oil.bias < 1 K"), found({("bias", ""): -2.0})).passed
+    level = judge(
+        understood("arm_angle not worse than eq17 by 5 %"), found({("rmse", ""): 1.04, ("rmse", "eq17"): 1.0})
+    )
+    assert level.passed and level.high == pytest.approx(1.05)
+    assert not judge(
+        understood("arm_angle not worse than eq17"), found({("rmse", ""): 1.04, ("rmse", "eq17"): 1.0})
+    ).passed

@@ -15,7 +15,17 @@ from rich.console import Console
 from hydrotwin import __version__
 from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
-from .commands import comparing, demonstrating, discovering, exporting, fitting, inspecting, learning, showing
+from .commands import (
+    comparing,
+    demonstrating,
+    discovering,
+    exporting,
+    fitting,
+    inspecting,
+    inverting,
+    learning,
+    showing,
+)
 
 SEVERAL = ("--validate", "--train")  # options that take every file up to the next option
 
@@ -43,7 +53,7 @@ def options(
     """Identify, learn, compare and export models of hydraulic actuators."""
 
 
-for room in (inspecting, showing, fitting, learning, discovering, comparing, exporting, demonstrating):
+for room in (inspecting, showing, fitting, learning, inverting, discovering, comparing, exporting, demonstrating):
     room.register(app)
 
 

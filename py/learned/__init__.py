@@ -14,6 +14,7 @@ from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
+from .ranking import learn_best
 from .symbolic.learn import learn_symbolic
 from .training_data import DomainShare, domain_share
 
@@ -27,6 +28,7 @@ __all__ = [
     "characteristic",
     "domain_share",
     "learn",
+    "learn_best",
     "learn_compensator",
     "learn_dual_gp",
     "learn_gaussian_process",

@@ -111,6 +111,14 @@ def learn(
     return replace(block, provenance={**block.provenance, "free_run": told})
 
 
+def held_out_of(
+    records: Sequence[Record], inputs: Sequence[Signal | str], outputs: Sequence[Signal | str], model=None
+) -> held_out.Split:
+    """What `learn` trains on of these recordings, and what it holds out."""
+    records = list(records)
+    return held_out.split(records, *_names(model, records, inputs, outputs))
+
+
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:
     if model is not None:
         flat = getattr(model, "flat", model)

@@ -63,6 +63,7 @@ def learn_best(
     *,
     kinds: Sequence[str] | None = None,
     workers: int | None = None,
+    budget: float | None = None,
     progress: Callable[[int, int, str], None] | None = None,
     **options,
 ) -> LearnedBlock:
@@ -74,14 +75,16 @@ def learn_best(
         records, inputs, outputs: as in `learn`.
         kinds: names of `KINDS`; None: all that need nothing else.
         workers: processes; None: one per core.
+        budget: s that each kind may train; None: as long as it takes.
         progress: called with (kinds done, kinds in all, what was found).
-        options: those of `learn` that a kind takes are passed on to it (seed, validate, name, budget).
+        options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
     Ctrl-C ends the trials with the best so far.
 
     Raises:
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
     """
+    options |= {} if budget is None else {"budget": budget}
     every = [k for k in KINDS if k not in ALONE]
     chosen = list(dict.fromkeys(kinds)) if kinds is not None else every
     for kind in chosen:

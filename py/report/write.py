@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
@@ -39,6 +39,7 @@ def write_report(
     fits: Iterable = (),
     sections: Iterable[Section] = (),
     accepted: Acceptance | None = None,
+    says: Sequence[str] = (),
     command: str | None = None,
     date: datetime | None = None,
 ) -> dict[str, Path]:
@@ -46,10 +47,12 @@ def write_report(
 
     fits : Fit objects whose parameters and residuals get a section each.
     sections : further sections, put before the provenance.
-    accepted : whether it is good enough, said first.
+    accepted : whether it is good enough, said first. says : sentences before the answer.
     command : as printed under provenance; by default the running command.
     """
-    page = comparison_page(comparison, fits=fits, sections=sections, accepted=accepted, command=command, date=date)
+    page = comparison_page(
+        comparison, fits=fits, sections=sections, accepted=accepted, says=says, command=command, date=date
+    )
     return write_page(page, out_dir, data_name="compare.json")
 
 
@@ -59,6 +62,7 @@ def comparison_page(
     fits: Iterable = (),
     sections: Iterable[Section] = (),
     accepted: Acceptance | None = None,
+    says: Sequence[str] = (),
     command: str | None = None,
     date: datetime | None = None,
 ) -> Page:
@@ -84,7 +88,7 @@ def comparison_page(
     return Page(
         title=comparison.title,
         eyebrow=_eyebrow(comparison, date),
-        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), answer(comparison, shown)]),
+        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *says, answer(comparison, shown)]),
         facts=facts(comparison, shown),
         notices=_notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),

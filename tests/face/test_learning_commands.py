@@ -55,6 +55,8 @@ def test_a_characteristic_is_learnt_and_its_file_simulates():
 
 def test_every_kind_that_can_be_learnt_is_told_in_the_help():
     assert KINDS.keys() == learning.KINDS.keys()
+    said = hydrotwin("learn", "--help").said
+    assert all(f"{kind}:" in " ".join(said.split()) for kind in ("auto", *KINDS))
 
 
 def test_the_answer_says_first_what_a_block_is_no_better_than_and_then_how_good_it_is():

@@ -1,0 +1,75 @@
+"""Acceptance criteria of a block that was learnt: its free run on what was held out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from .shared import mark, out
+
+CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metric -> field of the card, SI
+
+
+def criteria(texts: Sequence[str] | None, records: Sequence[Record], outputs: Sequence[Signal | str], model) -> list:
+    """The criteria understood before a long training. Raises as `hydrotwin.comparison.criterion`."""
+    from hydrotwin.comparison import criterion
+
+    names = [getattr(s, "name", s) for s in outputs]
+    if model is not None and not names:
+        names = [s.name for s in getattr(model, "flat", model).outputs if all(s.name in r for r in records)]
+    found = [criterion(text, [Signal(n, records[0].units[n]) for n in names]) for text in texts or ()]
+    for one in found:
+        if one.group:
+            raise DeclarationError(
+                f"accept: '{one.text}': learn judges all that was held out. Write it without '{one.group}:'; compare "
+                "judges recordings one by one."
+            )
+    return found
+
+
+def accepted(asked: Sequence, block, silent: bool) -> bool:
+    """Whether every criterion holds of the block's free run; each is said."""
+    from hydrotwin.comparison import judge
+    from hydrotwin.report.acceptance import found_told, margin_told
+    from hydrotwin.report.format import shown_unit
+
+    card, good = block.provenance.get("free_run", {}), True
+    units = {s.name: shown_unit(s.unit) for s in block.outputs}
+    for one in asked:
+        found = judge(one, _Card(one.text, card))
+        good &= found.passed
+        if not silent:
+            word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
+            mark(out, word, f"{one.text}: {found_told(found, units)}, {margin_told(found)}", style)
+    return good
+
+
+class _Card:
+    """value(group, output, metric, model) of a card; infinite where the block has no number."""
+
+    def __init__(self, text: str, card: dict):
+        self.text, self.outputs = text, card.get("outputs", {})
+
+    def __call__(self, group: str, output: str, metric: str, model: str) -> float:
+        row = self.outputs.get(output, {})
+        if model:
+            return self._yardstick(row, metric, model)
+        if metric == "nrmse":
+            return row.get("percent_of_range", float("inf")) / 100
+        if metric == "fit":
+            return row.get("fit_percent", float("-inf")) / 100
+        if metric == "coverage":
+            return row.get("band", {}).get("coverage", float("nan"))
+        return row.get(CARD[metric], float("inf"))
+
+    def _yardstick(self, row: dict, metric: str, model: str) -> float:
+        known = row.get("yardsticks", {})
+        found = [name for name in known if model.lower() == name.lower() or model.lower() in name.lower().split()]
+        if row and (metric != "rmse" or len(found) != 1):
+            unknown = f"no yardstick '{model}'. {nearest(model, known)}"
+            words = unknown if metric == "rmse" else "yardsticks have rmse only."
+            raise DeclarationError(f"accept: '{self.text}': {words}")
+        return known[found[0]] if row else float("nan")

@@ -1,0 +1,101 @@
+"""Training on the command line: options by name, a bar that says how good the best so far is, the files of a block."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydrotwin.models.language.errors import DeclarationError, nearest
+
+from .shared import err, mark, out, print_json, progress_bar
+
+OWN = {"records", "inputs", "outputs", "validate", "select", "progress", "name", "seed"}  # with a flag of their own
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
+]
+OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
+
+
+def named(name: str | None) -> dict[str, str]:
+    return {"name": name} if name else {}
+
+
+def options_of(what: str, function: Callable, settings, flags: dict, *more: Callable) -> dict:
+    """Options by name from flags and ``NAME=VALUE``, each one that ``function`` (or one of ``more``) has."""
+    known: dict[str, inspect.Parameter] = {}
+    for one in (function, *more):
+        known |= {k: p for k, p in inspect.signature(one).parameters.items() if p.kind is p.KEYWORD_ONLY}
+    found = dict(flags)
+    for text in settings or ():
+        key, equals, value = text.partition("=")
+        if not equals:
+            raise DeclarationError(f"{what}: --set takes NAME=VALUE (got '{text}'). Write --set lags=5.")
+        found[key.strip()] = _value(value.strip())
+    own = [k for k in known if k not in OWN]
+    for key in found:
+        if key not in own:
+            raise DeclarationError(f"{what}: has no option '{key}'. {nearest(key, own)} It has: {', '.join(own)}.")
+    return found
+
+
+def _value(text: str):
+    """A number, true, false, none, or a word; with commas several: ``2,6``, or ``arm_angle,`` for one."""
+    if "," in text:
+        return tuple(_value(part.strip()) for part in text.split(",") if part.strip())
+    words = {"true": True, "false": False, "none": None}
+    if text.lower() in words:
+        return words[text.lower()]
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def trained(what: str, trainer: Callable, arguments: tuple, silent: bool, **options):
+    """The trained block, with a bar that says how good the best so far is."""
+    taken = inspect.signature(trainer).parameters.values()
+    if silent or not any(p.name == "progress" or p.kind is p.VAR_KEYWORD for p in taken):
+        return trainer(*arguments, **options)
+    with progress_bar() as bar:
+        row = bar.add_task(what, total=None)
+
+        def told(step, *more) -> None:
+            if isinstance(step, int):
+                bar.update(row, completed=step, total=more[0], description=f"{what}: {more[1]}")
+                return
+            best = more[0] if more else step.best
+            bar.update(row, description=f"{what}: {_where(step)}best so far {best:.4g}")
+
+        return trainer(*arguments, **options, progress=told)
+
+
+def _where(step) -> str:
+    """What a step of a training says about itself: its output, process, seed or generation."""
+    words = [f"{k} {getattr(step, k)}" for k in ("process", "output", "seed", "generation") if hasattr(step, k)]
+    return f"{', '.join(words)}, " if words else ""
+
+
+def written(block, output: Path, as_json: bool, model: str | None = None) -> None:
+    """The block's files; a hybrid keeps the name of its model."""
+    from hydrotwin.learned import write_block, write_hybrid
+    from hydrotwin.learned.interruption import INTERRUPTED
+
+    output.parent.mkdir(parents=True, exist_ok=True)
+    files = write_hybrid(block, output, model) if model else write_block(block, output)
+    if block.provenance.get("stopped") == INTERRUPTED:
+        mark(err, "note", f"stopped by Ctrl-C: {output} holds the best so far.")
+    run = block.provenance.get("free_run", {})
+    if as_json:
+        told = {key: run[key] for key in ("says", "no_better_than") if key in run}
+        told |= {"block": block.name, "files": [str(f) for f in files], "period": block.period}
+        print_json(told | block.provenance)
+        return
+    if run:
+        mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
+    out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

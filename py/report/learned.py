@@ -1,0 +1,121 @@
+"""The page of a learned block: how well it runs freely on what was held out of its training, beside yardsticks.
+
+It is the page of a comparison on the held-out part: the report card said first, what training left behind below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from hydrotwin.comparison import HoldLast, as_contender, compare
+from hydrotwin.learned.learning import held_out_of
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from .format import NONE, number_text
+from .page import Section
+from .tables import Cell, Column, Table, counts, numbers, table, texts
+from .write import write_report
+
+
+def write_learned(
+    block,
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str],
+    outputs: Sequence[Signal | str],
+    folder: str | Path,
+    *,
+    model=None,
+) -> dict[str, Path]:
+    """Write report.html, report.md and report.json of a block that `learn` made from ``records``.
+
+    model : that of a hybrid, which runs beside it. Raises DataError where nothing was held out, for then there is
+    nothing to show the block on.
+    """
+    split = held_out_of(records, inputs, outputs, model)
+    if not split.held_out:
+        raise DataError(f"{block.name}: no page. Nothing was held out of its training: {split.why}.")
+    shown = [replace(r, name=f"{r.name}, from {r.time[0]:.4g} s", digest=None) for r in split.held_out]
+    named = [s.name for s in block.outputs if all(s.name in r for r in shown)]
+    rivals = [
+        HoldLast([s for s in block.outputs if s.name in named]),
+        *([as_contender(model)] if model is not None else []),
+    ]
+    comparison = compare(
+        [as_contender(block), *rivals],
+        shown,
+        outputs=named,
+        train_records=split.fit,
+        title=f"{block.name}: what was held out of its training",
+        repeats=1,
+    )
+    card = block.provenance.get("free_run", {})
+    says = (card["says"],) if "says" in card else ()
+    return write_report(comparison, folder, sections=learned_sections(block), says=says)
+
+
+def learned_sections(block) -> tuple[Section, ...]:
+    """What training left behind: yardsticks, kinds that were tried, seeds."""
+    provenance = block.provenance
+    card = provenance.get("free_run", {}).get("outputs", {})
+    made = (
+        _section("yardsticks", "Beside yardsticks", YARDSTICKS, _yardsticks(card) if card else None),
+        _section("kinds", "Kinds that were tried", KINDS, _ranking(provenance.get("ranking", ()))),
+        _section("seeds", "Spread over seeds", SEEDS, _seeds(provenance.get("seeds", ()))),
+    )
+    return tuple(section for section in made if section.parts)
+
+
+YARDSTICKS = "Free run on what was held out. A block that is no better than a yardstick is not worth its parameters."
+KINDS = "All were trained on the same recordings. The best was chosen on what was held out, so its figure flatters it."
+SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
+
+
+def _section(id: str, title: str, lead: str, found: Table | None) -> Section:
+    return Section(id, title, (found,) if found else (), lead)
+
+
+def _yardsticks(card: Mapping[str, Mapping]) -> Table:
+    names = list(dict.fromkeys(name for row in card.values() for name in row.get("yardsticks", {})))
+    columns = [
+        texts("output", "Output", list(card)),
+        Column("block", "The block", tuple(_share(row.get("rmse"), row) for row in card.values())),
+    ]
+    for name in names:
+        cells = tuple(_share(row.get("yardsticks", {}).get(name), row, row.get("rmse")) for row in card.values())
+        columns.append(Column(name, name.capitalize(), cells))
+    return table("yardsticks", "", columns, "RMS error in percent of the range; a yardstick that is as good is marked.")
+
+
+def _share(value: float | None, row: Mapping, rival: float | None = None) -> Cell:
+    if value is None:
+        return Cell(None, NONE)
+    beaten = rival is None or rival < value
+    return Cell(float(value), f"{number_text(100 * value / row['range'], 3)}\u00a0%", tone="" if beaten else "warning")
+
+
+def _ranking(rows: Sequence[Mapping]) -> Table | None:
+    if not rows:
+        return None
+    names = list(dict.fromkeys(name for row in rows for name in row.get("percent_of_range", {})))
+    columns = [texts("kind", "Kind", [row["kind"] for row in rows])]
+    for name in names:
+        values = [row.get("percent_of_range", {}).get(name) for row in rows]
+        columns.append(numbers(name, f"{name}, of its range", values, "%", best="min", common=False))
+    columns.append(numbers("seconds", "Training", [row["seconds"] for row in rows], "s", common=False))
+    columns.append(texts("why", "", [row.get("failed", "") for row in rows]))
+    return table("kinds", "", columns)
+
+
+def _seeds(rows: Sequence[Mapping]) -> Table | None:
+    if not rows:
+        return None
+    errors = [row.get("held_out_error") for row in rows]
+    columns = [
+        counts("seed", "Seed", [row["seed"] for row in rows]),
+        numbers("error", "Error on the part that chose, over the spread", errors, common=False, best="min"),
+    ]
+    return table("seeds", "", columns)

@@ -10,7 +10,7 @@ GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo fmus gates test lint bench bench-gap clean
+.PHONY: help demo fmus gates test lint bench bench-gap bench-learned clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
@@ -22,6 +22,7 @@ help:
 	@echo "make bench  slow proofs, then speed, as ratios"
 	@echo "make bench-gap  which hidden effects the gap workflow finds, beside the baselines, on 10 short cases;"
 	@echo "                all of them: make bench-gap GAP='--seeds fresh --out out/gap_fresh'"
+	@echo "make bench-learned  every kind of learned model by its defaults on recordings made by others"
 
 # torch==2.13.0 comes from constraints.txt
 $(VENV)/.run: pyproject.toml constraints.txt
@@ -55,6 +56,9 @@ bench: $(VENV)/.dev
 
 bench-gap: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.gap --processes $(WORKERS) $(GAP)
+
+bench-learned: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.learned.foreign $(LEARNED)
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .import_linter_cache

@@ -1,0 +1,193 @@
+"""Every kind of learned model by its defaults on recordings that nobody here made, beside two of the project's own.
+
+``make bench-learned`` or ``python -m benchmarks.learned.foreign [--data NAME...] [--kinds KIND...] [--seeds N]``: a
+table with the error of the free run over the official test files, from their official start, the median over seeds and
+its range, the processor seconds of one training (of ``auto`` those on the clock), and two yardsticks: the first sample
+held, and ARX by least squares. A kind that is no better than a yardstick on the test and did not say so is marked.
+Measurements are looked for in the folder that HYDROTWIN_MEASURED_DATA names; data sets that are not there are left out.
+Every result is kept in ``--out`` and not made twice. Nothing is chosen on test files: they are read after the training.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from hydrotwin.learned import learn, learn_best
+from hydrotwin.learned.learning import KINDS, trainer
+from hydrotwin.learned.ranking import ALONE
+from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.records import Record, read_record
+from hydrotwin.simulation import simulate
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+HOLD, ARX, AUTO = "hold", "arx", "auto"
+SEEDS = 5
+
+
+@dataclass(frozen=True)
+class Task:
+    """Recordings to train on and to test on, and in which unit the error of the output is told."""
+
+    name: str
+    train: tuple[Path, ...]
+    test: tuple[Path, ...]
+    inputs: tuple[str, ...]
+    output: str
+    unit: str
+    per_si: float
+
+    def read(self, paths: Sequence[Path]) -> list[Record]:
+        return [read_record(p).select([*self.inputs, self.output]) for p in paths]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One training: error on the test files in the task's unit, of the block and of the first sample held."""
+
+    task: str
+    kind: str
+    seed: int
+    error: float
+    held: float
+    seconds: float
+    said: tuple[str, ...] = ()
+    chosen: str = ""
+    failed: str = ""
+
+
+def tasks() -> list[Task]:
+    """Those whose recordings are there."""
+    measured = Path(os.environ.get("HYDROTWIN_MEASURED_DATA", "."))
+    valve, arm = EXAMPLES / "spool_valve" / "recordings", EXAMPLES / "cehA" / "recordings"
+    tanks, emps, bench = (measured / name for name in ("cascaded_tanks", "emps", "eha_bench"))
+    known = [
+        Task("tanks", (tanks / "train.csv",), (tanks / "validate.csv",), ("pump",), "level", "V", 1.0),
+        Task("emps", (emps / "train.csv",), (emps / "test_pulses.csv",), ("force",), "position", "mm", 1e3),
+        Task("eha_bench", tuple(sorted(bench.glob("load[13]_*.csv"))), tuple(sorted(bench.glob("load2_*.csv"))),
+             ("motor_speed", "valve_direction"), "position", "mm", 1e3),
+        Task("cehA", *_own(arm), ("command",), "arm_angle", "deg", float(np.degrees(1.0))),
+        Task("spool_valve", *_own(valve), ("current",), "position", "mm", 1e3),
+    ]  # fmt: skip
+    return [t for t in known if t.train and t.test and all(p.exists() for p in (*t.train, *t.test))]
+
+
+def _own(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
+    return tuple(sorted(folder.glob("train_*.csv"))), tuple(sorted(folder.glob("validate_*.csv")))
+
+
+def made(task: Task, kind: str, seed: int) -> Row:
+    """Train one kind by its defaults, and run it over the test files."""
+    os.environ["OMP_NUM_THREADS"] = "1"
+    clock = time.perf_counter if kind == AUTO else time.process_time
+    began, chosen, said = clock(), "", ()
+    records, names = task.read(task.train), (list(task.inputs), [task.output])
+    seeded = {"seed": seed} if kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters else {}
+    try:
+        if kind == AUTO:
+            block = learn_best(records, *names, **seeded)
+            chosen = block.provenance["ranking"][0]["kind"]
+        else:
+            block = learn(kind, records, *names, **seeded)
+    except HydrotwinError as error:
+        return Row(task.name, kind, seed, float("nan"), float("nan"), clock() - began, failed=str(error))
+    seconds = clock() - began
+    said = tuple(block.provenance["free_run"]["no_better_than"])
+    tests = task.read(task.test)
+    held = _rms([np.full(len(r), r[task.output][0]) for r in tests], tests, task)
+    try:
+        error = _rms([simulate(block, r)[task.output] for r in tests], tests, task)
+    except HydrotwinError as error:
+        return Row(task.name, kind, seed, float("inf"), held, seconds, said, chosen, str(error))
+    return Row(task.name, kind, seed, error, held, seconds, said, chosen)
+
+
+def _rms(runs: Sequence[np.ndarray], tests: Sequence[Record], task: Task) -> float:
+    miss = np.concatenate([run - r[task.output] for run, r in zip(runs, tests, strict=True)])
+    return float(np.sqrt(np.mean(miss**2))) * task.per_si
+
+
+def table(rows: Sequence[Row], found: Sequence[Task]) -> str:
+    """Markdown: a line per kind, a column per task; the yardsticks first."""
+    lines = ["| kind | " + " | ".join(f"{t.name} [{t.unit}]" for t in found) + " |"]
+    lines.append("|---|" + "---|" * len(found))
+    held = [next((r.held for r in rows if r.task == t.name and np.isfinite(r.held)), float("nan")) for t in found]
+    lines.append("| first sample held | " + " | ".join(f"{v:.3g}" for v in held) + " |")
+    for kind in dict.fromkeys(r.kind for r in rows):
+        cells = [_cell([r for r in rows if (r.task, r.kind) == (t.name, kind)], _limit(rows, t, h))
+                 for t, h in zip(found, held, strict=True)]  # fmt: skip
+        lines.append(f"| {kind} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+def _limit(rows: Sequence[Row], task: Task, held: float) -> float:
+    """What a block must stay under on the test to be better than both yardsticks."""
+    arx = [r.error for r in rows if (r.task, r.kind) == (task.name, ARX)]
+    return min([held, *arx])
+
+
+def _cell(rows: Sequence[Row], limit: float) -> str:
+    done = [r.error for r in rows if not np.isnan(r.error)]
+    if not done:
+        return "refused" if rows else ""
+    text = f"{np.median(done):.3g}"
+    text += f" ({min(done):.3g} to {max(done):.3g})" if len(done) > 1 else ""
+    text += f", {np.median([r.seconds for r in rows]):.0f} s"
+    worse = [r for r in rows if not r.error < limit]
+    silent = [r for r in worse if not r.said and r.kind != ARX]
+    chosen = ", ".join(dict.fromkeys(r.chosen for r in rows if r.chosen))
+    return text + (f", {chosen}" if chosen else "") + (", worse and silent" if silent else ", worse" if worse else "")
+
+
+def main() -> None:
+    known = {t.name: t for t in tasks()}
+    kinds = [k for k in KINDS if k not in ALONE]
+    kinds.sort(key=lambda kind: kind != ARX)
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", nargs="+", choices=known, default=list(known))
+    parser.add_argument("--kinds", nargs="+", choices=[*kinds, AUTO], default=[*kinds, AUTO])
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--processes", type=int, default=os.cpu_count())
+    parser.add_argument("--out", type=Path, default=Path("out/learned"))
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    wanted = [(known[name], kind, seed) for seed in range(given.seeds) for name in given.data for kind in given.kinds
+              if seed == 0 or kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters]  # fmt: skip
+    rows = _rows(wanted, given.out, given.processes)
+    text = table(rows, [known[name] for name in given.data])
+    (given.out / "table.md").write_text(text + "\n", encoding="utf-8")
+    print(text)
+
+
+def _rows(wanted: Sequence[tuple[Task, str, int]], out: Path, processes: int) -> list[Row]:
+    """Every training that is wanted; those made before are read."""
+    files = {one: out / f"{one[0].name}_{one[1]}_{one[2]}.json" for one in wanted}
+    missing = [one for one in wanted if not files[one].exists()]
+    alone = [one for one in missing if one[1] == AUTO]  # it has processes of its own
+    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
+        jobs = {pool.submit(made, *one): one for one in missing if one not in alone}
+        for job in as_completed(jobs):
+            _keep(job.result(), files[jobs[job]])
+    for one in alone:
+        _keep(made(*one), files[one])
+    return [Row(**json.loads(file.read_text(encoding="utf-8"))) for file in files.values()]
+
+
+def _keep(row: Row, file: Path) -> None:
+    file.write_text(json.dumps(asdict(row)), encoding="utf-8")
+    found = row.failed or f"{row.error:.4g}"
+    print(f"   {row.task}, {row.kind}, seed {row.seed}: {found}, {row.seconds:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -17,6 +17,7 @@ from .comparison import (
 )
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
+from .domain import domain_shares
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare
@@ -54,6 +55,7 @@ __all__ = [
     "as_contender",
     "compare",
     "criterion",
+    "domain_shares",
     "errors_of",
     "explain",
     "judge",

@@ -16,6 +16,7 @@ from .residual import Residual
 FREE_RUN, ONE_STEP = "free run", "one step"
 MODES = (FREE_RUN, ONE_STEP)
 MEAN = "mean"
+OUTSIDE = 1.0  # % of the samples outside of what a model was trained on, from which on it is told
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,18 @@ class DomainShare:
     farthest: float
     beyond: tuple[str, ...]
     source: str
+
+    @property
+    def extrapolates(self) -> str:
+        """In a sentence, where a model runs outside of what it was trained on; empty where it hardly does."""
+        outside = 100.0 - self.inside_percent
+        if self.source != "model" or outside < OUTSIDE:
+            return ""
+        leave = f"{' and '.join(self.beyond)} leave{'' if len(self.beyond) > 1 else 's'}"
+        return (
+            f"{self.model} extrapolates in {outside:.2g} % of {self.record}: {leave} what it was trained on, "
+            f"by up to {self.farthest:.2g} of its range."
+        )
 
 
 @dataclass(frozen=True)

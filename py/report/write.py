@@ -194,6 +194,7 @@ def _notices(comparison: Comparison) -> tuple[str, ...]:
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
     found += _too_good(comparison)
+    found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])
 
 

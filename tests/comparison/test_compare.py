@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import MEAN, HoldLast, as_contender, compare
+from hydrotwin.comparison import MEAN, DomainShare, HoldLast, as_contender, compare
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -248,3 +248,18 @@ def test_a_contender_without_one_step_is_listed_and_no_failure():
 def test_a_comparison_prints_as_one_line_not_as_its_trajectories():
     comparison = compare([Toy("a"), Toy("b")], [recording(1)], modes=["free run"])
     assert repr(comparison) == "Comparison 'Comparison of models': a, b on validation_1; 6 scores"
+
+
+def test_where_a_model_extrapolates_is_said_in_a_sentence():
+    far = DomainShare("network", "run", 76.0, 1.2, ("command", "arm_angle"), "model")
+    assert far.extrapolates == (
+        "network extrapolates in 24 % of run: command and arm_angle leave what it was trained on, by up to 1.2 of its "
+        "range."
+    )
+    one = DomainShare("network", "run", 98.0, 0.1, ("command",), "model")
+    assert "command leaves what it" in one.extrapolates
+    inside, others = (
+        DomainShare("network", "run", 99.5, 0.1, ("command",), "model"),
+        DomainShare("", "run", 50.0, 1.0, ("command",), "recordings"),
+    )
+    assert inside.extrapolates == others.extrapolates == ""

@@ -141,3 +141,37 @@ def test_wrong_words_are_answered_with_what_would_be_right(line, says):
     assert answer.code == 2
     for words in says:
         assert words in answer.err
+
+
+def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here):
+    line = f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --out judged.toml"
+    good = hydrotwin(*line.split(), "--accept", "position.rmse < 20 mm", "--report", "page")
+    assert good.code == 0 and "PASS position.rmse < 20 mm: " in good.said
+    text = (here / "page" / "report.md").read_text(encoding="utf-8")
+    assert "Free run on what was held out (" in text and "## Beside yardsticks" in text
+    assert "on the validation recording" in text, "it was held out: nothing of it was trained on"
+    bad = hydrotwin(*line.split(), "--accept", "position.rmse < 1 um", "--accept", "position not worse than mean")
+    assert bad.code == 1 and "FAIL position.rmse < 1 um: " in bad.said and "PASS position not worse" in bad.said
+    assert (here / "judged.toml").exists(), "it is written all the same"
+
+
+@pytest.mark.parametrize(
+    ("criterion", "says"),
+    [
+        ("positon.rmse < 2 mm", "Did you mean 'position'"),
+        ("ramp_1: position.rmse < 2 mm", "Write it without 'ramp_1:'"),
+        ("position.rmse < 2 bar", "does not fit"),
+    ],
+)
+def test_a_criterion_that_says_nothing_is_refused_before_the_training(here, criterion, says):
+    answer = hydrotwin(*f"learn piecewise ramp_1.csv {SIGNALS} --out never.toml".split(), "--accept", criterion)
+    assert answer.code == 2 and says in answer.err and not (here / "never.toml").exists()
+
+
+def test_every_kind_is_tried_and_the_best_is_kept(here):
+    line = f"learn auto ramp_1.csv {SIGNALS} --set kinds=piecewise,grey_box --json --out best.toml"
+    answer = hydrotwin(*line.split())
+    assert answer.code == 0, answer.err
+    rows = json.loads(answer.out)["ranking"]
+    assert sorted(row["kind"] for row in rows) == ["grey_box", "piecewise"]
+    assert ht.load("best.toml").provenance["kind"] == rows[0]["kind"]

@@ -70,7 +70,7 @@ def simulate(
     reading: Reading | None = None,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
-    from hydrotwin.comparison import as_contender, errors_of
+    from hydrotwin.comparison import FREE_RUN, Trajectory, as_contender, domain_shares, errors_of
     from hydrotwin.simulation import Block, InaccurateWarning, simulate
 
     if output:
@@ -103,6 +103,10 @@ def simulate(
     tell_between(contender.inputs)
     for note in notes:
         mark(err, "note", f"{contender.name}: {note}")
+    run = Trajectory(contender.name, record.name, FREE_RUN, result)
+    beyond = [d.extrapolates for d in domain_shares([contender], [record], (), [run]) if d.extrapolates]
+    for sentence in beyond:
+        mark(err, "careful:", sentence)
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
@@ -117,7 +121,7 @@ def simulate(
         keys = ("output", "unit", "minimum", "maximum", "rmse")
         outputs = [dict(zip(keys, row, strict=True)) for row in rows]
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
-        answer |= {"notes": list(notes)} if notes else {}
+        answer |= {"notes": [*notes, *beyond]} if notes or beyond else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)

@@ -1,5 +1,6 @@
 """Identification: the parameters of a physical model from recordings, how sure they are, what cannot be told."""
 
+from .bands import Spread, deviations
 from .constant_speed import FrictionFit, fit_stribeck, friction_test, stribeck
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identify import identify
@@ -11,6 +12,8 @@ __all__ = [
     "FrictionFit",
     "OutputResidual",
     "RecordFit",
+    "Spread",
+    "deviations",
     "fit_stribeck",
     "friction_test",
     "identify",

@@ -149,6 +149,8 @@ def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
 
 def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
+    from hydrotwin.identification.bands import SPREAD, Spread
+
     roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
     return {
         "made_by": f"hydrotwin {__version__}",
@@ -159,6 +161,7 @@ def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
         "rmse": fit.rmse,
         "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
         "findings": [str(f) for f in fit.findings],
+        SPREAD: Spread.of(fit).told(),
     }
 
 

@@ -63,7 +63,10 @@ def _marked(page):
 
 def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
+    from hydrotwin.identification.bands import SPREAD, Spread
+
     roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
+    fitted = getattr(found.fit_after, "covariance", None) is not None
     steps = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
     return {
         "made_by": f"hydrotwin {__version__}",
@@ -75,6 +78,7 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
         "noise": dict(found.noise),
         "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
         "findings": [str(f) for f in found.findings],
+        **({SPREAD: Spread.of(found.fit_after).told()} if fitted else {}),
     }
 
 

@@ -1,0 +1,82 @@
+"""Bands of an identified model: they cover what sensors read, agree with draws, and say where not to trust them."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.identification import Spread, deviations, identify
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.simulation import simulate, simulate_many
+from tests.identification.drive import drive, recorded
+
+NOISE = {"position": 2e-3, "motor_speed": 0.05}
+FREE = ("motor.gain", "motor.time_constant", "pump.displacement")
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return identify(drive(), [recorded(drive(), 1, noise=NOISE)], free=list(FREE))
+
+
+def test_bands_cover_95_percent_of_what_sensors_read_on_other_recordings(fit):
+    spread = Spread.of(fit)
+    assert spread.explained == {"position", "motor_speed"}
+    inside = {name: [] for name in NOISE}
+    for seed in range(2, 42):
+        record = recorded(drive(), seed, noise=NOISE)
+        run, sd = simulate(fit.flat, record), deviations(fit.flat, record, spread)
+        for name in NOISE:
+            inside[name].append(np.abs(record[name] - run[name]) < 1.96 * sd[name])
+    for name in NOISE:
+        assert 0.92 < np.mean(inside[name]) < 0.98, name
+
+
+def test_the_parameters_share_is_that_of_a_thousand_draws(fit):
+    """By simulate_many, the start states given: no sensitivities take part."""
+    spread = dataclasses.replace(Spread.of(fit), noise={}, left=dict.fromkeys(NOISE, 0.0))
+    spread = dataclasses.replace(spread, covariance=100 * spread.covariance)  # large enough to be seen beside rounding
+    record = recorded(drive(), 3)
+    sd = deviations(fit.flat, record, spread)
+    middle = np.array([fit.values[n] for n in spread.names])
+    draws = np.random.default_rng(0).multivariate_normal(middle, spread.covariance, 1000)
+    many = simulate_many(fit.flat, [dict(zip(spread.names, d, strict=True)) for d in draws], record)
+    for name in NOISE:
+        drawn = many[name].std(axis=0)
+        assert sd[name][50:] == pytest.approx(drawn[50:], rel=0.1, abs=1e-3 * drawn.max()), name
+
+
+def test_noise_in_the_first_sample_goes_through_the_run(fit):
+    spread = Spread.of(fit)
+    sharp = dataclasses.replace(spread, noise=dict.fromkeys(NOISE, 0.0))
+    record = recorded(drive(), 3)
+    with_noise, without = (deviations(fit.flat, record, s)["position"] for s in (spread, sharp))
+    assert with_noise[0] == pytest.approx(np.hypot(without[0], NOISE["position"]), rel=0.05)
+    assert (with_noise[-1] > 1.2 * without[-1]) and np.all(with_noise >= without)
+    given = deviations(fit.flat, record, spread, {"piston.position": 0.0, "motor.speed": 0.0})["position"]
+    assert given == pytest.approx(without, rel=1e-9)
+
+
+def test_an_output_of_which_more_than_noise_is_left_is_not_trusted_and_its_band_is_as_wide():
+    record = recorded(drive(), 1, noise=NOISE)
+    wave = 0.05 * np.sin(3.0 * record.time)
+    record = record.with_signals({"position": record["position"] + wave})
+    found = identify(drive(), [record], free=list(FREE))
+    spread = Spread.of(found)
+    assert "position" not in spread.explained
+    assert spread.left["position"] > 10 * NOISE["position"]
+    assert deviations(found.flat, record, spread)["position"].min() >= spread.left["position"]
+
+
+def test_it_goes_into_a_file_and_back(fit):
+    spread = Spread.of(fit)
+    again = Spread.from_told(spread.told())
+    assert (again.names, again.noise, again.left, again.explained) == (
+        spread.names, spread.noise, spread.left, spread.explained
+    )  # fmt: skip
+    assert np.array_equal(again.covariance, spread.covariance)
+    for told in ({}, {**spread.told(), "covariance": [1.0]}, {**spread.told(), "noise": 3}):
+        with pytest.raises(DataError, match="garbled"):
+            Spread.from_told(told)

@@ -20,6 +20,7 @@ from .tags import groups, of_group
 
 SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
 SUFFIX = ".json"  # of an earlier comparison that a criterion names
+COVERAGE = "coverage"
 SCORED = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias", "fit": "fit_percent"}
 
 
@@ -166,6 +167,8 @@ class _Values:
         rows = self._rows(group, output, name)
         if metric == "nrmse":
             return float(np.mean([s.rmse / self._range(s) for s in rows]))
+        if metric == COVERAGE and any(np.isfinite(s.coverage) for s in rows):
+            return float(np.mean([s.coverage for s in rows]))
         if metric not in SCORED:
             raise DeclarationError(f"accept: '{self.criterion.text}': {name} has no band to take {metric} of.")
         values = [getattr(s, SCORED[metric]) for s in rows]

@@ -25,6 +25,8 @@ class Score:
 
     ``record`` is MEAN for the mean over the recordings; ``recordings`` counts those that went in.
     ``noise`` is the white noise of the measurement by itself (see `noise_floor`; nan for means and slopes).
+    ``coverage`` is the share of the samples inside the model's 95 % band, ``nlpd`` and ``crps`` score it (see
+    `hydrotwin.learned.bands`); nan for a model without a band.
     ``relative`` is rmse over the smallest rmse of any model on the same recording, output and mode (1 = best).
     """
 
@@ -45,6 +47,9 @@ class Score:
     samples: int = 0
     recordings: int = 1
     noise: float = float("nan")
+    coverage: float = float("nan")
+    nlpd: float = float("nan")
+    crps: float = float("nan")
 
     @property
     def too_good(self) -> bool:
@@ -54,12 +59,13 @@ class Score:
 
 @dataclass(frozen=True)
 class Trajectory:
-    """What one model predicted for one recording."""
+    """What one model predicted for one recording; deviation : standard deviation (n,), SI, by output, if it has one."""
 
     model: str
     record: str
     mode: str
     prediction: Record
+    deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -187,6 +193,13 @@ class Comparison:
         most = max((s.recordings for s in rows), default=0)
         return tuple(sorted(rows, key=lambda s: (s.recordings < most, s.rmse)))
 
+    def deviation(self, model: str, record: str, output: str, mode: str = FREE_RUN) -> np.ndarray | None:
+        """The standard deviation (n,), SI, that ``model`` gave beside its prediction, or None."""
+        for t in self.trajectories:
+            if (t.model, t.record, t.mode) == (model, record, mode):
+                return t.deviation.get(output)
+        return None
+
     def trajectory(self, model: str, record: str, mode: str = FREE_RUN) -> Record | None:
         """What ``model`` predicted, or None when it failed."""
         for t in self.trajectories:
@@ -227,6 +240,9 @@ def _mean(group: list[Score]) -> Score:
         lowest=min(s.lowest for s in group),
         highest=max(s.highest for s in group),
         samples=sum(s.samples for s in group),
+        coverage=average("coverage"),
+        nlpd=average("nlpd"),
+        crps=average("crps"),
         model=first.model,
         record=MEAN,
         output=first.output,

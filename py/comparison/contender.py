@@ -8,6 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from hydrotwin.identification.bands import SPREAD, Spread, deviations
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -73,6 +74,11 @@ class PhysicalContender:
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
         return predict_one_step(self.flat, record, start=self._start_of(record))
+
+    def deviations(self, record: Record) -> dict[str, np.ndarray]:
+        """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
+        told = self.provenance.get(SPREAD)
+        return deviations(self.flat, record, Spread.from_told(told), self._start_of(record)) if told else {}
 
     def _start_of(self, record: Record) -> Mapping[str, float] | None:
         by_record = any(isinstance(value, Mapping) for value in (self.start or {}).values())

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from hydrotwin.learned.bands import scores
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
@@ -33,6 +34,7 @@ from .metrics import errors_of
 from .rates import rate_signal, with_rates
 from .residual import Residual, explain
 
+SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
 
 
@@ -141,8 +143,20 @@ def _predict(contender, record: Record, mode: str, plan: _Plan, found: _Findings
         prediction = with_rates(prediction, plan.sloped)
     duration = max(record.duration, np.finfo(float).tiny)
     found.seconds.setdefault((contender.name, mode), []).extend(s / duration for s in seconds)
-    found.trajectories.append(Trajectory(*labels, prediction))
+    found.trajectories.append(Trajectory(*labels, prediction, _deviation(contender, record, prediction, mode)))
     return prediction
+
+
+def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict[str, np.ndarray]:
+    """Standard deviations by output where the contender has them for this mode; without them it is scored, too."""
+    own = {s.name for s in contender.outputs}
+    known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
+    if known or mode != FREE_RUN or not hasattr(contender, "deviations"):
+        return known
+    try:
+        return contender.deviations(record)
+    except HydrotwinError:
+        return {}
 
 
 def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan, found: _Findings) -> None:
@@ -161,9 +175,19 @@ def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan
         labels = (contender.name, record.name, name, mode)
         floor = plan.noise[record.name].get(name)
         white = floor.white if floor else np.nan
-        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **dataclasses.asdict(errors)))
+        band = _band(record[name], prediction[name], found.trajectories[-1].deviation.get(name))
+        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **dataclasses.asdict(errors), **band))
         if mode == FREE_RUN and floor:
             found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=floor.sigma))
+
+
+def _band(measured: np.ndarray, predicted: np.ndarray, deviation: np.ndarray | None) -> dict[str, float]:
+    """Coverage, NLPD and CRPS of a band; nothing without one."""
+    if deviation is None:
+        return {}
+    known = np.isfinite(measured) & (deviation > 0)
+    found = scores(measured[known] - predicted[known], deviation[known]) if known.any() else {}
+    return {key: found[key] for key in ("coverage", "nlpd", "crps") if key in found}
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:

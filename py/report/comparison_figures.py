@@ -11,12 +11,13 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from .copies import copies
-from .figure import MEASURED, Figure, FigureGroup, Style, error_bars, layout, line
+from .figure import MEASURED, Figure, FigureGroup, Style, band, error_bars, layout, line
 from .format import difference_to_shown, pretty_unit, to_shown
 
 BYTES_PER_POINT = 10.7  # two 32-bit floats in base64
 BUDGET = 2.4e6  # bytes of curves in one page
 FAR = 10.0  # times the smallest error: what is larger may leave the error axis
+WIDE = 1.96  # standard deviations: a band of 95 %
 MOST, FEWEST = 2400, 200  # points of one curve
 
 
@@ -40,7 +41,9 @@ def overlay_groups(comparison: Comparison, shown: Mapping[str, str], look: Mappi
 
 def plan(comparison: Comparison) -> tuple[int, tuple[Record, ...]]:
     """Points per curve, and the recordings plotted, such that all curves fit into BUDGET."""
-    per_record = len(comparison.outputs) * (2 * len(comparison.models) * len(comparison.modes) + len(comparison.modes))
+    lines = 2 * len(comparison.models) * len(comparison.modes) + len(comparison.modes)
+    lines += 2 * len({(t.model, t.mode) for t in comparison.trajectories if t.deviation})
+    per_record = len(comparison.outputs) * lines
     most_curves = int(BUDGET / BYTES_PER_POINT / FEWEST)
     count = max(1, min(len(comparison.records), most_curves // max(1, per_record)))
     points = int(BUDGET / BYTES_PER_POINT / max(1, per_record * count))
@@ -80,6 +83,10 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
             "hidden": name in hidden,
         }
         data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
+        deviation = comparison.deviation(name, record.name, signal.name, mode)
+        if deviation is not None:
+            sides = (to_shown(values + side * WIDE * deviation, signal.unit, unit) for side in (-1, 1))
+            data += band(record.time, *sides, name, style.colour, points=points, hidden=name in hidden)
         errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
     data += errors
     label = pretty_unit(unit)

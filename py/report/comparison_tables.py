@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from hydrotwin.comparison import FREE_RUN, Comparison, Residual, Score
+from hydrotwin.learned.bands import GOOD
 
 from .figure import Style
 from .format import NONE, common_decimals, difference_to_shown, number_text
@@ -237,8 +239,22 @@ def _metrics(rows: Sequence[Score], unit: str, best: bool = True) -> list[Column
         numbers("fit_percent", "Fit", [s.fit_percent for s in rows], "%", decimals=2, best=high, among=among),
         errors("bias", "Mean error", ""),
         numbers("relative", "× best RMSE", [s.relative for s in rows], common=False),
+        *_bands(rows, unit),
     ]
     return columns if best else [_marked(c, among) if c.key == "rmse" else c for c in columns]
+
+
+def _bands(rows: Sequence[Score], unit: str) -> list[Column]:
+    """How the 95 % bands hold, where a model has one: too narrow or too wide is warned of."""
+    if not any(math.isfinite(s.coverage) for s in rows):
+        return []
+    low, high = GOOD
+    inside = numbers("coverage", "Inside the 95 % band", [100 * s.coverage for s in rows], "%", common=False)
+    return [
+        warned(inside, [math.isfinite(s.coverage) and not low <= s.coverage <= high for s in rows]),
+        numbers("crps", "CRPS", [s.crps for s in rows], rows[0].unit, unit, common=False),
+        numbers("nlpd", "NLPD", [s.nlpd for s in rows], common=False),
+    ]
 
 
 def _marked(column: Column, where: Sequence[bool]) -> Column:

@@ -131,6 +131,29 @@ def line(
     }
 
 
+def band(
+    time: np.ndarray, low: np.ndarray, high: np.ndarray, name: str, colour: str, *, points: int, hidden: bool = False
+) -> list[dict]:
+    """The area between two curves in a pale colour; it comes and goes with the line of that name."""
+    t, low, high = (np.asarray(v, float) for v in (time, low, high))
+    keep = np.unique(np.linspace(0, len(t) - 1, min(points, len(t))).astype(int))
+    shared = {
+        "type": "scatter",
+        "mode": "lines",
+        "name": name,
+        "legendgroup": name,
+        "showlegend": False,
+        "visible": "legendonly" if hidden else True,
+        "x": packed(t[keep]),
+        "hoverinfo": "skip",
+        "line": {"width": 0, "color": colour},
+    }
+    return [
+        shared | {"y": packed(low[keep])},
+        shared | {"y": packed(high[keep]), "fill": "tonexty", "fillcolor": _faded(colour)},
+    ]
+
+
 def packed(values: np.ndarray) -> dict:
     """An array as Plotly's base64 of 32-bit floats: four times smaller than text."""
     return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode("ascii")}

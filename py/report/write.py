@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.comparison import FREE_RUN, Acceptance, Comparison
+from hydrotwin.identification.bands import SPREAD
 from hydrotwin.records.between import between
 
 from .acceptance import acceptance_data, acceptance_sections, verdict
@@ -194,8 +195,23 @@ def _notices(comparison: Comparison) -> tuple[str, ...]:
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
     found += _too_good(comparison)
+    found += _untrusted(comparison)
     found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])
+
+
+def _untrusted(comparison: Comparison) -> list[str]:
+    """Models whose bands are as wide as their fits were wrong, since something is missing in them."""
+    found, scored = [], {s.name for s in comparison.outputs}
+    for entrant in comparison.entrants:
+        told = entrant.provenance.get(SPREAD)
+        names = [n for n in told["left"] if n in scored and n not in told["explained"]] if told else []
+        if names:
+            found.append(
+                f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: its fit left more than noise, so "
+                "something is missing in it, and elsewhere the machine may be further off."
+            )
+    return found
 
 
 def _too_good(comparison: Comparison) -> list[str]:

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import MEAN, DomainShare, HoldLast, as_contender, compare
+from hydrotwin.comparison import FREE_RUN, MEAN, DomainShare, HoldLast, as_contender, compare
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -263,3 +263,40 @@ def test_where_a_model_extrapolates_is_said_in_a_sentence():
         DomainShare("", "run", 50.0, 1.0, ("command",), "recordings"),
     )
     assert inside.extrapolates == others.extrapolates == ""
+
+
+class Sure(Toy):
+    """A toy that says how sure it is."""
+
+    def __init__(self, name, sd, **more):
+        super().__init__(name, **more)
+        self.sd = sd
+
+    def deviations(self, record):
+        return {"motor_speed": np.full(len(record), self.sd)}
+
+
+def test_bands_are_scored_where_a_model_has_them():
+    found = run([Sure("right", 2.0), Sure("narrow", 0.5), TRUE])
+    means = {s.model: s for s in found.means if (s.output, s.mode) == ("motor_speed", FREE_RUN)}
+    assert 0.93 < means["right"].coverage < 0.97 and means["narrow"].coverage < 0.5
+    assert np.isnan(means["true"].coverage)
+    assert means["right"].crps == pytest.approx(2.0 / np.sqrt(np.pi), rel=0.05)
+    assert means["right"].nlpd == pytest.approx(np.log(2.0 * np.sqrt(2 * np.pi)) + 0.5, rel=0.05)
+    assert means["narrow"].nlpd > means["right"].nlpd
+    one_step = [s for s in found.scores if s.mode != FREE_RUN]
+    assert np.isnan([s.coverage for s in one_step]).all(), "these deviations are of free runs"
+    assert found.deviation("right", "validation_1", "motor_speed").shape == (800,)
+    assert found.deviation("true", "validation_1", "motor_speed") is None
+
+
+def test_an_identified_model_brings_its_band_from_its_file(tmp_path):
+    from hydrotwin.comparison import PhysicalContender
+    from hydrotwin.identification import Spread, identify
+    from tests.identification.drive import drive, recorded
+
+    noise = {"position": 2e-3, "motor_speed": 0.05}
+    fit = identify(drive(), [recorded(drive(), 1, noise=noise)], free=["motor.gain", "motor.time_constant"])
+    model = PhysicalContender(fit.flat, "fitted", provenance={"spread": Spread.of(fit).told()})
+    found = compare([model], [recorded(drive(), k, noise=noise) for k in range(2, 6)], repeats=1, modes=[FREE_RUN])
+    assert all(0.9 < s.coverage < 0.99 for s in found.means)

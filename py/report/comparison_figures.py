@@ -42,7 +42,7 @@ def overlay_groups(comparison: Comparison, shown: Mapping[str, str], look: Mappi
 def plan(comparison: Comparison) -> tuple[int, tuple[Record, ...]]:
     """Points per curve, and the recordings plotted, such that all curves fit into BUDGET."""
     lines = 2 * len(comparison.models) * len(comparison.modes) + len(comparison.modes)
-    lines += 2 * len({(t.model, t.mode) for t in comparison.trajectories if t.deviation})
+    lines += 4 * len({(t.model, t.mode) for t in comparison.trajectories if t.deviation})
     per_record = len(comparison.outputs) * lines
     most_curves = int(BUDGET / BYTES_PER_POINT / FEWEST)
     count = max(1, min(len(comparison.records), most_curves // max(1, per_record)))
@@ -85,8 +85,12 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
         data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
         deviation = comparison.deviation(name, record.name, signal.name, mode)
         if deviation is not None:
-            sides = (to_shown(values + side * WIDE * deviation, signal.unit, unit) for side in (-1, 1))
-            data += band(record.time, *sides, name, style.colour, points=points, hidden=name in hidden)
+            wide = [side * WIDE * deviation for side in (-1, 1)]
+            around, alone = ([to_shown(values + w, signal.unit, unit) for w in wide],
+                             [difference_to_shown(w, signal.unit, unit) for w in wide])  # fmt: skip
+            how = {"points": points, "hidden": name in hidden}
+            data += band(record.time, around, name, style.colour, row=1, **how)
+            errors += band(record.time, alone, name, style.colour, row=2, **how)
         errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
     data += errors
     label = pretty_unit(unit)

@@ -132,10 +132,10 @@ def line(
 
 
 def band(
-    time: np.ndarray, low: np.ndarray, high: np.ndarray, name: str, colour: str, *, points: int, hidden: bool = False
+    time: np.ndarray, sides: Sequence[np.ndarray], name: str, colour: str, *, row: int, points: int, hidden: bool
 ) -> list[dict]:
-    """The area between two curves in a pale colour; it comes and goes with the line of that name."""
-    t, low, high = (np.asarray(v, float) for v in (time, low, high))
+    """The area between two curves, low and high, in a pale colour; it comes and goes with the line of that name."""
+    t, low, high = (np.asarray(v, float) for v in (time, *sides))
     keep = np.unique(np.linspace(0, len(t) - 1, min(points, len(t))).astype(int))
     shared = {
         "type": "scatter",
@@ -145,12 +145,14 @@ def band(
         "showlegend": False,
         "visible": "legendonly" if hidden else True,
         "x": packed(t[keep]),
+        "xaxis": "x",
+        "yaxis": "y" if row == 1 else f"y{row}",
         "hoverinfo": "skip",
         "line": {"width": 0, "color": colour},
     }
     return [
         shared | {"y": packed(low[keep])},
-        shared | {"y": packed(high[keep]), "fill": "tonexty", "fillcolor": _faded(colour)},
+        shared | {"y": packed(high[keep]), "fill": "tonexty", "fillcolor": _faded(colour, 0.16)},
     ]
 
 
@@ -240,9 +242,9 @@ def _axis(title: str) -> dict:
     }
 
 
-def _faded(colour: str) -> str:
+def _faded(colour: str, share: float = 0.38) -> str:
     red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.38)"
+    return f"rgba({red},{green},{blue},{share})"
 
 
 def _plain(text: str) -> str:

@@ -136,6 +136,8 @@ def _plots(comparison: Comparison, shown: Mapping[str, str], look) -> Section:
         "Drag to zoom, double-click to reset, click a name to hide it. All numbers come from the full recordings, and "
         "the curves keep every peak."
     )
+    if any(t.deviation for t in comparison.trajectories):
+        lead += " Pale: the 95\u00a0% band of a model, about its curve and about its error."
     if copies(comparison):
         lead += " An FMU that gives what its model gives lies on it: click its name to see it."
     if len(plotted) < len(comparison.records):
@@ -208,8 +210,8 @@ def _untrusted(comparison: Comparison) -> list[str]:
         names = [n for n in told["left"] if n in scored and n not in told["explained"]] if told else []
         if names:
             found.append(
-                f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: its fit left more than noise, so "
-                "something is missing in it, and elsewhere the machine may be further off."
+                f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: its fit left more than noise. "
+                "Something is missing in it, and elsewhere the machine may be further off."
             )
     return found
 

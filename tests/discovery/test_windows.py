@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.fits.job import Job, Look
+from hydrotwin.discovery.fits.job import Job, Look, apart
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.fits.windows import look
 from hydrotwin.models.language import Model
@@ -89,3 +89,10 @@ def test_the_next_step_is_windows_where_there_are_lengths_and_else_whole_recordi
     assert isinstance(there, Look) and there.left is None
     whole = step(rubbing(dataclasses.replace(asked, lengths=()), 50.0, stages=(0, 0)))
     assert isinstance(whole, Look) and whole.left.counts.sum() == 1800
+
+
+def test_sizes_that_are_nothing_are_no_warning():
+    nothing, some = np.array([0.0, 1.0, np.nan]), np.array([0.0, 2.0, np.nan])
+    assert apart(nothing, some) == pytest.approx(np.log(2.0))
+    assert apart(nothing, nothing) == 0.0
+    assert apart(np.array([0.0]), np.array([1.0])) == np.inf

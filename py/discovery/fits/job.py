@@ -184,6 +184,13 @@ def not_below(noise: np.ndarray, size: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(noise), np.fmax(noise, size), np.nan)
 
 
+def apart(size: np.ndarray, other: np.ndarray) -> float:
+    """The largest factor between two sizes (ny,), as its logarithm; infinite where one of them alone is nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factors = np.abs(np.log(size / other))
+    return float(np.nanmax(np.where((size == 0) & (other == 0), 0.0, factors), initial=0.0))
+
+
 def inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
     """Values clipped to the parameters' bounds."""
     known = {p.name: p.bounds for p in flat.parameters}

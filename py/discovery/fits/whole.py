@@ -27,7 +27,7 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
-from .job import Fitted, Job, Look, broad, moving_starts, not_below, point_of, task_of
+from .job import Fitted, Job, Look, apart, broad, moving_starts, not_below, point_of, task_of
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
@@ -138,7 +138,7 @@ def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tup
         further -= found.iterations
         left = residuals_of(task, found)
         before, size = size, _size(task, left)
-        agreed = number and np.nanmax(np.abs(np.log(size / before))) < STEADY
+        agreed = number and apart(size, before) < STEADY
         if agreed or further <= 0 or time.process_time() > until:
             break
     return task, found, left

@@ -20,7 +20,7 @@ from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.models.language.errors import SolveError
 
-from .job import Job, Look, Question, broad, not_below, point_of, task_of
+from .job import Job, Look, Question, apart, broad, not_below, point_of, task_of
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
 TURNS = 2  # of weights and minimum at every length
@@ -56,7 +56,7 @@ def _led(job: Job) -> Look:
                 break
             before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
             shooting = dataclasses.replace(shooting, weights=weights(size))
-            if time.process_time() > job.seconds or not np.nanmax(np.abs(np.log(size / before))) > CHANGED:
+            if time.process_time() > job.seconds or not apart(size, before) > CHANGED:
                 break
         task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]

@@ -17,6 +17,7 @@ from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
 from .hybrid.block import HybridBlock, hybrid_outputs
 from .hybrid.learn import learn_hybrid
+from .importance import idle, importance
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
@@ -129,13 +130,17 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
-    words = Words(bad, [*notes, *_of_drift(block)])
+    notes += _of_drift(block)
     if not split.held_out:
-        return card(split, [], words)
+        return card(split, [], Words(bad, notes))
     more = {} if block.provenance.get("kind") == "piecewise" else curve(split, *named)
     if model is not None:
         more = {MODEL: lambda record: simulate(model, record)} | more
-    return card(split, judged(block, split, named[1], more, records), words)
+    rows = judged(block, split, named[1], more, records)
+    worth = importance(block, split.held_out, named[1])
+    unused = idle(worth, {row.output.name: row.rmse for row in rows})
+    notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
+    return card(split, rows, Words(bad, notes)) | ({"inputs": worth} if worth else {})
 
 
 def _of_form(block: Block) -> tuple[list[str], list[str]]:

@@ -63,6 +63,7 @@ def learned_sections(block) -> tuple[Section, ...]:
     card = provenance.get("free_run", {}).get("outputs", {})
     made = (
         _section("yardsticks", "Beside yardsticks", YARDSTICKS, _yardsticks(card) if card else None),
+        _section("inputs", "What each input is worth", INPUTS, _inputs(provenance.get("free_run", {}))),
         _section("kinds", "Kinds that were tried", KINDS, _ranking(provenance.get("ranking", ()))),
         _section("seeds", "Spread over seeds", SEEDS, _seeds(provenance.get("seeds", ()))),
     )
@@ -70,6 +71,7 @@ def learned_sections(block) -> tuple[Section, ...]:
 
 
 YARDSTICKS = "Free run on what was held out. A block that is no better than a yardstick is not worth its parameters."
+INPUTS = "Free run on what was held out, with one input at its mean: what the block loses without it."
 KINDS = "All were trained on the same recordings. The best was chosen on what was held out, so its figure flatters it."
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
 
@@ -95,6 +97,18 @@ def _share(value: float | None, row: Mapping, rival: float | None = None) -> Cel
         return Cell(None, NONE)
     beaten = rival is None or rival < value
     return Cell(float(value), f"{number_text(100 * value / row['range'], 3)}\u00a0%", tone="" if beaten else "warning")
+
+
+def _inputs(card: Mapping) -> Table | None:
+    worth, rows = card.get("inputs", {}), card.get("outputs", {})
+    if not worth:
+        return None
+    columns = [texts("input", "Without", ["nothing, all inputs told", *worth])]
+    for name, row in rows.items():
+        errors = [row.get("rmse"), *(without.get(name) for without in worth.values())]
+        shares = [None if e is None else 100 * e / row["range"] for e in errors]
+        columns.append(numbers(name, f"{name}, of its range", shares, "%", common=False))
+    return table("inputs", "", columns)
 
 
 def _ranking(rows: Sequence[Mapping]) -> Table | None:

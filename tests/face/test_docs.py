@@ -1,4 +1,4 @@
-"""docs/gap.md keeps its word: its commands parse, its Python runs, its files are read."""
+"""The documentation keeps its word: its commands parse, its Python runs, its files are read."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from tests.face.command_line import ROOT
 from tests.report import gap_discoveries
 
 TEXT = (ROOT / "docs/gap.md").read_text(encoding="utf-8")
+VALIDATION = (ROOT / "docs/validation.md").read_text(encoding="utf-8")
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = re.findall(r"^ {4,6}(hydrotwin .*)$", TEXT + README, re.MULTILINE)
+COMMANDS = re.findall(r"^ {4,6}(hydrotwin .*)$", TEXT + README + VALIDATION, re.MULTILINE)
 PYTHON = [block.partition("```")[0] for block in TEXT.split("```python\n")[1:]]
 
 
@@ -85,3 +86,13 @@ def test_the_modelica_that_is_shown_is_what_is_written():
     assert "\n".join(f"  {line}" for line in shown.strip().splitlines()) in written.replace(
         "    extends", "    extends"
     )
+
+
+def test_every_criterion_of_the_documentation_is_one():
+    from hydrotwin.comparison import criterion
+    from hydrotwin.comparison.criteria import METRICS
+
+    angle = next(s for s in ht.load("cehA").flat.outputs if s.name == "arm_angle")
+    rows = re.findall(r"^\| `(.+?)` \|", VALIDATION, re.MULTILINE)
+    assert len(rows) >= 6 and all(criterion(row, [angle]).output == "arm_angle" for row in rows)
+    assert all(f"`{metric}`" in VALIDATION for metric in METRICS)

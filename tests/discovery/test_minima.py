@@ -12,6 +12,7 @@ from hydrotwin.discovery.answer.standing import standing
 from hydrotwin.discovery.fits.job import Fitted
 from hydrotwin.discovery.fits.windows import look
 from hydrotwin.discovery.structures import search as module
+from hydrotwin.discovery.structures.extent import beginnings
 from hydrotwin.discovery.structures.jobs import Jobs
 from hydrotwin.identification.frequencies import detuned
 from hydrotwin.identification.problem import free_parameters
@@ -128,3 +129,17 @@ def test_the_users_start_is_fitted_only_where_windows_led_nowhere():
 
     assert fits() == 1
     assert fits(pulse=80.0) > 1
+
+
+def test_what_was_fitted_in_a_part_is_no_look_in_another():
+    """A search that is freed goes through another part of the recordings: looks at the first compare with nothing."""
+    search = begun(records(3, dry=30.0), SOME)
+    search.identify()
+    search._to_whole_recordings()
+    entry = search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
+    while entry.open:
+        search._advance([entry])
+    shorter = beginnings(search.table.question, 0.25)
+    search.table.look_anew()
+    search.table.entry().look = search._ran([search.jobs.glance(search.table.entry(), shorter)])[0]
+    assert search.table.promise(entry) == search.table.share(entry) < 0.1, "what its fit left"

@@ -24,6 +24,7 @@ from ..evidence.posterior import NOTHING, temperature
 from ..evidence.score import score
 from ..fits.job import Fitted, Job, Look
 from ..fits.whole import led, step
+from .ends import Freed, OutOfTime, Surprised
 from .extent import SHORT, enough_of, telling, with_fewer_windows
 from .jobs import Effort, Jobs
 from .starts import compatible, different
@@ -36,18 +37,6 @@ INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of w
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
-
-
-class OutOfTime(Exception):
-    """The time limit has come."""
-
-
-class Surprised(Exception):
-    """A structure explains all in short windows, whose starts are free, and not in longer runs."""
-
-
-class Freed(Exception):
-    """A structure has led the base out of a local minimum: what was seen beside it says little."""
 
 
 @dataclass(eq=False)
@@ -129,9 +118,7 @@ class Search:
         self.jobs.extent, base.look = enough_of(
             table, lambda question: self._ran([self.jobs.glance(base, question)])[0]
         )
-        for entry in table.entries.values():
-            if entry.open and entry.members:
-                entry.look = None
+        table.look_anew()
 
     def identify(self) -> Entry:
         """The base, led through all windows and fitted. Raises SolveError where it diverges."""
@@ -339,8 +326,7 @@ class Search:
             (look,) = self._ran([self.jobs.through_windows_of(best)])
             base.look = look if isinstance(look, Look) else base.look
             self.first = telling(table)
-        for entry in table.entries.values():
-            entry.look = None if entry.open and entry.members else entry.look
+        table.look_anew()
         raise Freed
 
     def _wonder(self, entries: Sequence[Entry]) -> None:

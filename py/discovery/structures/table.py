@@ -80,6 +80,12 @@ class Table:
         """Whether every single effect was looked at, fitted, or cannot be."""
         return self._seen() == len(self.candidates)
 
+    def look_anew(self) -> None:
+        """Forget what was seen beside the base as it was before, or through other windows: it compares with nothing."""
+        for entry in self.entries.values():
+            if entry.members:
+                entry.look = None
+
     def _seen(self) -> int:
         alone = (self.entries.get((c.label,)) for c in self.candidates)
         return sum(bool(e and (e.look or e.fitted or e.failed)) for e in alone)
@@ -132,12 +138,12 @@ class Table:
 
     # -- what the windows promise ----------------------------------------------------------------------------------
     def promise(self, entry: Entry, most: int | None = None) -> float:
-        """Share of what the base leaves that a structure leaves in windows as long; 1 where it was not looked at.
+        """Share of what the base leaves that a structure leaves in windows as long; else in its fit, 1 without one.
 
         most : of how many lengths the last is meant at most; None: of all that it went through.
         """
         if entry.look is None or self.entries[NOTHING].look is None:
-            return 1.0
+            return self.share(entry) if entry.fitted and entry.members else 1.0
         if entry.look.left is not None:
             base = self.entries[NOTHING].look.left
             whole = score(base, Floor(self.noise, self.coloured))

@@ -158,7 +158,10 @@ def _equation(search: Search, finalists: int) -> tuple[Equation, float]:
 
 def _apart(orders: Sequence[Order]) -> list[Order]:
     """The first of those with the same form and past."""
-    return list({(o.rate, o.past): o for o in reversed(orders)}.values())[::-1]
+    first: dict = {}
+    for order in orders:
+        first.setdefault((order.rate, order.past), order)
+    return list(first.values())
 
 
 def _arrays(equations: Sequence[Equation], scales: Scales) -> tuple[dict[str, int], dict[str, np.ndarray]]:

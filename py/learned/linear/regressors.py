@@ -17,7 +17,8 @@ from hydrotwin.records import Record
 
 from ..training_data import on_period
 
-FOLDS = 4  # parts of every recording, or of as many recordings and more, each held out once
+FOLDS = 4  # parts, each held out once
+MANY = 3  # recordings, from which on the parts are whole recordings; of fewer, they are cut
 PAST = 4  # most past values of an output
 DELAYS = (0, 1, 2, 3, 4, 6, 9, 13, 19)  # periods that are tried before an input acts
 COUNTS = (1, 2, 4, 8)  # samples of an input that are tried
@@ -121,7 +122,7 @@ class Rows:
     @property
     def fitted(self) -> int:
         """How many rows a fit has, with one fold held out."""
-        return sum(len(p.u) for p in self.parts) * (FOLDS - 1) // FOLDS
+        return sum(len(p.u) for p in self.parts) * (self.count - 1) // self.count
 
     @cached_property
     def matrices(self) -> list[np.ndarray]:
@@ -145,15 +146,18 @@ class Rows:
                 answer[:, self.input(i) + lag] = u[self.reach - lag : self.reach - lag + n, i]
         return answer
 
+    @property
+    def count(self) -> int:
+        """How many folds there are."""
+        return min(FOLDS, len(self.parts)) if len(self.parts) >= MANY else FOLDS
+
     @cached_property
     def cuts(self) -> list[np.ndarray]:
         """Per recording, the rows at which its folds begin, and its end; of many recordings, each is in one fold."""
-        if len(self.parts) < FOLDS:
-            return [np.linspace(0, len(m), FOLDS + 1).astype(int) for m in self.matrices]
-        return [
-            np.where(np.arange(FOLDS + 1) > k * FOLDS // len(self.parts), len(m), 0)
-            for k, m in enumerate(self.matrices)
-        ]
+        edges = np.arange(self.count + 1)
+        if len(self.parts) < MANY:
+            return [len(m) * edges // self.count for m in self.matrices]
+        return [np.where(edges > k * self.count // len(self.parts), len(m), 0) for k, m in enumerate(self.matrices)]
 
     @cached_property
     def folds(self) -> list[np.ndarray]:
@@ -161,7 +165,7 @@ class Rows:
         known = max(self.past + 1, self.reach)
         return [
             _factor([m[max(c[k], known) : c[k + 1]] for m, c in zip(self.matrices, self.cuts, strict=True)])
-            for k in range(FOLDS)
+            for k in range(self.count)
         ]
 
     @cached_property
@@ -169,7 +173,7 @@ class Rows:
         """The triangular factor of all folds but one, for every one; of all rows where others are judged."""
         if self.judged:
             return [self.all]
-        return [_factor([f for n, f in enumerate(self.folds) if n != k]) for k in range(FOLDS)]
+        return [_factor([f for n, f in enumerate(self.folds) if n != k]) for k in range(self.count)]
 
     @cached_property
     def all(self) -> np.ndarray:

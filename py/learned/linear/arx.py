@@ -15,7 +15,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
-from ..training_data import checked_recordings, named, training_box
+from ..training_data import checked_recordings, named, training_box, usable
 from .arx_block import ARX, arx_states
 from .orders import SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
 from .output_error import refined
@@ -49,6 +49,7 @@ def learn_arx(
     delay: int | None = None,
     rate: bool | None = None,
     refine: bool = True,
+    select: Sequence[Record] = (),
     validate: Sequence[Record] = (),
     seed: int = 0,
     name: str = "arx",
@@ -68,6 +69,7 @@ def learn_arx(
         rate: the increments of the outputs are modelled; None: chosen for every output.
         refine: the few best are fitted to their free runs too (output error), where that runs better on what is held
             out. False: least squares alone.
+        select: recordings that choose in place of the parts; nothing is fitted to them.
         validate: checked, and used for nothing. seed: kept for the record; nothing here is random.
         progress: not called; it does not take long.
 
@@ -81,7 +83,8 @@ def learn_arx(
     _check_options(period, lags, delay)
     inputs, outputs, records, validate = checked_recordings("learn_arx", records, inputs, outputs, validate)
     asked = Asked(rate, *(lags or (None, None)), delay)
-    chosen = choose(records, inputs, outputs, period, asked, FINALISTS if refine else 0)
+    select = usable(select, (*inputs, *outputs)) if select else []
+    chosen = choose((records, select), inputs, outputs, period, asked, FINALISTS if refine else 0)
     scales = Scales.of(records, inputs, outputs)
     structure, arrays = _arrays(chosen.equations, scales)
     block = assemble(
@@ -96,21 +99,22 @@ def learn_arx(
         period=chosen.period,
         domain=training_box(records, (*inputs, *outputs)),
         description=_describe(chosen, inputs, outputs),
-        provenance=_provenance(records, chosen, inputs, outputs, seed, began),
+        provenance=_provenance((records, select), chosen, inputs, outputs, seed, began),
     )
     return replace(block, certificate=certified(block, chosen, scales))
 
 
 def choose(
-    records: Sequence[Record], inputs, outputs, period: float | None, asked: Asked, finalists: int
+    both: tuple[Sequence[Record], Sequence[Record]], inputs, outputs, period: float | None, asked: Asked, finalists: int
 ) -> Chosen:
     """The period and equations that run best on parts held out, fitted to all of the recordings.
 
-    finalists : how many per output are fitted to their free runs as well; 0: none.
+    both : recordings to fit, and those that choose (none: parts of the former, held out in turn). finalists : how many per output are fitted to their free runs as well; 0: none.
     """
+    records, _ = both
     scales, best = Scales.of(records, inputs, outputs), None
     for candidate in [period] if period else periods_of(records):
-        rows = Rows.of([Sampled.of(r, candidate, inputs, outputs, scales) for r in records], asked.reach)
+        rows = rows_at(both, candidate, inputs, outputs, scales, asked.reach)
         searches = [Search(rows, j, asked) for j in range(len(outputs))]
         errors = [s.run() for s in searches]
         if not np.isfinite(errors).all():
@@ -127,6 +131,12 @@ def choose(
     found = [_equation(s, finalists) for s in searches]
     errors = np.sqrt([e for _, e in found]) * scales.output_scale
     return Chosen(period, rows, [eq for eq, _ in found], errors)
+
+
+def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0) -> Rows:
+    """The recordings to fit, and those that choose, at a period."""
+    records, select = both
+    return Rows.of([Sampled.of(r, period, inputs, outputs, scales) for r in (*records, *select)], reach, len(select))
 
 
 def periods_of(records: Sequence[Record]) -> list[float]:
@@ -246,15 +256,15 @@ def _describe(chosen: Chosen, inputs, outputs) -> str:
     return "ARX: " + "; ".join(parts)
 
 
-def _provenance(records, chosen: Chosen, inputs, outputs, seed: int, began: float) -> dict:
+def _provenance(both, chosen: Chosen, inputs, outputs, seed: int, began: float) -> dict:
     told = {
         s.name: _told(eq.order, inputs) | {"held_out_error": float(e)}
         for s, eq, e in zip(outputs, chosen.equations, chosen.errors, strict=True)
     }
     return {
         "kind": "arx",
-        "trained_on": named(records),
-        "selected_on": "quarters of the training recordings, each held out in turn",
+        "trained_on": named(both[0]),
+        "selected_on": named(both[1]) or "parts of the training recordings, each held out in turn",
         "arx": told,
         "seed": seed,
         "seconds": round(perf_counter() - began, 2),

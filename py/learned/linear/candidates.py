@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from .state_space import Form
 from .subspace import hankel_factor, observability
 from .whole_runs import Fitted, WholeRuns
 
-ORDERS = (1, 2, 3, 4, 5, 6, 8)
+ORDERS = (1, 2, 3, 4, 6, 8)
 DEPTH = 14  # block rows of the Hankel matrices, at most
 FEWEST = 5  # samples for each column of the Hankel matrices
 
@@ -23,32 +23,33 @@ FEWEST = 5  # samples for each column of the Hankel matrices
 class Candidate:
     """A form and order at a period, where its subspace comes from, and its error (ny,) on what is held out, over scales.
 
-    spaces : observability without each fold, and from all.
+    spaces : observability by the fold it is without; None: from all that may be fitted.
     """
 
     period: float
     runs: WholeRuns
     order: int
     source: str
-    spaces: Sequence[np.ndarray]
+    spaces: Mapping[int | None, np.ndarray]
     error: float = np.inf
     refined: bool = False
     evaluations: int = 0
 
-    def tried(self, fit: Callable[[Candidate, int], Fitted]) -> Candidate:
-        """With the error of fits without each fold in turn."""
+    def tried(self, iterations: int = 0) -> Candidate:
+        """With the error of fits without each held fold in turn."""
         total, count, evaluations = 0.0, 0, 0
-        for fold in range(self.runs.rows.count):
-            fitted = fit(self, fold)
+        for fold in self.runs.rows.held:
+            fitted = self.fit(fold, iterations)
             squares, samples = self.runs.held_out_error(fitted, fold)
             total, count, evaluations = total + squares, count + samples, evaluations + fitted.evaluations
         mean = total / max(count, 1)
         error = float(np.exp(np.mean(np.log(np.maximum(mean, 1e-24))))) if np.isfinite(mean).all() else np.inf
         return replace(self, error=error, evaluations=evaluations)
 
-    def begun(self, fold: int | None) -> Fitted:
-        """From the subspace, without a fold or from all."""
-        return self.runs.linear(self.spaces[-1 if fold is None else fold], self.order, fold)
+    def fit(self, fold: int | None, iterations: int) -> Fitted:
+        """From the subspace, without a fold; refined where it is to be."""
+        begun = self.runs.linear(self.spaces[fold], self.order, fold)
+        return self.runs.refined(begun, fold, iterations) if self.refined else begun
 
 
 def forms_of(chosen: Chosen, period: float) -> list[Form]:
@@ -77,11 +78,11 @@ def candidates(rows: Rows, period: float, form: Form, chosen: Chosen | None, ord
     for source, outputs in sources.items():
         spaces = _spaces(runs, outputs)
         for order in orders if spaces is not None else ():
-            if order < spaces[-1].shape[0] - len(form.rates) and runs.fits(order):
+            if order < spaces[rows.never].shape[0] - len(form.rates) and runs.fits(order):
                 yield Candidate(period, runs, order, source, spaces)
 
 
-def _spaces(runs: WholeRuns, outputs: Sequence[np.ndarray]) -> list[np.ndarray] | None:
+def _spaces(runs: WholeRuns, outputs: Sequence[np.ndarray]) -> dict[int | None, np.ndarray] | None:
     rows = runs.rows
     nu, ny = runs.inputs[0].shape[1], len(runs.form.rates)
     depth = min(DEPTH, min(len(u) for u in runs.inputs) // rows.count // 4, rows.fitted // (FEWEST * 2 * (nu + ny)))
@@ -92,8 +93,10 @@ def _spaces(runs: WholeRuns, outputs: Sequence[np.ndarray]) -> list[np.ndarray] 
         hankel_factor([(u[c[k] : c[k + 1]], w[c[k] : c[k + 1]]) for u, w, c in pieces], depth)
         for k in range(rows.count)
     ]
-    apart = [[f for n, f in enumerate(factors) if n != k] for k in range(rows.count)]
-    return [observability(part, nu, ny, depth) for part in [*apart, factors]]
+    return {
+        fold: observability([f for n, f in enumerate(factors) if n != fold], nu, ny, depth)
+        for fold in dict.fromkeys([*rows.held, rows.never])
+    }
 
 
 def ranked(tried: Sequence[Candidate]) -> list[Candidate]:

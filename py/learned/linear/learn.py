@@ -15,11 +15,11 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
-from ..training_data import checked_recordings, named, training_box
-from .arx import Chosen, choose, periods_of
+from ..training_data import checked_recordings, named, training_box, usable
+from .arx import Chosen, choose, periods_of, rows_at
 from .candidates import ORDERS, Candidate, candidates, forms_of, ranked
 from .orders import Asked
-from .regressors import Rows, Sampled, Scales
+from .regressors import Rows, Scales
 from .state_space_block import LINEAR, state_space_arrays, state_space_states
 from .whole_runs import Fitted, Way, WholeRuns
 
@@ -39,6 +39,7 @@ def learn_linear(
     order: int | None = None,
     rate: bool | None = None,
     refine: bool = True,
+    select: Sequence[Record] = (),
     validate: Sequence[Record] = (),
     seed: int = 0,
     name: str = "linear",
@@ -57,6 +58,7 @@ def learn_linear(
         period: s between steps; None: chosen. order: states, without sums and delays; None: 1 to 8 are tried.
         rate: all outputs integrate, or none does; None: chosen.
         refine: False: the subspace and linear least squares alone.
+        select: recordings that choose in place of parts held out; nothing is fitted to them.
         validate: checked, and used for nothing. seed: kept for the record; nothing here is random.
         progress: called with every `Candidate` that was tried.
 
@@ -69,11 +71,12 @@ def learn_linear(
     _check_options(period, order)
     inputs, outputs, records, validate = checked_recordings("learn_linear", records, inputs, outputs, validate)
     scales = Scales.of(records, inputs, outputs)
-    chosen = choose(records, inputs, outputs, period, Asked(rate=rate), 0)
-    rows = _rows(records, inputs, outputs, scales, chosen, period)
+    select = usable(select, (*inputs, *outputs)) if select else []
+    chosen = choose((records, select), inputs, outputs, period, Asked(rate=rate), 0)
+    rows = _rows((records, select), inputs, outputs, scales, chosen, period)
     best, evaluations = _best(rows, chosen, (order,) if order else ORDERS, (rate, refine), progress)
-    fitted = _fit(best, None, ITERATIONS[1])
-    way = best.runs.best_way(fitted.model)
+    fitted = best.fit(best.runs.rows.never, ITERATIONS[1])
+    way = best.runs.best_way(fitted.model, best.runs.rows.never)
     structure, arrays = state_space_arrays(fitted.model, way, scales)
     block = assemble(
         LINEAR,
@@ -92,7 +95,7 @@ def learn_linear(
     provenance = {
         "kind": "linear",
         "trained_on": named(records),
-        "selected_on": "parts of the training recordings, each held out in turn",
+        "selected_on": named(select) or "parts of the training recordings, each held out in turn",
         "linear": _told(best, outputs) | {"held_out_error_over_spread": error},
         "seed": seed,
         "evaluations": evaluations + fitted.evaluations,
@@ -103,16 +106,15 @@ def learn_linear(
     return replace(block, provenance=provenance, certificate=_certified(block, best.runs, fitted, way, scales))
 
 
-def _rows(records, inputs, outputs, scales: Scales, chosen: Chosen, period: float | None) -> dict[float, Rows]:
+def _rows(both, inputs, outputs, scales: Scales, chosen: Chosen, period: float | None) -> dict[float, Rows]:
     """Rows at the periods that are tried."""
     if period:
         return {period: chosen.rows}
+    records, _ = both
     low, high = (share * chosen.period for share in NEAR)
     tried = [p for p in periods_of(records) if low < p < high and sum(r.duration for r in records) <= MOST * p]
-    answer = {p: Rows.of([Sampled.of(r, p, inputs, outputs, scales) for r in records]) for p in tried}
-    return {chosen.period: chosen.rows} if not answer else answer | (
-        {chosen.period: chosen.rows} if chosen.period in answer else {}
-    )
+    answer = {p: rows_at(both, p, inputs, outputs, scales) for p in tried}
+    return answer or {chosen.period: chosen.rows}
 
 
 def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> tuple[Candidate, int]:
@@ -125,7 +127,7 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
                 continue
             equations = chosen if period == chosen.period else None
             for candidate in candidates(at, period, form, equations, orders):
-                tried.setdefault((period, form), []).append(candidate.tried(_begun))
+                tried.setdefault((period, form), []).append(candidate.tried())
                 if progress:
                     progress(tried[period, form][-1])
     first = [ranked(group)[0] for group in tried.values() if ranked(group)]
@@ -137,21 +139,12 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
     first.sort(key=lambda c: c.error)
     evaluations = 0
     for candidate in first[:FINALISTS] if refine else ():
-        better = replace(candidate, refined=True).tried(lambda c, fold: _fit(c, fold, ITERATIONS[0]))
+        better = replace(candidate, refined=True).tried(ITERATIONS[0])
         evaluations += better.evaluations
         first.append(better)
         if progress:
             progress(better)
     return min(first, key=lambda c: c.error), evaluations
-
-
-def _begun(candidate: Candidate, fold: int | None) -> Fitted:
-    return candidate.begun(fold)
-
-
-def _fit(candidate: Candidate, fold: int | None, iterations: int) -> Fitted:
-    begun = candidate.begun(fold)
-    return candidate.runs.refined(begun, fold, iterations) if candidate.refined else begun
 
 
 def _certified(block: LearnedBlock, runs: WholeRuns, fitted: Fitted, way: Way, scales: Scales) -> Certificate:

@@ -227,16 +227,15 @@ class Search:
 
 
 def held_out_error(rows: Rows, output: int, equations: Sequence[Equation]) -> float:
-    """Mean square of free runs, each fold by the equation it was held out of; infinite where one is not stable."""
+    """Mean square of free runs, each fold by the equation it was held out of (`held`); infinite where one is unstable."""
     if not all(e.stable for e in equations):
         return np.inf
-    judged, misses = rows.judged or rows, []
-    for k, part in enumerate(judged.parts):
-        cuts = [0, len(part.u)] if rows.judged else judged.cuts[k]
-        runs = [
-            free_run_of(judged, k, output, eq, a, b) for eq, a, b in zip(equations, cuts[:-1], cuts[1:], strict=True)
-        ]
-        misses.append(part.miss(np.concatenate([part.y[:1, output], *runs]), output))
+    misses = []
+    for k, (part, cuts) in enumerate(zip(rows.parts, rows.cuts, strict=True)):
+        pieces = [(eq, *cuts[fold : fold + 2]) for fold, eq in zip(rows.held, equations, strict=True)]
+        runs = [free_run_of(rows, k, output, eq, a, b) for eq, a, b in pieces if a < b]
+        if runs:
+            misses.append(part.miss(np.concatenate([part.y[:1, output], *runs]), output))
     with np.errstate(over="ignore", invalid="ignore"):
         error = float(np.mean(np.concatenate(misses) ** 2))
     return error if np.isfinite(error) else np.inf

@@ -23,24 +23,23 @@ ITERATIONS = 25
 def refined(search: Search, order: Order) -> tuple[Equation, float] | None:
     """The equation of an order fitted to free runs over all recordings, and its error on what is held out.
 
-    None where no stable equation came of it. Of recordings that are cut into folds the error is that of the last
-    part, its fit that of what lies before; of many, that of the last of them.
+    None where no stable equation came of it.
     """
     rows = search.rows
     starts = [fitted(rows, factor, search.output, order) for factor in rows.factors]
-    held = [_fit(rows, search.output, eq, k) for k, eq in enumerate(starts)]
+    held = [_fit(rows, search.output, eq, k) for k, eq in zip(rows.held, starts, strict=True)]
     if any(eq is None for eq in held):
         return None
     error = held_out_error(rows, search.output, held)
-    whole = _fit(rows, search.output, fitted(rows, rows.all, search.output, order), None)
+    whole = _fit(rows, search.output, fitted(rows, rows.all, search.output, order), rows.never)
     return None if whole is None or not np.isfinite(error) else (whole, error)
 
 
 def _fit(rows: Rows, output: int, start: Equation, fold: int | None) -> Equation | None:
-    """Fitted to all but one fold."""
+    """Fitted to free runs over all but one fold."""
     if not start.stable:
         return None
-    runs = [_Run(rows, k, output, start.order, None if rows.judged else fold) for k in range(len(rows.parts))]
+    runs = [_Run(rows, k, output, start.order, fold) for k in range(len(rows.parts))]
     def residual(parameters):
         eq = equation(start.order, parameters)
         if not eq.stable:

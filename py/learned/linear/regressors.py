@@ -23,6 +23,7 @@ PAST = 4  # most past values of an output
 DELAYS = (0, 1, 2, 3, 4, 6, 9, 13, 19)  # periods that are tried before an input acts
 COUNTS = (1, 2, 4, 8)  # samples of an input that are tried
 REACH = 6  # of a recording's samples, one in this many at most may lie in the past of a row
+JUDGED, BETWEEN = 2000, 3  # samples of a recording, and for each at the period, that are enough to judge a run by
 CUTOFF = 1e-9  # of the largest singular value of scaled columns: what is smaller is taken as none
 
 
@@ -45,7 +46,10 @@ class Scales:
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """One recording, over `Scales`: time (n,), inputs (n, nu), outputs (n, ny) at the period, and as recorded (m,)."""
+    """One recording, over `Scales`: time (n,), inputs (n, nu), outputs (n, ny) at the period, and as recorded (m,).
+
+    Of what was recorded much denser than the period, every second, third, ... sample judges runs.
+    """
 
     time: np.ndarray
     u: np.ndarray
@@ -57,9 +61,10 @@ class Sampled:
     def of(cls, record: Record, period: float, inputs, outputs, scales: Scales) -> Sampled:
         even = on_period(record, period, inputs)
         u, y = (r.array([s.name for s in part]) for r, part in ((even, inputs), (even, outputs)))
-        own = record.array([s.name for s in outputs])
+        thin = max(1, min(len(record) // JUDGED, len(record) // (BETWEEN * len(even))))
+        own = record.array([s.name for s in outputs])[::thin]
         normal = [(part - scales.output_centre) / scales.output_scale for part in (y, own)]
-        return cls(even.time, (u - scales.input_centre) / scales.input_scale, normal[0], record.time, normal[1])
+        return cls(even.time, (u - scales.input_centre) / scales.input_scale, normal[0], record.time[::thin], normal[1])
 
     @cached_property
     def _places(self) -> tuple[np.ndarray, np.ndarray]:
@@ -88,19 +93,18 @@ class Rows:
 
     The targets, the increments y[k] - y[k-1], are the last columns. Before a recording begins, all was as in its first
     sample, as a block takes it to be; rows that look there are run, not fitted. reach : the largest lag of an input.
-    judged : recordings that choose in place of the folds.
+    judges : how many recordings, the last ones, choose and are not fitted; then they alone are held out.
     """
 
     parts: Sequence[Sampled]
     reach: int
-    judged: Rows | None = None
+    judges: int = 0
 
     @classmethod
-    def of(cls, parts: Sequence[Sampled], reach: int = 0, judges: Sequence[Sampled] = ()) -> Rows:
-        """With as long a past as the shortest recording allows, at least ``reach``; ``judges`` are run, not fitted."""
+    def of(cls, parts: Sequence[Sampled], reach: int = 0, judges: int = 0) -> Rows:
+        """With as long a past as the shortest recording allows, at least ``reach``."""
         shortest = min(len(p.u) for p in parts)
-        longest = max(1, reach, min(shortest // REACH, DELAYS[-1] + COUNTS[-1] - 1))
-        return cls(parts, longest, cls(judges, longest) if judges else None)
+        return cls(parts, max(1, reach, min(shortest // REACH, DELAYS[-1] + COUNTS[-1] - 1)), judges)
 
     @property
     def past(self) -> int:
@@ -122,6 +126,8 @@ class Rows:
     @property
     def fitted(self) -> int:
         """How many rows a fit has, with one fold held out."""
+        if self.judges:
+            return sum(len(p.u) for p in self.parts[: -self.judges])
         return sum(len(p.u) for p in self.parts) * (self.count - 1) // self.count
 
     @cached_property
@@ -149,15 +155,31 @@ class Rows:
     @property
     def count(self) -> int:
         """How many folds there are."""
+        if self.judges:
+            return 2
         return min(FOLDS, len(self.parts)) if len(self.parts) >= MANY else FOLDS
+
+    @property
+    def held(self) -> Sequence[int]:
+        """The folds that are held out in turn."""
+        return (1,) if self.judges else range(self.count)
+
+    @property
+    def never(self) -> int | None:
+        """The fold that no fit sees, not even the last."""
+        return 1 if self.judges else None
 
     @cached_property
     def cuts(self) -> list[np.ndarray]:
         """Per recording, the rows at which its folds begin, and its end; of many recordings, each is in one fold."""
-        edges = np.arange(self.count + 1)
-        if len(self.parts) < MANY:
+        edges, many = np.arange(self.count + 1), len(self.parts)
+        if self.judges:
+            own = [int(k >= many - self.judges) for k in range(many)]
+        elif many >= MANY:
+            own = [k * self.count // many for k in range(many)]
+        else:
             return [len(m) * edges // self.count for m in self.matrices]
-        return [np.where(edges > k * self.count // len(self.parts), len(m), 0) for k, m in enumerate(self.matrices)]
+        return [np.where(edges > k, len(m), 0) for k, m in zip(own, self.matrices, strict=True)]
 
     @cached_property
     def folds(self) -> list[np.ndarray]:
@@ -170,15 +192,13 @@ class Rows:
 
     @cached_property
     def factors(self) -> list[np.ndarray]:
-        """The triangular factor of all folds but one, for every one; of all rows where others are judged."""
-        if self.judged:
-            return [self.all]
-        return [_factor([f for n, f in enumerate(self.folds) if n != k]) for k in range(self.count)]
+        """The triangular factor of all folds but one, for every one of `held`."""
+        return [_factor([f for n, f in enumerate(self.folds) if n != k]) for k in self.held]
 
     @cached_property
     def all(self) -> np.ndarray:
-        """The triangular factor of all rows."""
-        return _factor(self.folds)
+        """The triangular factor of all rows that may be fitted."""
+        return _factor([f for n, f in enumerate(self.folds) if n != self.never])
 
 
 def _factor(rows: Sequence[np.ndarray]) -> np.ndarray:

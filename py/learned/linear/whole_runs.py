@@ -166,7 +166,7 @@ class WholeRuns:
 
     def ways(self, model: StateSpace) -> list[Way]:
         """Ways to start from the first sample: the likeliest state, and the one that moves least; at rest, or moving."""
-        states = [model.states(u) for u in self.inputs]
+        states = [model.states(u) for u in self.inputs[: len(self.inputs) - self.rows.judges]]
         spread = np.atleast_2d(np.cov(np.concatenate(states).T))
         moves = np.atleast_2d(np.cov(np.concatenate([np.diff(x, axis=0) for x in states]).T))
         apart = np.linalg.inv(model.A - np.eye(model.order))

@@ -109,7 +109,8 @@ def choose(
 ) -> Chosen:
     """The period and equations that run best on parts held out, fitted to all of the recordings.
 
-    both : recordings to fit, and those that choose (none: parts of the former, held out in turn). finalists : how many per output are fitted to their free runs as well; 0: none.
+    both : recordings to fit, and those that choose (none: parts of the former, held out in turn).
+    finalists : how many per output are fitted to their free runs as well; 0: none.
     """
     records, _ = both
     scales, best = Scales.of(records, inputs, outputs), None

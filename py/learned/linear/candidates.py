@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .arx import Chosen
-from .orders import SIMPLER, free_run_of
+from .orders import NOTHING, SIMPLER, free_run_of
 from .regressors import Rows
 from .state_space import Form
 from .subspace import hankel_factor, observability
@@ -21,7 +21,7 @@ FEWEST = 5  # samples for each column of the Hankel matrices
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A form and order at a period, where its subspace comes from, and its error (ny,) on what is held out, over scales.
+    """A form and order at a period, where its subspace comes from, its mean square on what is held out, over scales.
 
     spaces : observability by the fold it is without; None: from all that may be fitted.
     """
@@ -88,9 +88,10 @@ def _spaces(runs: WholeRuns, outputs: Sequence[np.ndarray]) -> dict[int | None, 
     depth = min(DEPTH, min(len(u) for u in runs.inputs) // rows.count // 4, rows.fitted // (FEWEST * 2 * (nu + ny)))
     if depth < 2:
         return None
-    pieces = list(zip(runs.inputs, runs.increments(outputs), rows.cuts, strict=True))
+    inputs = [u[int(runs.form.direct) :] for u in runs.inputs]
+    pieces = list(zip(inputs, runs.increments(outputs), rows.cuts, strict=True))
     factors = [
-        hankel_factor([(u[c[k] : c[k + 1]], w[c[k] : c[k + 1]]) for u, w, c in pieces], depth)
+        hankel_factor([(u[c[k] : c[k + 1]][: len(w[c[k] :])], w[c[k] : c[k + 1]]) for u, w, c in pieces], depth)
         for k in range(rows.count)
     ]
     return {
@@ -102,6 +103,6 @@ def _spaces(runs: WholeRuns, outputs: Sequence[np.ndarray]) -> dict[int | None, 
 def ranked(tried: Sequence[Candidate]) -> list[Candidate]:
     """Those that run: the simplest of those within `SIMPLER` of the least error first, then by error."""
     found = sorted((c for c in tried if np.isfinite(c.error)), key=lambda c: c.error)
-    near = [c for c in found if c.error <= SIMPLER**2 * found[0].error]
+    near = [c for c in found if c.error <= SIMPLER**2 * found[0].error + NOTHING]
     first = min(near, key=lambda c: (c.order, c.error), default=None)
     return [first, *(c for c in found if c is not first)] if found else []

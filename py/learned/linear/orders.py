@@ -13,11 +13,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 from .regressors import COUNTS, DELAYS, Rows, solved
 
 SIMPLER = 1.02  # of the least free-run error: what the simplest order may leave
+NOTHING = 1e-12  # of the variance of an output: less is none
 STABLE = 1.0 - 1e-6  # the largest pole, that of the integration apart
 ROUNDS = 3  # of the search over one part of an order after the other
 WINDOW = (1, 4)  # delay and samples of every input, with which the search begins
@@ -132,6 +132,8 @@ def equation(order: Order, coefficients: np.ndarray) -> Equation:
 
 def free_run(eq: Equation, driven: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Output (n,) with what the inputs drive (n,), on from the past ``y`` (y[-1] last, at least `past` + 1 of them)."""
+    from scipy.signal import lfilter
+
     order, a = eq.order, eq.feedback
     if not order.rate and not order.past:
         return driven
@@ -141,7 +143,9 @@ def free_run(eq: Equation, driven: np.ndarray, y: np.ndarray) -> np.ndarray:
     return y[-1] + np.cumsum(run) if order.rate else run
 
 
-def free_run_of(rows: Rows, part: int, output: int, eq: Equation, first: int = 0, last: int | None = None) -> np.ndarray:
+def free_run_of(
+    rows: Rows, part: int, output: int, eq: Equation, first: int = 0, last: int | None = None
+) -> np.ndarray:
     """Samples ``first`` to ``last`` of an output in a recording of ``rows``, on from its measured past."""
     _, columns = columns_of(rows, output, eq.order)
     measured = rows.parts[part].y[:, output]
@@ -194,8 +198,8 @@ class Search:
         best = begin
         for _ in range(ROUNDS):
             before = best
-            for moves in (self._pasts, self._delays, self._counts, self._apart):
-                best = min([best, *moves(best)], key=self.error)
+            for moves in (self._pasts, self._delays, self._counts, self._apart, self._beside):
+                best = min([best, *moves(best)], key=lambda o: (max(self.error(o), NOTHING), o.size))
             if best == before:
                 break
         return best
@@ -203,7 +207,7 @@ class Search:
     def ranked(self) -> list[Order]:
         """Orders that run, the simplest of those within `SIMPLER` of the least error first, then by error."""
         found = sorted((o for o, e in self.errors.items() if np.isfinite(e)), key=self.error)
-        near = [o for o in found if self.error(o) <= SIMPLER**2 * self.error(found[0])]
+        near = [o for o in found if self.error(o) <= SIMPLER**2 * self.error(found[0]) + NOTHING]
         first = min(near, key=lambda o: (o.size, self.error(o)), default=None)
         return [first, *(o for o in found if o != first)] if found else []
 
@@ -225,9 +229,18 @@ class Search:
             for window in windows:
                 yield replace(order, windows=(*order.windows[:i], window, *order.windows[i + 1 :]))
 
+    def _beside(self, order: Order) -> Iterator[Order]:
+        """A sample more or less at either end of the window of an input."""
+        asked = self.asked
+        for i, (delay, count) in enumerate(order.windows):
+            for d, n in ((delay + 1, count - 1), (delay, count - 1), (delay - 1, count + 1), (delay, count + 1)):
+                fixed = asked.delay not in (None, d) or asked.count not in (None, n)
+                if d >= 0 and n >= 1 and not fixed:
+                    yield replace(order, windows=(*order.windows[:i], (d, n), *order.windows[i + 1 :]))
+
 
 def held_out_error(rows: Rows, output: int, equations: Sequence[Equation]) -> float:
-    """Mean square of free runs, each fold by the equation it was held out of (`held`); infinite where one is unstable."""
+    """Mean square of free runs, each held fold by the equation without it; infinite where one is not stable."""
     if not all(e.stable for e in equations):
         return np.inf
     misses = []

@@ -11,7 +11,6 @@ what no user of the block can give. Source: Ljung, System Identification (1999),
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import lfilter
 
 from .gauss_newton import minimum
 from .orders import Equation, Order, Search, columns_of, equation, fitted, held_out_error
@@ -40,6 +39,7 @@ def _fit(rows: Rows, output: int, start: Equation, fold: int | None) -> Equation
     if not start.stable:
         return None
     runs = [_Run(rows, k, output, start.order, fold) for k in range(len(rows.parts))]
+
     def residual(parameters):
         eq = equation(start.order, parameters)
         if not eq.stable:
@@ -96,11 +96,15 @@ class _Run:
         return self.part.at_own_times(np.column_stack(driven))[self.times]
 
     def _filtered(self, eq: Equation, v: np.ndarray) -> np.ndarray:
+        from scipy.signal import lfilter
+
         run = lfilter([1.0], [1.0, *-eq.feedback], v)
         return np.cumsum(run) if self.order.rate else run
 
     def _free(self, eq: Equation) -> np.ndarray:
         """The answer to the rest before the recording."""
+        from scipy.signal import lfilter
+
         n, a = len(self.driven), eq.feedback
         if self.order.rate:
             return np.full(n, self.start)

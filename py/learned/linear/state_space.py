@@ -3,10 +3,10 @@
     x[k+1] = A x[k] + B u[k]              x[0] = (I - A)^-1 B u[0] + x0:  settled at the first input, and x0
     w[k]   = C x[k] + D u[k] + e
     y[k]   = w[k]                         an output that settles
-    y[k]   = y[0] + sum_(i<k) w[i]        one that integrates, exactly; the sum is over 1 <= i <= k where inputs act at once
+    y[k]   = y[0] + sum_(i<k) w[i]        one that integrates, exactly; over 1 <= i <= k where inputs act at once
 
-Derivatives run through the eigenvectors of A: with A = V diag(l) V^-1 what x_j does through A_ij is a sum of first-order
-filters of x_j, whatever i. Source: Ljung, System Identification (1999), section 4.3 and 10.1 (output error).
+Derivatives run through the eigenvectors of A: with A = V diag(l) V^-1 what x_j does through A_ij is a sum of filters of
+first order of x_j, whatever i. Source: Ljung, System Identification (1999), section 4.3 and 10.1 (output error).
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import lfilter
 
 STABLE = 1.0 - 1e-6  # the largest eigenvalue of A
 
@@ -108,6 +107,8 @@ class StateSpace:
 
     def _through(self, moving: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """C (q - A)^-1 e_i s for all i and signals s (n_samples, m), held at ``before`` until then; C A^k e_i."""
+        from scipy.signal import lfilter
+
         values, V = np.linalg.eig(self.A)
         kept = values.imag >= 0
         weight = np.where(values.imag > 0, 2.0, 1.0)[kept]

@@ -32,7 +32,8 @@ def state_space_states(structure: Mapping[str, int], inputs: Sequence[Signal], o
     states, measured = [], structure["measured"]
     if measured:
         states = [StateVariable(s.name, s.unit, s.description, s.nominal, measured_by=s.name) for s in outputs]
-    states += [StateVariable(f"x_{k}", "1", "state of the linear model") for k in range(len(states), structure["order"])]
+    own = range(len(states), structure["order"])
+    states += [StateVariable(f"x_{k}", "1", "state of the linear model") for k in own]
     return (*states, *delay_line(inputs, structure["delay"]))
 
 
@@ -103,10 +104,8 @@ def _functions(arrays: Mapping[str, np.ndarray], structure: Mapping[str, int]) -
     z, u, p = ca.SX.sym("x", n + nu * delay), ca.SX.sym("u", nu), ca.SX.sym("p", 0)
     x, line = z[:n, :], ca.vertcat(u, z[n:, :])
     late = line[nu * delay :, :]
-    if structure["measured"]:
-        y = x[:ny, :]
-    else:
-        y = ca.mtimes(a["C"], x) + ca.mtimes(a["D"], late) + a["output_constant"]
+    read = ca.mtimes(a["C"], x) + ca.mtimes(a["D"], late) + a["output_constant"]
+    y = x[:ny, :] if structure["measured"] else read
     moved = ca.mtimes(a["A"], x) + ca.mtimes(a["B"], late) + a["state_constant"]
     x_next = ca.vertcat(moved, line[: nu * delay, :])
     step = ca.Function("step", [z, u, p], [ca.densify(x_next), ca.densify(y)], ["x", "u", "p"], ["x_next", "y"])

@@ -1,4 +1,4 @@
-"""Free runs of a state space over whole recordings: what they are off by, fitted by linear and by nonlinear least squares.
+"""Free runs of a state space over whole recordings, fitted by linear and by nonlinear least squares.
 
 A fold is left out of a fit by not counting its samples; the run goes on through it.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """How a run starts: x0 = gain (y[0] - y settled), where an output that integrates has w in place of y, and w = 0."""
+    """How a run starts: x0 = gain (y[0] - y settled); an output that integrates has w in place of y, and w[0] = 0."""
 
     gain: np.ndarray
     rates: np.ndarray
@@ -54,15 +55,19 @@ class WholeRuns:
         self.frees_start = not all(form.rates)
 
     def increments(self, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """w of outputs (n, ny) per recording: increments of those that integrate, about the mean."""
-        answer = []
-        for y in outputs:
-            w = np.array(y)
-            for j in np.flatnonzero(self.form.rates):
-                w[:, j] = np.diff(y[:, j], prepend=y[0, j]) if self.form.direct else np.diff(y[:, j], append=y[-1, j])
-            answer.append(w)
-        spread = np.concatenate(answer).std(axis=0)
-        return [w / np.where(spread > 0, spread, 1.0) for w in answer]
+        """w (n - 1, ny) of outputs per recording, over `spread`: increments of those that integrate."""
+        return [w / self.spread for w in self._moves(outputs)]
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Standard deviation of w (ny,) as measured."""
+        found = np.concatenate(self._moves([p.y for p in self.rows.parts])).std(axis=0)
+        return np.where(found > 0, found, 1.0)
+
+    def _moves(self, outputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """From the first input on, or from the second where inputs act at once."""
+        rates, at = np.array(self.form.rates), int(self.form.direct)
+        return [np.where(rates, np.diff(y, axis=0), y[at : len(y) - 1 + at]) for y in outputs]
 
     def folds(self, part: int) -> np.ndarray:
         """The fold of every recorded time of a recording, (m,)."""
@@ -85,6 +90,7 @@ class WholeRuns:
         """A, C of an order from the subspace; B, D, e and starts by least squares of the runs without a fold."""
         ny, nu = len(self.form.rates), self.inputs[0].shape[1]
         A, C = dynamics(observability, order, ny)
+        C = C * self.spread[:, None]
         empty = StateSpace(self.form, A, np.zeros((order, nu)), C, np.zeros((ny, nu)), np.zeros(ny))
         found = self._solved(empty, [np.zeros(order)] * len(self.inputs), fold)
         if self.frees_start:
@@ -165,7 +171,7 @@ class WholeRuns:
         return total, count
 
     def ways(self, model: StateSpace) -> list[Way]:
-        """Ways to start from the first sample: the likeliest state, and the one that moves least; at rest, or moving."""
+        """Ways to start from a first sample: the likeliest state, or the one that moves least; at rest, or moving."""
         states = [model.states(u) for u in self.inputs[: len(self.inputs) - self.rows.judges]]
         spread = np.atleast_2d(np.cov(np.concatenate(states).T))
         moves = np.atleast_2d(np.cov(np.concatenate([np.diff(x, axis=0) for x in states]).T))
@@ -211,5 +217,3 @@ class WholeRuns:
             blocks.append(whole)
             misses.append(self.miss(model, k, start)[self.counted(k, fold)].ravel())
         return np.concatenate(blocks), np.concatenate(misses)
-
-

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
+from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.simulation.control import Accuracy
 
 from .descent import Task, held_out_run, undecided, whole_runs
@@ -23,7 +24,6 @@ from .rounded_inputs import may_be_rounded, moved_by_rounding, noise_of_rounding
 from .shooting import Shooting
 from .uncertainty import Errors, correlation, uncertainty, without_starts
 from .valley import TROUBLE, margin
-from .whiteness import SIGNIFICANCE, ljung_box
 
 ROUNDED, WITHIN = 0.55, 0.99  # of a step, and of the samples: how far rounding takes so many
 MOSTLY, SCATTER = 0.7, 2.0  # of the noise: rounded inputs that make so much of it may leave so much: they are few

@@ -10,6 +10,8 @@ from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
 from .inverse.learn import learn_inverse
 from .learning import learn
+from .linear.arx import learn_arx
+from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
@@ -29,12 +31,14 @@ __all__ = [
     "domain_share",
     "learn",
     "learn_best",
+    "learn_arx",
     "learn_compensator",
     "learn_dual_gp",
     "learn_gaussian_process",
     "learn_grey_box",
     "learn_hybrid",
     "learn_inverse",
+    "learn_linear",
     "learn_piecewise",
     "learn_rate_network",
     "learn_symbolic",

@@ -18,13 +18,17 @@ from .grey_box.learn import learn_grey_box
 from .hybrid.block import HybridBlock, hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .importance import idle, importance
+from .linear.arx import learn_arx
+from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
-from .report_card import MODEL, Words, card, curve, judged, shown
+from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .symbolic.learn import learn_symbolic
 
 KINDS: Mapping[str, Callable] = {
+    "arx": learn_arx,
+    "linear": learn_linear,
     "nn": train_network,
     "gp": learn_gaussian_process,
     "dual_gp": learn_dual_gp,
@@ -72,9 +76,10 @@ def learn(
     """Train a block of ``kind`` and run it freely on what was held out: the end of every recording.
 
     ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the last sample, of the
-    mean, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of these the block does not
-    beat (``"no_better_than"``), and all of it in a sentence (``"says"``). The recordings of ``validate`` have no part
-    in this. Where nothing can be held out, all is trained on and the sentence says so.
+    mean, of ARX by least squares, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of
+    these the block does not beat (``"no_better_than"``), and all of it in a sentence (``"says"``); the error one step
+    ahead, and what is left (`left_over`). The recordings of ``validate`` have no part in this.
+    Where nothing can be held out, all is trained on and the sentence says so.
 
     Args:
         kind: one of `KINDS`. records: training recordings. inputs, outputs: signals, or names of columns.
@@ -133,7 +138,7 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     notes += _of_drift(block)
     if not split.held_out:
         return card(split, [], Words(bad, notes))
-    more = {} if block.provenance.get("kind") == "piecewise" else curve(split, *named)
+    more = yardsticks(block.provenance.get("kind", ""), split, *named)
     if model is not None:
         more = {MODEL: lambda record: simulate(model, record)} | more
     rows = judged(block, split, named[1], more, records)

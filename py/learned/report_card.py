@@ -1,4 +1,4 @@
-"""How good a block runs freely on what was held out, beside what costs nothing: holding the last sample, a curve.
+"""How good a block runs freely on what was held out, beside what costs little: holding, ARX, a curve.
 
 The card is written into the block (``provenance["free_run"]``) and said in one sentence, which begins with the bad news
 where there is some.
@@ -7,7 +7,7 @@ where there is some.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,30 +15,40 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import display_units, from_si
 from hydrotwin.records import Record
-from hydrotwin.simulation import Block, simulate
+from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .grey_box.data import block_period
 from .held_out import Split
+from .left_over import LeftOver, left_over
+from .linear.arx import learn_arx
 from .piecewise.learn import learn_piecewise
 
 HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
+ARX = "ARX"
 BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
+FREE, ONE_STEP = "free_run", "one_step"
 Run = Callable[[Record], Record]
 
 
 @dataclass(frozen=True)
 class Row:
-    """One output: RMS error of the free run and of each yardstick, SI; range in the recordings; where it diverged."""
+    """One output: RMS error of the free run and of each yardstick, SI; range in the recordings; where it diverged.
+
+    one_step : RMS error from measured sample to sample, None where no state is the output. left : of the free run, and
+    of one step.
+    """
 
     output: Signal
     rmse: float
     range: float
     yardsticks: Mapping[str, float]
     diverged: str = ""
+    one_step: float | None = None
+    left: Mapping[str, LeftOver] = field(default_factory=dict)
 
     @property
     def no_better_than(self) -> list[str]:
@@ -51,12 +61,17 @@ class Row:
         answer["no_better_than"] = self.no_better_than
         if np.isfinite(self.rmse):
             answer |= {"rmse": self.rmse, "percent_of_range": 100 * self.rmse / self.range}
+        if self.one_step is not None:
+            answer["one_step"] = {"rmse": self.one_step}
+        if self.left:
+            answer["left"] = {of: part.told() for of, part in self.left.items()}
         return answer | ({"diverged": self.diverged} if self.diverged else {})
 
     def said(self) -> str:
         """In the unit that a person reads."""
         apart = ", ".join(f"{name} {shown(error, self.output.unit)}" for name, error in self.yardsticks.items())
         own = f"{shown(self.rmse, self.output.unit)}, {100 * self.rmse / self.range:.2g} % of its range"
+        own += f", one step ahead {shown(self.one_step, self.output.unit)}" if self.one_step is not None else ""
         return f"{self.output.name} {own} ({apart})"
 
 
@@ -85,12 +100,13 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
     bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
     bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
     good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
+    notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
     return {
         "held_out": split.told(),
         "outputs": {row.output.name: row.told() for row in rows},
         "bad": bool(bad),
         "no_better_than": sorted({name for than in worse.values() for name in than}),
-        "says": " ".join([*bad, good, *words.notes]),
+        "says": " ".join([*bad, good, *filter(None, notes), *words.notes]),
     }
 
 
@@ -105,24 +121,47 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
         if s.name in outputs
     }
     yardsticks = {HOLD: _held, MEAN: lambda r: _constant(r, mean)} | dict(more)
-    misses = {name: _misses(run, split.held_out, outputs) for name, run in yardsticks.items()}
+    apart = {name: _misses(run, split.held_out, outputs) for name, run in yardsticks.items()}
     found, diverged = _runs(block, split.held_out)
+    ahead = _one_step(block, split.held_out) if not diverged else {}
     rows = []
     for signal in (s for s in block.outputs if s.name in outputs):
         name, values = signal.name, np.concatenate([r[signal.name] for r in seen])
         range_ = float(np.ptp(values))
-        miss = np.concatenate([run[name] - r[name] for run, r in zip(found, split.held_out[: len(found)], strict=True)]
-                              or [[np.inf]])  # fmt: skip
-        rmse = np.inf if diverged else float(np.sqrt(np.mean(miss**2)))
+        misses = [run[name] - r[name] for run, r in zip(found, split.held_out[: len(found)], strict=True)]
+        rmse = np.inf if diverged else _rms(misses)
         far = diverged or _left(found, signal, values.min(), values.max())
-        errors = {yardstick: per[name] for yardstick, per in misses.items() if name in per}
-        rows.append(Row(signal, rmse, range_, errors, far))
+        errors = {yardstick: per[name] for yardstick, per in apart.items() if name in per}
+        one_step = _rms(ahead[name]) if name in ahead else None
+        left = {} if far else _all_left(block, split.held_out, misses, ahead.get(name))
+        rows.append(Row(signal, rmse, range_, errors, far, one_step, left))
     return rows
 
 
-def curve(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
-    """The piecewise linear yardstick, fitted on what is trained on; none where it cannot be."""
-    if len(inputs) != 1 or len(outputs) != 1 or not split.held_out:
+def yardsticks(kind: str, split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
+    """What a block of ``kind`` is measured by, fitted on what is trained on: ARX and a piecewise linear curve.
+
+    Neither where it is the kind itself, or cannot be fitted.
+    """
+    if not split.held_out:
+        return {}
+    found = {} if kind == "arx" else _arx(split, inputs, outputs)
+    return found if kind == "piecewise" else found | _curve(split, inputs, outputs)
+
+
+def _arx(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
+    """Of the signals that move."""
+    moving = [[n for n in part if any(np.ptp(r[n]) > 0 for r in split.fit)] for part in (inputs, outputs)]
+    try:
+        block = learn_arx(split.fit, *moving, refine=False)
+    except DataError:
+        return {}
+    return {ARX: lambda record: simulate(block, record)}
+
+
+def _curve(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
+    """For one input and one output."""
+    if len(inputs) != 1 or len(outputs) != 1:
         return {}
     try:
         period = max(block_period("", split.fit, None), sum(r.duration for r in split.fit) / SAMPLES)
@@ -130,6 +169,34 @@ def curve(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[s
     except DataError:
         return {}
     return {CURVE: lambda record: simulate(block, record)}
+
+
+def _one_step(block: Block, records: Sequence[Record]) -> dict[str, list[np.ndarray]]:
+    """Misses (n - 1,) per recording of every output that is a state, predicted from measured sample to sample."""
+    names = {s.measured_by for s in block.states} & {s.name for s in block.outputs}
+    try:
+        found = [predict_one_step(block, r) for r in records] if names else []
+    except (DataError, Diverged):
+        return {}
+    return {n: [run[n][1:] - r[n][1:] for run, r in zip(found, records, strict=True)] for n in names}
+
+
+def _all_left(block: Block, records: Sequence[Record], misses, ahead) -> dict[str, LeftOver]:
+    """What the free run leaves, and what is left one step ahead where that is known."""
+    left = {FREE: left_over([-m for m in misses], records, _moving(block, records))}
+    if ahead is not None:
+        left[ONE_STEP] = left_over([-m for m in ahead], [r.window(r.time[1], None) for r in records], ())
+    return left
+
+
+def _moving(block: Block, records: Sequence[Record]) -> list[str]:
+    """The block's inputs that move, where every recording has them."""
+    names = [s.name for s in block.inputs]
+    return [n for n in names if all(n in r for r in records) and any(np.ptp(r[n]) > 0 for r in records)]
+
+
+def _rms(misses: Sequence[np.ndarray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(misses) ** 2)))
 
 
 def _held(record: Record) -> Record:

@@ -12,7 +12,7 @@ from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import output_noise, weights
 from hydrotwin.identification.problem import free_parameters, recordings
 from hydrotwin.identification.uncertainty import uncertainty, without_starts
-from hydrotwin.identification.whiteness import ljung_box
+from hydrotwin.records.whiteness import ljung_box
 from hydrotwin.simulation import prepare
 from tests.identification.drive import drive, recorded
 

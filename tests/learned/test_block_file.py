@@ -14,7 +14,7 @@ from hydrotwin.learned.block_file import LearnedKind, register_kind
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
-from tests.learned import test_formula_block, test_grey_box, test_piecewise
+from tests.learned import test_arx, test_formula_block, test_grey_box, test_linear, test_piecewise
 from tests.learned.test_compensator import small_compensator
 from tests.learned.test_dual_gp import random_dual_gp
 from tests.learned.test_gaussian_process import random_gaussian_process
@@ -23,6 +23,8 @@ from tests.learned.test_rate_network import random_rate_network
 from tests.learned.toy_machine import toy_record, untrained_block
 
 EXAMPLES = {
+    "arx": test_arx.written_block,
+    "linear": test_linear.written_block,
     "network": untrained_block,
     "rate_network": random_rate_network,
     "published_formula": published_formula,

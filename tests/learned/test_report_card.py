@@ -8,8 +8,10 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.learned import learning, read_block, write_block
 from hydrotwin.learned.held_out import split
+from hydrotwin.learned.report_card import yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
+from hydrotwin.simulation import predict_one_step
 from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
 
 SMALL = {"points": 100, "samples": 400, "compress": 30}
@@ -156,3 +158,49 @@ def test_words_that_are_not_known_are_refused():
         ht.learn("pieces", [rod()], ["u"], ["y"])
     with pytest.raises(DeclarationError, match="a model goes with hybrid"):
         ht.learn("hybrid", [rod()])
+
+
+def test_arx_is_a_yardstick_and_what_is_no_better_says_so_first():
+    """A straight line in front of a lag that it does not have: linear least squares is exact, the curve is not."""
+    record = recording(lambda u: 0.05 * settled(settled(u, 0.2), 0.2), 1)
+    told = card(ht.learn("piecewise", [record], ["u"], ["y"], starts=1))
+    yardsticks = told["outputs"]["y"]["yardsticks"]
+    assert yardsticks["ARX"] < 0.1 * told["outputs"]["y"]["rmse"] and "ARX" in told["no_better_than"]
+    assert told["says"].startswith("Of y the block is no better than ARX") and told["bad"]
+
+
+def test_arx_is_fitted_without_what_is_held_out():
+    record = rod()
+    early = np.arange(len(record)) < 0.9 * len(record)
+    bent = record.with_signals({"y": np.where(early, record["y"], np.median(record["y"]))})
+    parts = [split([r], ["u"], ["y"]) for r in (record, bent)]
+    runs = [yardsticks("", p, ["u"], ["y"])["ARX"](rod(3))["y"] for p in parts]
+    assert np.array_equal(*runs)
+
+
+def test_arx_is_fitted_to_what_moves_and_is_no_yardstick_of_itself():
+    record = rod()
+    still = record.with_signals({"still": np.ones(len(record))}, {"still": "1"})
+    parts = split([still], ["u", "still"], ["y"])
+    assert "ARX" in yardsticks("", parts, ["u", "still"], ["y"])
+    assert set(card(ht.learn("arx", [rod(1)], ["u"], ["y"]))["outputs"]["y"]["yardsticks"]) == {HOLD, MEAN, CURVE}
+
+
+def test_one_step_is_told_where_the_output_is_a_state(piecewise):
+    told = card(piecewise)["outputs"]["y"]
+    miss = [(predict_one_step(piecewise, r)["y"] - r["y"])[1:] for r in split([rod(1), rod(2)], ["u"], ["y"]).held_out]
+    assert told["one_step"]["rmse"] == pytest.approx(np.sqrt(np.mean(np.concatenate(miss) ** 2)), rel=1e-12)
+    assert "one step ahead" in card(piecewise)["says"] and 0 <= told["left"]["one_step"]["white"] <= 1
+    level = ht.learn("piecewise", [rod(1)], ["u"], ["y"], starts=1, integrating=False)
+    assert "one_step" not in card(level)["outputs"]["y"] and "one step" not in card(level)["says"]
+
+
+def test_an_input_that_is_still_in_what_is_left_is_said_with_its_lag():
+    """The machine answers a second time half a second late; the model does not look back as far."""
+    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 600), 4)
+    y = settled(u, 0.04) + settled(np.r_[np.full(25, u[0]), u[:-25]], 0.04)
+    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "m"}, "twice")
+    told = card(ht.learn("arx", [record], ["u"], ["y"], period=PERIOD, lags=(1, 4), delay=0))
+    follows = told["outputs"]["y"]["left"]["free_run"]["follows"]["u"]
+    assert 25 <= follows["samples"] <= 28 and follows["correlation"] > follows["bound"]
+    assert f"What is left of y follows 'u' {follows['samples']} samples later" in told["says"]

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from hydrotwin.identification.problem import Recording
-from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.units import display_units, from_si
+from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 
 from ..answer.discovery import Location
 from .regions import Quantity, autocorrelation, bin_edges, bins_of, finite, has_gap, quantities

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import chdtri
 
-from hydrotwin.identification.whiteness import SIGNIFICANCE, ljung_box
+from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 
 MEASURABLE = 1.02  # MSE over noise^2
 CLEARLY = 1.1  # MSE over noise^2: a gap that asks for a reason

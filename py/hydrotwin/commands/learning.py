@@ -20,6 +20,8 @@ from .training import OutOption, SetOption, named, options_of, trained, written
 
 AUTO, HYBRID = "auto", "hybrid"
 KINDS = {  # the kinds of learned.learning in words, told without importing it
+    "arx": "a linear difference equation by least squares; the yardstick of all others",
+    "linear": "a linear state space, refined in free run",
     "nn": "a small network, selected on its free-run error",
     "gp": "a Gaussian process on delayed inputs, with its standard deviation",
     "dual_gp": "two processes: command to spool, spool to rate (needs a measured spool)",

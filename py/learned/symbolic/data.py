@@ -124,10 +124,11 @@ def prepare_static(
     scales = {}
     for name, values in (("input", u), ("output", y)):
         scales[f"{name}_centre"], scales[f"{name}_scale"] = _plain(values)
-    series = [
-        Series(*((v - scales[f"{n}_centre"]) / scales[f"{n}_scale"] for n, v in zip(("input", "output"), part)))
-        for part in parts
-    ]
+
+    def normal(name: str, values: np.ndarray) -> np.ndarray:
+        return (values - scales[f"{name}_centre"]) / scales[f"{name}_scale"]
+
+    series = [Series(normal("input", a), normal("output", b)) for a, b in parts]
     pieces = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
     return Prepared(StaticShape(len(inputs), len(outputs)), scales, series, pieces[:1], pieces[1:])
 

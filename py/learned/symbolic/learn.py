@@ -143,8 +143,10 @@ def _rules(searching, paper: bool, functions, counts):
         wanted = tuple(dict.fromkeys(word.strip() for part in wanted for word in str(part).split(",") if word.strip()))
         for word in wanted or ("",):
             if word not in searching.FUNCTIONS:
-                raise DeclarationError(f"learn_symbolic: functions: '{word}' is none. "
-                                       f"{nearest(word, searching.FUNCTIONS)} Write functions=add,mul,div.")  # fmt: skip
+                raise DeclarationError(
+                    f"learn_symbolic: functions: '{word}' is none. {nearest(word, searching.FUNCTIONS)} "
+                    "Write functions=add,mul,div."
+                )
         asked["functions"] = wanted
     return replace(rules, **asked)
 
@@ -203,8 +205,8 @@ def _front(printing, selection, data: Prepared, inputs, outputs) -> list[dict]:
         for c in front:
             short = printing.simplified(c.formula, data.shape.features)
             text, _ = printing.equation_text(short, inputs, outputs, data.shape, data.scales, own=[i])
-            error = c.rms * float(data.scales["output_scale"][i])
-            rows.append({"output": output.name, "size": c.size, "error": error, "equation": text, "chosen": c in selection.chosen})
+            row = {"output": output.name, "size": c.size, "equation": text, "chosen": c in selection.chosen}
+            rows.append(row | {"error": c.rms * float(data.scales["output_scale"][i])})
     return rows
 
 

@@ -20,7 +20,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyoperon as op
 
-from .block import ADD, CONSTANT, COSINE, DIVIDE, EXP, LOG, MULTIPLY, SINE, SQRT, SQUARE, SUBTRACT, TANH, VARIABLE, Formula
+from .block import (
+    ADD,
+    CONSTANT,
+    COSINE,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    SINE,
+    SQRT,
+    SQUARE,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+    Formula,
+)
 
 ELITE = 0.25  # of the paper
 DEPTH = 10  # of a tree, where not its nodes alone bound it
@@ -260,8 +275,9 @@ def search(
 ) -> list[float]:
     """Run one search into ``archive``; answers the best error of every generation.
 
-    features (n, nf), target (n,). until : `time.monotonic()` at which to stop. ``progress`` gets a `SearchProgress` for every generation, in this
-    thread. Ctrl-C passes through after at most `STRETCH` generations; the archive holds what was found.
+    features (n, nf), target (n,). until : `time.monotonic()` at which to stop. ``progress`` gets a `SearchProgress`
+    for every generation, in this thread. Ctrl-C passes through after at most `STRETCH` generations; the
+    archive holds what was found.
     """
     population = _Population(features, target, rules, seed)
     history: list[float] = []

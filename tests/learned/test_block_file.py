@@ -14,7 +14,14 @@ from hydrotwin.learned.block_file import LearnedKind, register_kind
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
-from tests.learned import test_arx, test_formula_block, test_grey_box, test_linear, test_piecewise
+from tests.learned import (
+    test_arx,
+    test_formula_block,
+    test_grey_box,
+    test_linear,
+    test_piecewise,
+    test_static_formula,
+)
 from tests.learned.test_compensator import small_compensator
 from tests.learned.test_dual_gp import random_dual_gp
 from tests.learned.test_gaussian_process import random_gaussian_process
@@ -33,6 +40,7 @@ EXAMPLES = {
     "piecewise": test_piecewise.written_block,
     "grey_box": test_grey_box.written_block,
     "symbolic": lambda: test_formula_block.formula_block(test_formula_block.PLAIN),
+    "static_formula": test_static_formula.static_block,
     "inverse_table": small_table,
     "inverse_network": small_network,
     "compensator": small_compensator,

@@ -86,7 +86,7 @@ def test_a_free_run_of_a_formula_stays_in_its_bounds_whatever_it_says():
         ((VARIABLE + 5,), (), r"token 0 asks for feature 5 \(there are 5\)"),
         ((CONSTANT,), (), "token 0 asks for constant -1"),
         ((VARIABLE,), (1.0,), "1 constants are never used"),
-        ((9,), (), r"token 0 is none \(got 9\)"),
+        ((99,), (), r"token 0 is none \(got 99\)"),
         ((0.5, VARIABLE, VARIABLE), (), r"token 0 is none \(got 0.5\)"),
         ((-1,), (), r"token 0 is none \(got -1\)"),
         ((VARIABLE, VARIABLE), (), "2 expressions for 1 outputs"),

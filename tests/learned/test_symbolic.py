@@ -10,18 +10,17 @@ import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
-from hydrotwin.learned.symbolic.block import (
-    Formula,
-)
+from hydrotwin.learned.symbolic.block import CONSTANT, MULTIPLY, VARIABLE, Formula
 from hydrotwin.learned.symbolic.data import prepare
+from hydrotwin.learned.symbolic.front import front_rows
 from hydrotwin.learned.symbolic.learn import learn_symbolic
 from hydrotwin.learned.symbolic.refit import FreeRun, laid_out
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from tests.learned.toy_machine import ANGLE, COMMAND, PERIOD, SPEED, toy_record
 
-QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 40, "population": 600, "budget": 3600.0}
-BRIEF = QUICK | {"generations": 10, "population": 200}
+QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 40}
+BRIEF = QUICK | {"generations": 10, "population": 100}
 
 
 def rmse_deg(block, record):
@@ -63,7 +62,7 @@ def test_the_learned_formula_follows_an_unseen_recording_within_a_degree(learned
 
 
 def test_free_runs_choose_better_than_the_paper_s_one_step_error(learned, recordings, validation):
-    paper = learn_symbolic(recordings, [COMMAND], [ANGLE], fit="paper", generations=40, population=600, budget=3600)
+    paper = learn_symbolic(recordings, [COMMAND], [ANGLE], fit="paper", generations=40, population=600)
     assert paper.period == PERIOD and paper.structure["output_lags"] == 0
     assert paper.certificate.holds
     assert rmse_deg(paper, validation) > 3 * rmse_deg(learned, validation)
@@ -164,13 +163,13 @@ def test_progress_reports_every_generation_with_a_falling_error(brief_recording)
     found = [s for s in steps if hasattr(s, "generation")]
     assert [s.generation for s in found] == list(range(11))
     assert [s.best for s in found] == sorted((s.best for s in found), reverse=True)
-    assert found[-1].evaluations == 200 + 10 * 150 - 10  # in each generation one place is kept for the best
+    assert found[-1].evaluations > 100 * (1 + 10 * 3)  # with the steps on the constants of every offspring
     assert all(hasattr(s, "candidates") for s in steps[11:]) and len(steps) > 15
 
 
 def test_two_outputs_are_learnt_together(recordings, validation):
     pytest.importorskip("pyoperon")
-    options = BRIEF | {"validate": [toy_record(5, duration=8.0)], "lags": (1, 2)}
+    options = BRIEF | {"select": [toy_record(5, duration=8.0)], "lags": (1, 2)}
     block = learn_symbolic(recordings[:1], ["command"], ["arm_angle", "motor_speed"], **options)
     run = simulate(block, validation)
     assert rmse_deg(block, validation) < 2.0
@@ -200,9 +199,66 @@ def test_what_no_formula_can_be_learnt_from_is_refused(recordings, change, sente
 
 
 @pytest.mark.parametrize(
-    "option", [{"fit": "papier"}, {"starts": 0}, {"population": 3}, {"lags": (-1, 2)}, {"tolerance": -1}, {"budget": 0}]
+    "option",
+    [
+        {"fit": "papier"},
+        {"starts": 0},
+        {"population": 3},
+        {"lags": (-1, 2)},
+        {"tolerance": -1},
+        {"budget": 0},
+        {"nodes": 2},
+        {"functions": "add,sinus"},
+        {"static": True, "fit": "paper"},
+    ],
 )
 def test_impossible_options_of_a_search_are_refused(recordings, option):
     pytest.importorskip("pyoperon")
     with pytest.raises(DeclarationError, match=next(iter(option))):
         learn_symbolic(recordings[:1], ["command"], ["arm_angle"], **BRIEF | option)
+
+
+def test_recordings_to_validate_with_choose_nothing(brief_recording, validation):
+    pytest.importorskip("pyoperon")
+    other = validation.with_signals({"arm_angle": -3.0 * validation["arm_angle"]})
+    blocks = [
+        learn_symbolic([brief_recording], [COMMAND], [ANGLE], validate=v, **BRIEF) for v in ([validation], [other])
+    ]
+    for name, array in blocks[0].arrays.items():
+        assert np.array_equal(array, blocks[1].arrays[name])
+    timeless = [{k: v for k, v in b.provenance.items() if "second" not in k} for b in blocks]
+    assert timeless[0] == timeless[1]
+
+
+def test_recordings_to_select_with_choose(brief_recording):
+    pytest.importorskip("pyoperon")
+    chosen = [
+        learn_symbolic([brief_recording], [COMMAND], [ANGLE], select=[toy_record(s, duration=6.0)], **BRIEF)
+        for s in (7, 8)
+    ]
+    assert chosen[0].provenance["selected_on"][0]["name"] == "toy_7"
+    assert chosen[0].provenance["held_out_error"] != chosen[1].provenance["held_out_error"]
+
+
+def test_the_front_of_error_and_size_is_told(learned):
+    rows = front_rows(learned)
+    assert len(rows) > 2 and sum(r["chosen"] for r in rows) == 1
+    assert [r["size"] for r in rows] == sorted({r["size"] for r in rows})
+    assert [r["error"] for r in rows] == sorted((r["error"] for r in rows), reverse=True)
+    assert rows[0]["unit"] == "deg" and rows[0]["error"] < 30
+    assert all(r["equation"].startswith("arm_angle[k+1] = arm_angle[k] + ") for r in rows)
+
+
+def test_a_formula_that_diverges_is_not_chosen(recordings):
+    from hydrotwin.learned.symbolic.select import Selection
+
+    data = prepare(recordings, [], (COMMAND,), (ANGLE,), PERIOD, (1, 3), False)
+    away = Formula((CONSTANT,), (1e-3 + 3.0 / len(recordings[0]) / data.bounds.ratio[0],))  # to 3 scales within a run
+    run, runs = data.run(away, [0]), data.laid_out(data.judged, [0])
+    error, rms = run.errors(away.constants, runs)
+    assert np.isfinite(error) and rms == error
+    error, rms = run.errors([100 * away.constants[0]], runs)
+    assert error == np.inf and np.isfinite(rms)
+    selection = Selection(data, ["arm_angle"], tolerance=1e9, until=np.inf, seed=0, progress=None)
+    assert selection._candidate(Formula((MULTIPLY, CONSTANT, VARIABLE), (1e9,)), 0, brief=False).size == 3
+    assert all(np.isfinite(c.error) for c in (selection.choose([[away]]) and selection.fronts[0]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,40 +23,56 @@ def recordings():
 
 def test_pyoperon_and_the_tokens_compute_the_same():
     op = pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic.search import Rules, _Population
+    from hydrotwin.learned.symbolic.search import FUNCTIONS, PAPER, _Population
 
     x = np.random.default_rng(0).normal(size=(50, 3))
-    population = _Population(x, x[:, 0], False, Rules(), 1)
+    population = _Population(x, x[:, 0], replace(PAPER, functions=tuple(FUNCTIONS)), 1)
     random = op.RandomGenerator(np.uint64(3))
-    lengths = set()
+    lengths, seen, alike = set(), set(), []
     for _ in range(40):
         tree = population.first(random)
         population.values(random, tree)
         formula = population.formula(tree)
         value = np.broadcast_to(evaluate(formula.tokens, formula.constants, x.T)[0], 50)
         single = op.Evaluate(population.table, tree, population.data, population.problem.TrainingRange)
-        assert np.allclose(value, single, rtol=1e-3, atol=1e-4)
+        alike.append(np.isclose(value, single, rtol=1e-3, atol=1e-3) | ~np.isfinite(single))
         lengths.add(tree.Length)
+        seen |= set(formula.tokens)
     assert max(lengths) > 15
+    assert np.mean(alike) > 0.97  # in single precision the sine of an exponential may be anything
+    assert seen >= {code for _, code in FUNCTIONS.values()}
 
 
 def test_a_quarter_of_the_population_survives_and_nothing_grows_beyond_twenty_nodes():
     op = pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic.search import NODES, Rules, _Population
+    from hydrotwin.learned.symbolic.search import PAPER, _Population
 
     x = np.random.default_rng(0).normal(size=(200, 3))
-    population = _Population(x, np.tanh(x[:, 0] * x[:, 1]), False, Rules(population=200), 1)
+    population = _Population(x, np.tanh(x[:, 0] * x[:, 1]), replace(PAPER, population=200), 1)
     generations = []
 
     def look():
         parents = list(population.search.Individuals)[:200]
         generations.append(sorted(p.GetFitness(0) for p in parents))
-        assert max(p.Genotype.Length for p in parents) <= NODES
+        assert max(p.Genotype.Length for p in parents) <= PAPER.nodes == 20
 
     population.search.Run(op.RandomGenerator(np.uint64(1)), look, 1, False)
     assert len(generations) > 5
     for before, after in pairwise(generations):
         assert set(before[:50]) <= set(after)
+
+
+def test_least_squares_on_the_constants_finds_what_the_paper_s_operators_do_not():
+    pytest.importorskip("pyoperon")
+    from hydrotwin.learned.symbolic.search import PAPER, Archive, Rules, search
+
+    x = np.random.default_rng(0).uniform(1, 5, (200, 2))
+    y, best = np.sin(1.37 * x[:, 0]) + 2.6 / (0.4 + x[:, 1]), {}
+    for word, rules in {"new": Rules(generations=20), "old": replace(PAPER, scaled=True, generations=60)}.items():
+        archive = Archive()
+        search(x, y, archive, seed=1, rules=replace(rules, population=100))
+        best[word] = archive.best
+    assert best["new"] < 1e-4 and best["old"] > 10 * best["new"]
 
 
 def test_another_seed_searches_elsewhere():
@@ -65,25 +82,24 @@ def test_another_seed_searches_elsewhere():
     x, found = np.random.default_rng(0).normal(size=(200, 2)), []
     for seed in (1, 1, 2):
         archive = Archive()
-        rules = Rules(100, 10)
-        search(x, np.sin(3 * x[:, 0]), archive, seed=seed, rules=rules, scaled=True, until=np.inf)
+        search(x, np.sin(3 * x[:, 0]), archive, seed=seed, rules=Rules(population=100, generations=10))
         found.append([f.formula for f in archive.all()])
     assert found[0] == found[1] != found[2]
 
 
 def test_the_three_criteria_end_a_search():
     pytest.importorskip("pyoperon")
-    from hydrotwin.learned.symbolic.search import Archive, Rules, search
+    from hydrotwin.learned.symbolic.search import PAPER, Archive, search
 
     x = np.random.default_rng(0).normal(size=(200, 2))
     ends = {}
     for word, rules in {
-        "generations": Rules(100, 10, patience=50),
-        "good enough": Rules(100, 500, good_enough=1e9),
-        "converged": Rules(100, 500, patience=10),
+        "generations": {"generations": 10, "patience": 50},
+        "good enough": {"generations": 500, "good_enough": 1e9},
+        "converged": {"generations": 500, "patience": 10},
     }.items():
         archive = Archive()
-        search(x, np.sin(3 * x[:, 0]), archive, seed=1, rules=rules, scaled=False, until=np.inf)
+        search(x, np.sin(3 * x[:, 0]), archive, seed=1, rules=replace(PAPER, population=100, **rules))
         ends[word] = archive.stopped
     assert all(word == ended for word, ended in ends.items())
 
@@ -126,4 +142,4 @@ def test_a_formula_whose_values_overflow_runs_at_its_bounds_and_survives_a_refit
     runs = laid_out([Series(1e6 * s.z, s.y) for s in data.series], data.fit, [0], data.shape)
     assert np.isfinite(run.outputs(huge.constants, runs)).all()
     with np.errstate(all="ignore"):
-        assert run.error(run.refit(runs, 5).constants, runs) <= run.error(huge.constants, runs)
+        assert run.errors(run.refit(runs, 5).constants, runs)[1] <= run.errors(huge.constants, runs)[1]

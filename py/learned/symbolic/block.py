@@ -7,6 +7,9 @@
 The file holds f as data: a list of tokens in prefix order (the operator before its operands), one formula per output
 after the other, and the constants in the order in which they appear. Every token is checked when the file is opened;
 nothing in it is ever executed as text. The clips lie outside everything seen in training: a free run stays bounded.
+
+Every function is defined for every number: log and sqrt are those of the absolute value, and `TINY` and `LARGEST` keep
+a quotient, a logarithm, a root and an exponential finite, with their derivatives.
 """
 
 from __future__ import annotations
@@ -22,10 +25,13 @@ from hydrotwin.models.language.errors import DataError
 from ..block_file import LearnedKind, Shapes, register_kind
 from ..network.narx import NarxShape, narx_functions, scale_shapes
 
-ADD, SUBTRACT, MULTIPLY, COSINE, SINE, TANH, CONSTANT = range(7)
+ADD, SUBTRACT, MULTIPLY, COSINE, SINE, TANH, CONSTANT, DIVIDE, EXP, LOG, SQRT, SQUARE, ABSOLUTE = range(13)
 VARIABLE = 100  # VARIABLE + i is feature i
-ARITY = {ADD: 2, SUBTRACT: 2, MULTIPLY: 2, COSINE: 1, SINE: 1, TANH: 1, CONSTANT: 0}
+ARITY = dict.fromkeys((ADD, SUBTRACT, MULTIPLY, DIVIDE), 2) | {CONSTANT: 0}
+ARITY |= dict.fromkeys((COSINE, SINE, TANH, EXP, LOG, SQRT, SQUARE, ABSOLUTE), 1)
 MOST_TOKENS = 10_000
+TINY = 1e-24  # stands for a divisor of zero, and is the least of what a logarithm or a root is taken of
+LARGEST = 60.0  # argument of an exponential: 1e26, far outside every bound
 
 
 @dataclass(frozen=True)
@@ -42,14 +48,15 @@ class Formula:
 def evaluate(tokens: Sequence[int], constants, features, *, library=np, where: str = "formula") -> list:
     """The values of the expressions in ``tokens``, in their order; numbers, arrays or CasADi symbols alike.
 
-    constants, features : sequences to pick from; library : what has ``cos``, ``sin`` and ``tanh`` for them.
+    constants, features : sequences to pick from. library : the module with the functions for them, NumPy or CasADi;
+    SymPy gets them plain, without `TINY` and `LARGEST`.
 
     Raises `DataError` for a token that is none, a missing operand, a feature or a constant that does not exist.
 
     >>> evaluate((ADD, VARIABLE, MULTIPLY, CONSTANT, VARIABLE + 1), [0.5], [1.0, 4.0])
     [3.0]
     """
-    functions = {COSINE: library.cos, SINE: library.sin, TANH: library.tanh}
+    functions = _functions(library)
     stack, unused = [], len(constants)
     for position in reversed(range(len(tokens))):
         token = tokens[position]
@@ -66,22 +73,52 @@ def evaluate(tokens: Sequence[int], constants, features, *, library=np, where: s
             stack.append(functions[token](stack.pop()))
         else:
             a, b = stack.pop(), stack.pop()
-            stack.append(a + b if token == ADD else a - b if token == SUBTRACT else a * b)
+            stack.append(_combined(token, a, b, library))
     if unused:
         raise DataError(f"{where}: {unused} constants are never used. Write the block again.")
     return stack[::-1]
 
 
+def _functions(library) -> dict:
+    """The functions of one argument by token."""
+    least = (lambda a: library.fmax(abs(a), TINY)) if _numeric(library) else abs
+    most = (lambda a: library.fmin(a, LARGEST)) if _numeric(library) else (lambda a: a)
+    return {
+        COSINE: library.cos,
+        SINE: library.sin,
+        TANH: library.tanh,
+        EXP: lambda a: library.exp(most(a)),
+        LOG: lambda a: library.log(least(a)),
+        SQRT: lambda a: library.sqrt(least(a)),
+        SQUARE: lambda a: a * a,
+        ABSOLUTE: abs,
+    }
+
+
+def _combined(token: int, a, b, library):
+    if token == DIVIDE:
+        return a / (b + TINY * (b == 0) if _numeric(library) else b)
+    return a + b if token == ADD else a - b if token == SUBTRACT else a * b
+
+
+def _numeric(library) -> bool:
+    return hasattr(library, "fmax")
+
+
 def formula_shapes(structure: Mapping[str, int], inputs: int, outputs: int) -> Shapes:
     """Arrays of a formula block: its tokens and constants, the scales and the bounds of a free run."""
-    counts = dict(structure)
-    tokens, constants = counts.pop("tokens", None), counts.pop("constants", None)
-    if not (isinstance(tokens, int) and isinstance(constants, int) and 0 <= constants <= tokens <= MOST_TOKENS):
-        raise TypeError("no counts of tokens and constants")
     shape = formula_shape(structure, inputs, outputs)
     if min(shape.output_lags, shape.input_lags - 1) < 0:
         raise TypeError("no counts of lags")
-    return {"tokens": (tokens,), "constants": (constants,)} | scale_shapes(inputs, outputs)
+    return token_shapes(structure) | scale_shapes(inputs, outputs)
+
+
+def token_shapes(structure: Mapping[str, int]) -> Shapes:
+    """The arrays of the formula itself; raises `TypeError` for counts that are none."""
+    tokens, constants = structure.get("tokens"), structure.get("constants")
+    if not (isinstance(tokens, int) and isinstance(constants, int) and 0 <= constants <= tokens <= MOST_TOKENS):
+        raise TypeError("no counts of tokens and constants")
+    return {"tokens": (tokens,), "constants": (constants,)}
 
 
 def formula_shape(structure: Mapping[str, int], inputs: int, outputs: int) -> NarxShape:
@@ -95,18 +132,21 @@ def formula_functions(
 ) -> tuple[ca.Function, ca.Function]:
     """The CasADi ``step`` and ``start`` of a formula."""
     shape = formula_shape(structure, len(arrays["input_scale"]), len(arrays["output_scale"]))
-    tokens, constants = _whole_tokens(arrays["tokens"]), arrays["constants"].tolist()
+    tokens, constants = whole_tokens(arrays["tokens"]), arrays["constants"].tolist()
 
-    def increments(z):
-        f = evaluate(tokens, constants, ca.vertsplit(z), library=ca)
-        if len(f) != shape.outputs:
-            raise DataError(f"formula: {len(f)} expressions for {shape.outputs} outputs. Write the block again.")
-        return ca.vertcat(*f)
-
-    return narx_functions(shape, arrays, increments)
+    return narx_functions(shape, arrays, lambda z: expressions(tokens, constants, z, shape.outputs))
 
 
-def _whole_tokens(values: np.ndarray) -> tuple[int, ...]:
+def expressions(tokens: Sequence[int], constants: Sequence[float], z: ca.SX, outputs: int) -> ca.SX:
+    """The values (outputs,) of the tokens of a block for its features z; raises `DataError` for another number."""
+    f = evaluate(tokens, constants, ca.vertsplit(z), library=ca)
+    if len(f) != outputs:
+        raise DataError(f"formula: {len(f)} expressions for {outputs} outputs. Write the block again.")
+    return ca.vertcat(*f)
+
+
+def whole_tokens(values: np.ndarray) -> tuple[int, ...]:
+    """The tokens of an array of a file; raises `DataError` for one that is none."""
     broken = np.flatnonzero((values != np.round(values)) | (values < 0) | (values > VARIABLE + MOST_TOKENS))
     if len(broken):
         raise DataError(f"formula: token {broken[0]} is none (got {values[broken[0]]:g}). Write the block again.")

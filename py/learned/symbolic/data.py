@@ -13,20 +13,40 @@ from hydrotwin.records import Record
 
 from ..network.narx import NarxShape
 from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, on_period, smoothed
-from .refit import Bounds, Piece, Series
+from .block import Formula
+from .refit import Bounds, FreeRun, Piece, Run, Runs, Series, StaticRun, laid_out
+from .static_block import StaticShape
 
 LEAST_SAMPLES = 50
+CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signal, so that single precision suffices
+PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
+HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Series with the pieces to fit and to judge on, the scales of the block, and the lags."""
+    """Series with the pieces to fit and to judge on, the scales of the block, and the lags (static: none)."""
 
-    shape: NarxShape
+    shape: NarxShape | StaticShape
     scales: dict[str, np.ndarray]
     series: list[Series]
     fit: list[Piece]
     judged: list[Piece]
+
+    @property
+    def static(self) -> bool:
+        """Whether the outputs are functions of the inputs alone."""
+        return isinstance(self.shape, StaticShape)
+
+    def run(self, formula: Formula, own: Sequence[int]) -> Run:
+        """The run of the outputs ``own`` under ``formula``, free where there are dynamics."""
+        if self.static:
+            return StaticRun(formula, self.shape.features)
+        return FreeRun(formula, own, self.shape, self.bounds)
+
+    def laid_out(self, pieces: Sequence[Piece], own: Sequence[int]) -> Runs:
+        """Some pieces for a run of the outputs ``own``."""
+        return laid_out(self.series, pieces, own, self.shape)
 
     @property
     def bounds(self) -> Bounds:
@@ -36,7 +56,13 @@ class Prepared:
         return Bounds(s["increment_scale"] / s["output_scale"], s["increment_limit"], lower, upper)
 
     def pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Features (n, nf) and increments to the next sample (n, ny), over the increment scale, of the fitted part."""
+        """Features (n, nf) and targets (n, ny) of the fitted part.
+
+        Targets: increments to the next sample, over the increment scale; of static outputs these themselves.
+        """
+        if self.static:
+            parts = [(self.series[p.series], slice(p.first, p.last)) for p in self.fit]
+            return tuple(np.concatenate([getattr(s, name)[k] for s, k in parts]) for name in ("z", "y"))
         ratio, y = self.bounds.ratio, range(self.shape.outputs)
         z = [self.series[p.series].z[p.first : p.last] for p in self.fit]
         return np.concatenate([v[:-1] for v in z]), np.concatenate([np.diff(v[:, y], axis=0) for v in z]) / ratio
@@ -44,7 +70,7 @@ class Prepared:
 
 def prepare(
     records: Sequence[Record],
-    validate: Sequence[Record],
+    select: Sequence[Record],
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
     period: float,
@@ -53,11 +79,12 @@ def prepare(
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
+    select : recordings to judge on; none: the end of every training recording, and these as a whole.
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples) and increments.
     """
     u, y = zip(*(_columns(r, inputs, outputs, period) for r in records), strict=True)
-    judged = [_columns(r, inputs, outputs, period) for r in validate]
+    judged = [_columns(r, inputs, outputs, period) for r in select]
     scales = _scales(np.concatenate(u), list(y), next_value)
 
     def normal(part: str, values: np.ndarray) -> np.ndarray:
@@ -68,23 +95,98 @@ def prepare(
     ratio = scales["increment_scale"] / scales["output_scale"]
     all_runs = [*zip(u, y, strict=True), *judged]
     series = [_series(normal("input", a), normal("output", b), shape, ratio, next_value) for a, b in all_runs]
+    return Prepared(shape, scales, series, *_pieces(series, len(u)))
+
+
+def _pieces(series: Sequence[Series], training: int) -> tuple[list[Piece], list[Piece]]:
+    """Pieces to fit and to judge on; the first ``training`` series are training recordings."""
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    if judged:
-        return Prepared(shape, scales, series, whole[: len(u)], whole[len(u) :])
+    if len(series) > training:
+        return whole[:training], whole[training:]
     cuts = [round((1 - HELD_OUT) * p.last) for p in whole]
     fit = [Piece(p.series, 0, k, True) for p, k in zip(whole, cuts, strict=True)]
     tails = [Piece(p.series, k, p.last, False) for p, k in zip(whole, cuts, strict=True)]
-    return Prepared(shape, scales, series, fit, [*tails, *whole])
+    return fit, [*tails, *whole]
+
+
+def prepare_static(
+    records: Sequence[Record], select: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> Prepared:
+    """Samples as they were recorded, scaled, whose order means nothing; without ``select`` every fifth one judges."""
+    for record in (*records, *select):
+        _enough(record, len(record), record.period)
+    u, y = (np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs))
+    parts = [(u, y), *((_array(r, inputs), _array(r, outputs)) for r in select)]
+    if not select:
+        every = round(1 / HELD_OUT)
+        last = np.arange(len(u)) % every == every - 1
+        parts = [(u[~last], y[~last]), (u[last], y[last])]
+    scales = {}
+    for name, values in (("input", u), ("output", y)):
+        scales[f"{name}_centre"], scales[f"{name}_scale"] = _plain(values)
+
+    def normal(name: str, values: np.ndarray) -> np.ndarray:
+        return (values - scales[f"{name}_centre"]) / scales[f"{name}_scale"]
+
+    series = [Series(normal("input", a), normal("output", b)) for a, b in parts]
+    pieces = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
+    return Prepared(StaticShape(len(inputs), len(outputs)), scales, series, pieces[:1], pieces[1:])
+
+
+def is_static(records: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal]) -> bool:
+    """Whether the samples before tell nothing about an output beside the inputs of its own moment.
+
+    Least squares of every output on a second-order polynomial of the inputs, without and with all signals one sample
+    before; errors on the last fifth. Samples in a random order have no past; a slow sweep through a static law has one,
+    and is asked for with ``static=True``.
+    """
+    alone, before, target, last = [], [], [], []
+    for record in records:
+        u, y = _array(record, inputs), _array(record, outputs)
+        u, y = ((v - v.mean(axis=0)) / np.where(v.std(axis=0) > 0, v.std(axis=0), 1.0) for v in (u, y))
+        squares = [u[:, [i]] * u[:, [j]] for i in range(u.shape[1]) for j in range(i, u.shape[1])]
+        alone.append(np.hstack([np.ones((len(u), 1)), u, *squares])[1:])
+        before.append(np.hstack([u, y])[:-1])
+        target.append(y[1:])
+        last.append(np.arange(len(u) - 1) >= (1 - HELD_OUT) * (len(u) - 1))
+    alone, before, target, last = (np.concatenate(part) for part in (alone, before, target, last))
+    if 5 * (alone.shape[1] + before.shape[1]) > len(target):
+        return False
+    without, with_past = (_misses(A, target, last) for A in (alone, np.hstack([alone, before])))
+    return bool(np.all(with_past > HELPS * without))
+
+
+def _misses(A: np.ndarray, target: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """RMS (ny,) on the rows ``last`` of least squares on all others."""
+    found = np.linalg.lstsq(A[~last], target[~last], rcond=None)[0]
+    return np.sqrt(np.mean((target[last] - A[last] @ found) ** 2, axis=0))
+
+
+def _array(record: Record, signals: Sequence[Signal]) -> np.ndarray:
+    return record.array([s.name for s in signals])
+
+
+def _plain(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and scale of static columns: a power of ten where the unit does not suit; no centre unless far away."""
+    spread, mean = np.where(values.std(axis=0) > 0, values.std(axis=0), 1.0), values.mean(axis=0)
+    suits = (spread >= PLAIN[0]) & (spread <= PLAIN[1])
+    scale = np.where(suits, 1.0, 10.0 ** np.floor(np.log10(spread)))
+    centre = np.where(np.abs(mean) > CENTRE_FROM * spread, scale * np.round(mean / scale), 0.0)
+    return np.array([float(f"{c:.6g}") for c in centre]), np.array([float(f"{s:.6g}") for s in scale])
 
 
 def _columns(record: Record, inputs, outputs, period: float) -> tuple[np.ndarray, np.ndarray]:
     even = on_period(record, period, inputs)
-    if len(even) < LEAST_SAMPLES:
+    _enough(record, len(even), period)
+    return _array(even, inputs), _array(even, outputs)
+
+
+def _enough(record: Record, samples: int, period: float) -> None:
+    if samples < LEAST_SAMPLES:
         raise DataError(
-            f"{record.source or record.name}: too few samples (got {len(even)} at {period:g} s). "
+            f"{record.source or record.name}: too few samples (got {samples} at {period:g} s). "
             f"At least {LEAST_SAMPLES} are needed. Leave the recording out or choose a shorter period."
         )
-    return even.array([s.name for s in inputs]), even.array([s.name for s in outputs])
 
 
 def _scales(u: np.ndarray, runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:

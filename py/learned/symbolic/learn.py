@@ -13,18 +13,19 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..block_file import Certificate, LearnedBlock, assemble
+from ..block_file import LearnedBlock, assemble
 from ..interruption import INTERRUPTED
 from ..needs import needed_to_train
-from ..network.narx import network_states, random_steps
+from ..network.narx import network_states
 from ..steady import steady_where_it_integrates
-from ..training_data import HELD_OUT, checked_recordings, choose_period, named, training_box
-from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula, formula_shape
-from .data import Prepared, prepare
+from ..training_data import HELD_OUT, checked_recordings, choose_period, named, training_box, usable
+from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula
+from .certify import certify
+from .data import Prepared, is_static, prepare, prepare_static
+from .static_block import SCALES, STATIC
 
 FITS = ("default", "paper")
-TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
-ROWS = 3000  # samples, drawn at random, that a search judges its formulas on
+NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
 
@@ -34,42 +35,53 @@ def learn_symbolic(
     outputs: Sequence[Signal | str],
     *,
     fit: str = "default",
+    static: bool | None = None,
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     lags: tuple[int, int | None] = (1, None),
+    functions: Sequence[str] | str | None = None,
+    nodes: int | None = None,
     seed: int = 0,
     starts: int = 3,
-    population: int = 1000,
+    population: int | None = None,
     generations: int = 100,
     tolerance: float = 0.05,
-    budget: float = 120.0,
+    budget: float | None = None,
     name: str = "formula",
     progress: Callable | None = None,
 ) -> LearnedBlock:
     """Find one formula per output by genetic programming and answer them as a Block.
 
-    The form {+, -, *, cos, sin, tanh, constants}, at most 20 nodes, comes from a search with the operators of the
-    C-EHA paper (`symbolic_search`). ``fit`` says what is searched for and what becomes of it:
+    ``fit`` says what is searched for and what becomes of it:
 
-    - ``"default"``: the increment of each output, from smoothed features. The best of every length, over all
-      generations and seeds, and linear formulas beside them, are refitted by least squares in short free runs, the
-      best of these in whole ones; of the formulas whose free-run error on ``validate`` (or on the last fifth of every
-      recording) is within ``tolerance`` of the smallest, the shortest is kept.
-    - ``"paper"``: the next value from the present ones at the recorded period, sum of squared errors, no scaling, no
-      refit, one seed: the formula with the smallest one-step error. It is the baseline, not the advice.
+    - ``"default"``: the increment of each output, from smoothed features; of static data the outputs themselves.
+      pyoperon breeds, with least squares on the constants of every formula (`Rules`). The best of every length, over
+      all generations and seeds, and linear formulas beside them, are refitted in short free runs, the best of these in
+      whole ones; of the formulas whose free-run error on ``select`` (or on the last fifth of every recording) is within
+      ``tolerance`` of the smallest, the shortest is kept. One whose free run diverges there is not.
+    - ``"paper"``: the operators of the C-EHA paper (`PAPER`), the next value from the present ones at the recorded
+      period, sum of squared errors, no scaling, no refit, one seed: the formula with the smallest one-step error. It
+      is the baseline, not the advice.
 
     Args:
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
+        static: the outputs are functions of the inputs at the same moment; None: where `is_static` finds it.
         period: s between steps; None: the longest that loses nothing worth having (`choose_period`).
+        validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.
         lags: past increments of the outputs, samples of the inputs (None: chosen, `choose_input_lags`).
-        starts: searches, with the seeds ``seed ... seed + starts - 1``. population, generations: of each.
+        functions: of add, sub, mul, div, sin, cos, tanh, exp, log (of the absolute value), sqrt (as well), square.
+        nodes: at most in a formula of the search; None: 20, 40 of static data.
+        starts: searches, with the seeds ``seed ... seed + starts - 1``. population, generations: of each; None: 250,
+            of the paper 1000.
         tolerance: what simplicity may cost, as a share of the free-run error.
-        budget: s, half of it for the searches. Fewer seeds or candidates are tried when it ends.
+        budget: s, half of it for the searches; None: no limit. Fewer seeds or candidates are tried when it ends.
         progress: called with a `SearchProgress` per generation and a `SelectionProgress` per refit.
 
-    The same seed and data give the same block unless the budget ends the work (``provenance["stopped"]``). Ctrl-C
-    ends it with the best so far. ``provenance["equation"]`` and ``["latex"]`` are the formula to read.
+    The same seed and data give the same block unless ``budget`` ends the work (``provenance["stopped"]``). Ctrl-C
+    ends it with the best so far. ``provenance["equation"]`` and ``["latex"]`` are the formula to read, ``["front"]``
+    what shorter and longer ones would cost (`front_rows`).
 
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, or
@@ -79,50 +91,81 @@ def learn_symbolic(
         from . import search as searching
         from . import select as selecting
         from . import text as printing
-    _check_options(fit, lags, starts, population, generations, tolerance, budget, period)
-    inputs, outputs, records, validate = checked_recordings("learn_symbolic", records, inputs, outputs, validate)
+    counts = {"starts": starts, "population": population, "generations": generations, "nodes": nodes}
+    _check_options(fit, static, lags, counts, {"tolerance": tolerance, "budget": budget, "period": period})
+    inputs, outputs, records, select = checked_recordings("learn_symbolic", records, inputs, outputs, select)
+    if validate:
+        usable(validate, (*inputs, *outputs))
     paper = fit == "paper"
     recorded = float(f"{max(r.period for r in records):.9g}")  # the median of printed times carries rounding
-    period = float(period or (recorded if paper else choose_period(records)))
-    data = prepare(records, validate, inputs, outputs, period, (0, 1) if paper else lags, paper)
+    static = not paper and (is_static(records, inputs, outputs) if static is None else bool(static))
+    if static:
+        period, data = float(period or recorded), prepare_static(records, select, inputs, outputs)
+    else:
+        period = float(period or (recorded if paper else choose_period(records)))
+        data = prepare(records, select, inputs, outputs, period, (0, 1) if paper else lags, paper)
     started = time.monotonic()
-    rules = searching.Rules(population=int(population), generations=int(generations))
+    end = started + (np.inf if budget is None else budget)
+    rules = _rules(searching, paper, functions, counts | {"nodes": nodes or NODES[static]})
     names = [s.name for s in outputs]
     seeds = range(seed, seed + (1 if paper else starts))
-    archives, stopped = _search(searching, data, rules, seeds, paper, names, started + budget / 2, progress)
+    archives, stopped = _search(searching, data, rules, seeds, names, (started + end) / 2, progress)
+    selection = None
     if paper:
         formula = _most_exact(archives)
     else:
-        until = min(started + budget, time.monotonic() + AFTER_CTRL_C) if stopped == INTERRUPTED else started + budget
+        until = min(end, time.monotonic() + AFTER_CTRL_C) if stopped == INTERRUPTED else end
         options = {"tolerance": tolerance, "until": until, "seed": seed, "progress": progress}
         selection = selecting.Selection(data, names, **options)
-        formula = selection.choose([[f.formula for f in archive.all()] for archive in archives])
+        found = [archive.front() if static else archive.all() for archive in archives]
+        formula = selection.choose([[f.formula for f in kept] for kept in found])
         stopped = stopped or selection.stopped
     formula = printing.simplified(formula, data.shape.features)
     block = _block(formula, data, records, inputs, outputs, period, name)
-    found = _report(archives, stopped)
-    found["held_out_error"] = selecting.free_run_error(data, formula)
-    found["seconds"] = round(time.monotonic() - started, 2)
+    told = _report(archives, stopped) | _judged(selecting, data, formula)
+    told |= {"functions": list(rules.functions), "static": static}
+    if selection:
+        told["front"] = _front(printing, selection, data, inputs, outputs)
+    told["seconds"] = round(time.monotonic() - started, 2)
     text, latex = printing.equation_text(formula, inputs, outputs, data.shape, data.scales, whole_value=paper)
-    provenance = _provenance(fit, records, validate, seed, found) | {"equation": text, "latex": latex}
+    provenance = _provenance(fit, records, select, seed, told) | {"equation": text, "latex": latex}
     block = replace(block, description=text, provenance=provenance)
     block = replace(block, certificate=certify(block, formula))
-    return steady_where_it_integrates(block, records, outputs, published=paper)
+    return block if static else steady_where_it_integrates(block, records, outputs, published=paper)
 
 
-def _search(searching, data: Prepared, rules, seeds, paper: bool, names, until: float, progress):
+def _rules(searching, paper: bool, functions, counts):
+    """The rules of the search with what was asked for; raises `DeclarationError` for functions that are none."""
+    rules = searching.PAPER if paper else searching.Rules()
+    asked = {key: int(counts[key]) for key in ("population", "generations", "nodes") if counts[key] is not None}
+    if functions is not None:
+        wanted = [functions] if isinstance(functions, str) else list(functions)
+        wanted = tuple(dict.fromkeys(word.strip() for part in wanted for word in str(part).split(",") if word.strip()))
+        for word in wanted or ("",):
+            if word not in searching.FUNCTIONS:
+                raise DeclarationError(
+                    f"learn_symbolic: functions: '{word}' is none. {nearest(word, searching.FUNCTIONS)} "
+                    "Write functions=add,mul,div."
+                )
+        asked["functions"] = wanted
+    return replace(rules, **asked)
+
+
+def _search(searching, data: Prepared, rules, seeds, names, until: float, progress):
     """An archive per output, and what ended the searches before their time, empty when nothing did."""
     z, d = data.pairs()
-    chosen = np.sort(np.random.default_rng(seeds[0]).permutation(len(z))[:ROWS])
+    chosen = np.sort(np.random.default_rng(seeds[0]).permutation(len(z))[: rules.rows])
     z, d = z[chosen], d[chosen]
     archives = [searching.Archive() for _ in names]
-    options = {"rules": rules, "scaled": not paper, "until": until, "progress": progress}
+    options = {"rules": rules, "until": until, "progress": progress}
     try:
         for turn, own in enumerate(seeds):
             for i, archive in enumerate(archives):
+                if archive.stopped == "good enough":
+                    continue
                 if turn and time.monotonic() > until:
                     return archives, "time budget of the search"
-                target = d[:, i] + z[:, i] if paper else d[:, i]
+                target = d[:, i] if rules.scaled else d[:, i] + z[:, i]  # the paper's formula is the next value
                 searching.search(z, target, archive, seed=own, output=names[i], **options)
     except KeyboardInterrupt:
         return archives, INTERRUPTED
@@ -149,71 +192,75 @@ def _report(archives, stopped: str) -> dict:
     }
 
 
+def _judged(selecting, data: Prepared, formula: Formula) -> dict:
+    """The error of the chosen formula where formulas were judged, in output scales, and whether it diverges there."""
+    error, rms = selecting.judged_errors(data, formula)
+    return {"held_out_error": rms} | ({} if np.isfinite(error) else {"diverges": True})
+
+
+def _front(printing, selection, data: Prepared, inputs, outputs) -> list[dict]:
+    """The front of error and size of every output, as the provenance holds it; errors SI."""
+    rows = []
+    for i, (output, front) in enumerate(zip(outputs, selection.fronts, strict=False)):
+        for c in front:
+            short = printing.simplified(c.formula, data.shape.features)
+            text, _ = printing.equation_text(short, inputs, outputs, data.shape, data.scales, own=[i])
+            row = {"output": output.name, "size": c.size, "equation": text, "chosen": c in selection.chosen}
+            rows.append(row | {"error": c.rms * float(data.scales["output_scale"][i])})
+    return rows
+
+
 def _block(formula: Formula, data: Prepared, records, inputs, outputs, period: float, name: str) -> LearnedBlock:
     shape = data.shape
     counts = {"tokens": len(formula.tokens), "constants": len(formula.constants)}
+    own = {"tokens": np.array(formula.tokens, float), "constants": np.array(formula.constants, float)}
+    if data.static:
+        kind, states, scales = STATIC, (), {name: data.scales[name] for name in SCALES}
+    else:
+        kind, states, scales = SYMBOLIC, network_states(shape, inputs, outputs), data.scales
+        counts |= {"output_lags": shape.output_lags, "input_lags": shape.input_lags}
     return assemble(
-        SYMBOLIC,
-        data.scales | {"tokens": np.array(formula.tokens, float), "constants": np.array(formula.constants, float)},
-        {"output_lags": shape.output_lags, "input_lags": shape.input_lags} | counts,
+        kind,
+        scales | own,
+        counts,
         name=name,
         inputs=inputs,
         outputs=outputs,
-        states=network_states(shape, inputs, outputs),
+        states=states,
         parameters=(),
         period=period,
-        domain=training_box(records, (*inputs, *outputs)),
+        domain=training_box(records, inputs if data.static else (*inputs, *outputs)),
     )
 
 
-def certify(block: LearnedBlock, formula: Formula, points: int = 20_000) -> Certificate:
-    """The largest |deployed - trained| of one step over `random_steps`, relative to the outputs' scale.
-
-    The trained formula is evaluated by SymPy's NumPy printer.
-    """
-    import sympy
-
-    from .text import as_expressions
-
-    a, shape = block.arrays, formula_shape(block.structure, len(block.inputs), len(block.outputs))
-    states, inputs, z = random_steps(a, shape, points)
-    deployed = np.array(block.step.map(points)(states.T, inputs.T, np.zeros((0, points)))[0]).T
-    symbols = sympy.symbols(f"z:{shape.features}", real=True)
-    functions = [sympy.lambdify(symbols, e, "numpy") for e in as_expressions(formula, symbols)]
-    f = np.column_stack([np.broadcast_to(g(*z.T), points) for g in functions])
-    f = np.clip(f, -a["increment_limit"], a["increment_limit"]) * a["increment_scale"]
-    trained = np.clip(states[:, : shape.outputs] + f, a["output_lower"], a["output_upper"])
-    difference = float(np.abs((deployed[:, : shape.outputs] - trained) / a["output_scale"]).max())
-    return Certificate(difference, TOLERANCE, points, f"sympy {sympy.__version__} float64")
-
-
-def _check_options(fit, lags, starts, population, generations, tolerance, budget, period) -> None:
+def _check_options(fit, static, lags, counts: dict, amounts: dict) -> None:
     if fit not in FITS:
         raise DeclarationError(f"learn_symbolic: no fit '{fit}'. {nearest(str(fit), FITS)}")
+    if static and fit == "paper":
+        raise DeclarationError("learn_symbolic: static data and fit paper do not go together (got static=True). "
+                               "The paper learns the next value. Leave out one of the two.")  # fmt: skip
     n, m = lags
-    counts = {
-        "lags[0]": (n, 0),
-        "lags[1]": (1 if m is None else m, 1),
-        "starts": (starts, 1),
-        "population": (population, 20),
-        "generations": (generations, 1),
-    }
-    for option, (value, least) in counts.items():
-        if int(value) != value or value < least:
-            raise DeclarationError(f"learn_symbolic: {option} must be a whole number from {least} up (got {value}).")
-    for option, value in {"budget": budget, "period": 1.0 if period is None else period}.items():
-        if not value > 0:
-            raise DeclarationError(f"learn_symbolic: {option} must be positive (got {value}).")
-    if not 0 <= tolerance < np.inf:
-        raise DeclarationError(f"learn_symbolic: tolerance must be 0 or more (got {tolerance}). 0.05 is 5 %.")
+    least = {"lags[0]": 0, "lags[1]": 1, "starts": 1, "population": 20, "generations": 1, "nodes": 3}
+    for option, value in {"lags[0]": n, "lags[1]": m, **counts}.items():
+        if value is not None and (int(value) != value or value < least[option]):
+            raise DeclarationError(
+                f"learn_symbolic: {option} must be a whole number from {least[option]} up (got {value})."
+            )
+    for option in ("budget", "period"):
+        if amounts[option] is not None and not amounts[option] > 0:
+            raise DeclarationError(f"learn_symbolic: {option} must be positive (got {amounts[option]}).")
+    if not 0 <= amounts["tolerance"] < np.inf:
+        raise DeclarationError(
+            f"learn_symbolic: tolerance must be 0 or more (got {amounts['tolerance']}). 0.05 is 5 %."
+        )
 
 
-def _provenance(fit: str, records, validate, seed: int, found: dict) -> dict:
+def _provenance(fit: str, records, select, seed: int, found: dict) -> dict:
     return {
         "kind": "symbolic",
         "fit": fit,
         "trained_on": named(records),
-        "selected_on": named(validate) or f"last {HELD_OUT:.0%} of every training recording",
+        "selected_on": named(select) or f"last {HELD_OUT:.0%} of every training recording",
         "seed": seed,
         **found,
         "versions": {package: metadata.version(package) for package in ("pyoperon", "sympy", "numpy", "casadi")},

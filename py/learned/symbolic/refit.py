@@ -1,4 +1,4 @@
-"""Free runs of a formula over recordings, with the sensitivities of its constants, and their refit with SciPy."""
+"""Runs of a formula over recordings, free or static, with the slopes of its constants, and their refit with SciPy."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..network.narx import NarxShape
 from .block import Formula, evaluate
 
 TOLERANCE = 1e-4  # of the error: where a refit ends
+AT_THE_EDGE = 1e-9  # of an output's scale: a free run so near to a bound of its outputs has been stopped by it
 
 
 @dataclass(frozen=True)
@@ -52,48 +53,32 @@ class Runs:
     inside: np.ndarray
 
 
-class FreeRun:
-    """The free run of some outputs under their formulas; the other outputs are taken as measured.
+class Run:
+    """How a formula runs; subclasses say what its outputs and their derivatives are."""
 
-    own : the outputs that run free; ``formula`` holds one expression for each of them.
-    """
-
-    def __init__(self, formula: Formula, own: Sequence[int], shape: NarxShape, bounds: Bounds):
-        self.formula, self.own, self.shape = formula, tuple(own), shape
-        self.fed = own_features(shape, own)
-        self.known = [i for i in range(shape.features) if i not in set(self.fed)]
-        x, w, c = (ca.SX.sym(n, len(v)) for n, v in zip("xwc", (self.fed, self.known, formula.constants), strict=True))
-        z = dict(zip(self.fed, ca.vertsplit(x), strict=True)) | dict(zip(self.known, ca.vertsplit(w), strict=True))
-        features = [z[i] for i in range(shape.features)]
-        f = evaluate(formula.tokens, ca.vertsplit(c) if c.numel() else [], features, library=ca)
-        part = {k: ca.DM(getattr(bounds, k)[list(own)]) for k in ("ratio", "limit", "lower", "upper")}
-        d = ca.fmin(ca.fmax(ca.vertcat(*f), -part["limit"]), part["limit"])
-        no = len(self.own)
-        y = ca.fmin(ca.fmax(x[:no] + part["ratio"] * d, part["lower"]), part["upper"])
-        after = ca.densify(ca.vertcat(y, ca.vertcat(d, x[no:, :])[: len(self.fed) - no, :]))
-        self._plain = ca.Function("plain", [x, w, c], [after, x[:no]])
-        s = ca.SX.sym("s", len(self.fed), c.numel())
-        moved = ca.densify(ca.mtimes(ca.jacobian(after, x), s) + ca.jacobian(after, c))
-        whole, following = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(moved))
-        self._slopes = ca.Function("slopes", [whole, w, c], [following, ca.vertcat(x[:no], ca.vec(s[:no, :]))])
-        self._cache: dict = {}
+    formula: Formula
 
     def outputs(self, constants, runs: Runs) -> np.ndarray:
         """Outputs (s, n, no)."""
-        return self._walk(self._plain, runs.start, constants, runs)
+        raise NotImplementedError
 
     def derivatives(self, constants, runs: Runs) -> np.ndarray:
         """d outputs / d constants, (s, n, no, nc)."""
-        no, nc = len(self.own), len(constants)
-        start = np.hstack([runs.start, np.zeros((len(runs.start), len(self.fed) * nc))])
-        both = self._walk(self._slopes, start, constants, runs)
-        return both[:, :, no:].reshape(*both.shape[:2], nc, no).swapaxes(2, 3)
+        raise NotImplementedError
 
-    def error(self, constants, runs: Runs) -> float:
-        """RMS over all samples and outputs, in output scales; infinite for a run that leaves the finite numbers."""
-        miss = (self.outputs(constants, runs) - runs.target)[runs.inside]
-        error = float(np.sqrt(np.mean(miss**2)))
-        return error if np.isfinite(error) else np.inf
+    def stays(self, outputs: np.ndarray) -> bool:
+        """Whether outputs (n, no) are those of a run that stays where it may be."""
+        return bool(np.isfinite(outputs).all())
+
+    def errors(self, constants, runs: Runs) -> tuple[float, float]:
+        """Error by which a formula is chosen, and RMS over all samples and outputs, in output scales.
+
+        Both are infinite for a run that leaves the finite numbers, the first for one that diverges as well.
+        """
+        found = self.outputs(constants, runs)[runs.inside]
+        rms = float(np.sqrt(np.mean((found - runs.target[runs.inside]) ** 2)))
+        rms = rms if np.isfinite(rms) else np.inf
+        return (rms if self.stays(found) else np.inf), rms
 
     def refit(self, runs: Runs, evaluations: int) -> Formula:
         """The formula with the constants of the least free-run error, by least squares from where they are.
@@ -118,6 +103,50 @@ class FreeRun:
             return self.formula
         return Formula(self.formula.tokens, tuple(float(c) for c in found.x))
 
+
+class FreeRun(Run):
+    """The free run of some outputs under their formulas; the other outputs are taken as measured.
+
+    own : the outputs that run free; ``formula`` holds one expression for each of them.
+    """
+
+    def __init__(self, formula: Formula, own: Sequence[int], shape: NarxShape, bounds: Bounds):
+        self.formula, self.own, self.shape = formula, tuple(own), shape
+        self.fed = own_features(shape, own)
+        self.known = [i for i in range(shape.features) if i not in set(self.fed)]
+        x, w, c = (ca.SX.sym(n, len(v)) for n, v in zip("xwc", (self.fed, self.known, formula.constants), strict=True))
+        z = dict(zip(self.fed, ca.vertsplit(x), strict=True)) | dict(zip(self.known, ca.vertsplit(w), strict=True))
+        features = [z[i] for i in range(shape.features)]
+        f = evaluate(formula.tokens, ca.vertsplit(c) if c.numel() else [], features, library=ca)
+        part = {k: ca.DM(getattr(bounds, k)[list(own)]) for k in ("ratio", "limit", "lower", "upper")}
+        d = ca.fmin(ca.fmax(ca.vertcat(*f), -part["limit"]), part["limit"])
+        no = len(self.own)
+        y = ca.fmin(ca.fmax(x[:no] + part["ratio"] * d, part["lower"]), part["upper"])
+        after = ca.densify(ca.vertcat(y, ca.vertcat(d, x[no:, :])[: len(self.fed) - no, :]))
+        self._plain = ca.Function("plain", [x, w, c], [after, x[:no]])
+        s = ca.SX.sym("s", len(self.fed), c.numel())
+        moved = ca.densify(ca.mtimes(ca.jacobian(after, x), s) + ca.jacobian(after, c))
+        whole, following = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(moved))
+        self._slopes = ca.Function("slopes", [whole, w, c], [following, ca.vertcat(x[:no], ca.vec(s[:no, :]))])
+        self._ends = tuple(getattr(bounds, side)[list(own)] for side in ("lower", "upper"))
+        self._cache: dict = {}
+
+    def outputs(self, constants, runs: Runs) -> np.ndarray:
+        """Outputs (s, n, no)."""
+        return self._walk(self._plain, runs.start, constants, runs)
+
+    def derivatives(self, constants, runs: Runs) -> np.ndarray:
+        """d outputs / d constants, (s, n, no, nc)."""
+        no, nc = len(self.own), len(constants)
+        start = np.hstack([runs.start, np.zeros((len(runs.start), len(self.fed) * nc))])
+        both = self._walk(self._slopes, start, constants, runs)
+        return both[:, :, no:].reshape(*both.shape[:2], nc, no).swapaxes(2, 3)
+
+    def stays(self, outputs: np.ndarray) -> bool:
+        """Whether no bound of the outputs stopped the run."""
+        lower, upper = self._ends
+        return bool(np.all((outputs > lower + AT_THE_EDGE) & (outputs < upper - AT_THE_EDGE)))
+
     def _walk(self, step: ca.Function, start: np.ndarray, constants, runs: Runs) -> np.ndarray:
         count, length, _ = runs.known.shape
         key = (step.name(), count, length)
@@ -126,6 +155,31 @@ class FreeRun:
         known = runs.known.reshape(count * length, -1).T
         constants = np.array(constants, dtype=float).reshape(-1, 1)
         return self._cache[key](start.T, known, constants)[1].full().T.reshape(count, length, -1)
+
+
+class StaticRun(Run):
+    """Outputs that are functions of the features of the same sample."""
+
+    def __init__(self, formula: Formula, features: int):
+        self.formula = formula
+        w, c = ca.SX.sym("w", features), ca.SX.sym("c", len(formula.constants))
+        f = ca.vertcat(*evaluate(formula.tokens, ca.vertsplit(c) if c.numel() else [], ca.vertsplit(w), library=ca))
+        self._plain = ca.Function("plain", [w, c], [ca.densify(f)])
+        self._slopes = ca.Function("slopes", [w, c], [ca.densify(ca.vec(ca.jacobian(f, c)))])
+
+    def outputs(self, constants, runs: Runs) -> np.ndarray:
+        """Outputs (s, n, no)."""
+        return self._mapped(self._plain, constants, runs)
+
+    def derivatives(self, constants, runs: Runs) -> np.ndarray:
+        """d outputs / d constants, (s, n, no, nc)."""
+        flat = self._mapped(self._slopes, constants, runs)
+        return flat.reshape(*flat.shape[:2], len(constants), -1).swapaxes(2, 3)
+
+    def _mapped(self, function: ca.Function, constants, runs: Runs) -> np.ndarray:
+        count, length, _ = runs.known.shape
+        known, constants = runs.known.reshape(count * length, -1).T, np.array(constants, dtype=float).reshape(-1, 1)
+        return function(known, constants).full().T.reshape(count, length, -1)
 
 
 def own_features(shape: NarxShape, own: Sequence[int]) -> list[int]:

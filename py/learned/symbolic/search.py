@@ -1,9 +1,14 @@
-"""Genetic programming for one target with pyoperon: generations, elitism, roulette, and an archive over all of them.
+"""Genetic programming for one target with pyoperon, and an archive of the best over all generations and seeds.
 
-The operators are those of the C-EHA paper, section 3: roulette wheel; the best 25 % pass unchanged (the worst 75 % are
-replaced); crossover 80 %, mutation 3 % (a new random subtree); at most 20 nodes in both. An offspring to which neither
-happens is drawn again, so that nothing but the elite is copied. A leaf is a constant or a variable with a factor; a
-factor is no node of its own. pyoperon computes in single precision.
+Two sets of operators, both pyoperon's. The default (`Rules`): tournaments, the best of parents and offspring live on,
+subtree crossover, seven mutations, and some Levenberg-Marquardt steps on all constants of every offspring, which keeps
+what they find. That of the C-EHA paper, section 3 (`PAPER`): roulette wheel; the best 25 % pass unchanged (the worst
+75 % are replaced); crossover 80 %, mutation 3 % (a new random subtree); at most 20 nodes in both. An offspring to which
+neither happens is drawn again, so that nothing but the elite is copied. A leaf is a constant or a variable with a
+factor; a factor is no node of its own. pyoperon computes in single precision, here in one thread.
+
+Sources: Burlacu, Kronberger, Kommenda, GECCO Companion (2020) 1562-1570 (operon); Kommenda et al., Genetic Programming
+and Evolvable Machines 21 (2020) 471-501 (least squares on the constants).
 """
 
 from __future__ import annotations
@@ -15,21 +20,43 @@ from dataclasses import dataclass, field
 import numpy as np
 import pyoperon as op
 
-from .block import ADD, CONSTANT, COSINE, MULTIPLY, SINE, SUBTRACT, TANH, VARIABLE, Formula
+from .block import (
+    ADD,
+    CONSTANT,
+    COSINE,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    SINE,
+    SQRT,
+    SQUARE,
+    SUBTRACT,
+    TANH,
+    VARIABLE,
+    Formula,
+)
 
-NODES = 20
-ELITE = 0.25
-CROSSOVER, MUTATION = 0.8, 0.03
+ELITE = 0.25  # of the paper
+DEPTH = 10  # of a tree, where not its nodes alone bound it
+FIRST_NODES = 10  # of the trees of the first generation
 STRETCH = 10  # generations between two looks at the clock and the keyboard
 PER_LENGTH = 3  # formulas of one length that the archive keeps
-_CODES = {
-    op.NodeType.Add: ADD,
-    op.NodeType.Sub: SUBTRACT,
-    op.NodeType.Mul: MULTIPLY,
-    op.NodeType.Cos: COSINE,
-    op.NodeType.Sin: SINE,
-    op.NodeType.Tanh: TANH,
+NONE = 1e38  # error from which on pyoperon means that a formula has no value
+FUNCTIONS = {
+    "add": (op.NodeType.Add, ADD),
+    "sub": (op.NodeType.Sub, SUBTRACT),
+    "mul": (op.NodeType.Mul, MULTIPLY),
+    "div": (op.NodeType.Div, DIVIDE),
+    "sin": (op.NodeType.Sin, SINE),
+    "cos": (op.NodeType.Cos, COSINE),
+    "tanh": (op.NodeType.Tanh, TANH),
+    "exp": (op.NodeType.Exp, EXP),
+    "log": (op.NodeType.Logabs, LOG),
+    "sqrt": (op.NodeType.Sqrtabs, SQRT),
+    "square": (op.NodeType.Square, SQUARE),
 }
+_CODES = dict(FUNCTIONS.values())
 
 
 @dataclass(frozen=True)
@@ -57,13 +84,40 @@ class SearchProgress:
 
 @dataclass(frozen=True)
 class Rules:
-    """When a search ends: generations, an error that is good enough, or no gain over ``patience`` generations."""
+    """How a search breeds, and when it ends: generations, an error that is good enough, or ``patience`` without gain.
 
-    population: int = 1000
+    functions : of `FUNCTIONS`. rows : samples, drawn at random, that formulas are judged on: few, so that many can be.
+    scaled : judged by 1 - R2 after a factor and a shift, else by the plain sum of squares.
+    tournament : individuals of which the best becomes a parent; 0: roulette, the elite of the paper and no other
+    mutation than a new subtree. local : Levenberg-Marquardt steps on the constants of every offspring.
+    """
+
+    functions: tuple[str, ...] = ("add", "sub", "mul", "div", "sin", "cos", "tanh", "square")
+    nodes: int = 20
+    rows: int = 300
+    scaled: bool = True
+    tournament: int = 5
+    local: int = 3
+    crossover: float = 1.0
+    mutation: float = 0.25
+    population: int = 250
     generations: int = 100
-    good_enough: float = 0.0
+    good_enough: float = 2e-7  # single precision tells 1 - R2 no better
     patience: int = 30
     least_gain: float = 1e-3  # of the best error, over ``patience`` generations
+
+
+PAPER = Rules(
+    functions=("add", "sub", "mul", "cos", "sin", "tanh"),
+    rows=3000,
+    scaled=False,
+    tournament=0,
+    local=0,
+    crossover=0.8,
+    mutation=0.03,
+    population=1000,
+    good_enough=0.0,
+)
 
 
 @dataclass
@@ -79,6 +133,14 @@ class Archive:
     def all(self) -> list[Found]:
         """Everything kept, the shortest first."""
         return [f for nodes in sorted(self.found) for f in self.found[nodes]]
+
+    def front(self) -> list[Found]:
+        """The best of every length that is better than all shorter ones, the shortest first."""
+        answer: list[Found] = []
+        for nodes in sorted(self.found):
+            if not answer or self.found[nodes][0].error < answer[-1].error:
+                answer.append(self.found[nodes][0])
+        return answer
 
     def wants(self, nodes: int, error: float) -> bool:
         """Whether a formula of this length and error would be kept."""
@@ -98,7 +160,7 @@ class Archive:
 class _Population:
     """pyoperon's objects for one search; all are held here, since pyoperon keeps only pointers to them."""
 
-    def __init__(self, features: np.ndarray, target: np.ndarray, scaled: bool, rules: Rules, seed: int):
+    def __init__(self, features: np.ndarray, target: np.ndarray, rules: Rules, seed: int):
         self.values_in = np.asfortranarray(np.column_stack([features, target]), dtype=np.float32)
         self.data = op.Dataset(self.values_in)
         columns = sorted(self.data.Variables, key=lambda v: v.Index)
@@ -109,39 +171,49 @@ class _Population:
         self.problem.Target = columns[-1]
         self.inputs = list(self.variables)
         self.problem.InputHashes = self.inputs
-        symbols = (*_CODES, op.NodeType.Constant, op.NodeType.Variable)
+        symbols = (*(FUNCTIONS[name][0] for name in rules.functions), op.NodeType.Constant, op.NodeType.Variable)
         self.problem.ConfigurePrimitiveSet(sum(int(s) for s in symbols))
         self.symbols = self.problem.PrimitiveSet  # a copy: taken after it was configured
         self.creator = op.BalancedTreeCreator(self.symbols, self.inputs, 0.0)
         self.values = op.NormalCoefficientInitializer()
         self.values.ParameterizeDistribution(0, 1)
         self.table = op.DispatchTable()
-        self.metric = op.R2() if scaled else op.SSE()
-        self.evaluator = op.Evaluator(self.problem, self.table, self.metric, scaled)
+        self.metric = op.R2() if rules.scaled else op.SSE()
+        self.evaluator = op.Evaluator(self.problem, self.table, self.metric, rules.scaled)
         self.evaluator.Budget = 2**60
         self.order = op.SingleObjectiveComparison(0)
-        self.selector = op.ProportionalSelector(self.order)
-        self.reinserter = op.ReplaceWorstReinserter(self.order)
-        self.crossover = op.SubtreeCrossover(0.9, NODES, NODES)
-        self.mutation = op.ReplaceSubtreeMutation(self.creator, self.values, NODES, NODES)
-        self.optimizer = op.LMOptimizer(self.table, self.problem, 0, 0)
+        depth = DEPTH if rules.tournament else rules.nodes
+        self.crossover = op.SubtreeCrossover(0.9, depth, rules.nodes)
+        self.mutations = self._mutations(depth, rules)
+        self.mutation = self.mutations[0]
+        if rules.tournament:
+            self.selector = op.TournamentSelector(self.order)
+            self.selector.TournamentSize = rules.tournament
+            self.reinserter = op.KeepBestReinserter(self.order)
+            self.mutation = op.MultiMutation()
+            for one in self.mutations:
+                self.mutation.Add(one, 1.0)
+        else:
+            self.selector = op.ProportionalSelector(self.order)
+            self.reinserter = op.ReplaceWorstReinserter(self.order)
+        self.optimizer = op.LMOptimizer(self.table, self.problem, rules.local, 0)
         self.local = op.CoefficientOptimizer(self.optimizer)
         self.generator = op.BasicOffspringGenerator(
             self.evaluator, self.crossover, self.mutation, self.selector, self.selector, self.local
         )
         self.first = op.UniformLengthTreeInitializer(self.creator)
-        self.first.ParameterizeDistribution(1, NODES)
+        self.first.ParameterizeDistribution(1, min(rules.nodes, FIRST_NODES) if rules.tournament else rules.nodes)
         self.first.MinDepth, self.first.MaxDepth = 1, 1000
         self.config = op.GeneticAlgorithmConfig(
             generations=STRETCH,
             max_evaluations=2**60,
-            local_iterations=0,
+            local_iterations=rules.local,
             population_size=rules.population,
-            pool_size=rules.population - round(ELITE * rules.population),
-            p_crossover=CROSSOVER,
-            p_mutation=MUTATION,
-            p_local=0.0,
-            p_lamarck=0.0,
+            pool_size=rules.population - (0 if rules.tournament else round(ELITE * rules.population)),
+            p_crossover=rules.crossover,
+            p_mutation=rules.mutation,
+            p_local=1.0 if rules.local else 0.0,
+            p_lamarck=1.0 if rules.local else 0.0,
             epsilon=1e-12,
             seed=seed,
             max_time=2**40,
@@ -150,6 +222,23 @@ class _Population:
             self.config, self.problem, self.first, self.values, self.generator, self.reinserter
         )
         self.random = op.RandomGenerator(np.uint64(seed))
+
+    def _mutations(self, depth: int, rules: Rules) -> list:
+        """A new subtree, and for tournaments changed values, other variables and functions, more and fewer nodes."""
+        new = op.ReplaceSubtreeMutation(self.creator, self.values, depth, rules.nodes)
+        if not rules.tournament:
+            return [new]
+        one, all_ = op.NormalOnePointMutation(), op.NormalMultiPointMutation()
+        for values in (one, all_):
+            values.ParameterizeDistribution(0, 1)
+        more = op.InsertSubtreeMutation(self.creator, self.values, depth, rules.nodes)
+        other = op.ChangeVariableMutation(self.inputs), op.ChangeFunctionMutation(self.symbols)
+        return [new, one, all_, *other, more, op.RemoveSubtreeMutation(self.symbols)]
+
+    @property
+    def evaluations(self) -> int:
+        """Of the residuals and of their slopes, those of the steps on the constants among them."""
+        return self.evaluator.ResidualEvaluations + self.evaluator.JacobianEvaluations
 
     def formula(self, tree) -> Formula:
         """A tree as tokens; pyoperon's postfix read backwards is prefix with the operands in order."""
@@ -180,22 +269,21 @@ def search(
     *,
     seed: int,
     rules: Rules,
-    scaled: bool,
-    until: float,
+    until: float = np.inf,
     output: str = "",
     progress: Callable | None = None,
 ) -> list[float]:
     """Run one search into ``archive``; answers the best error of every generation.
 
-    features (n, nf), target (n,) ; scaled : judge by 1 - R2 after a factor and a shift, else by the plain SSE.
-    until : `time.monotonic()` at which to stop. ``progress`` gets a `SearchProgress` for every generation, in this
-    thread. Ctrl-C passes through after at most `STRETCH` generations; the archive holds what was found.
+    features (n, nf), target (n,). until : `time.monotonic()` at which to stop. ``progress`` gets a `SearchProgress`
+    for every generation, in this thread. Ctrl-C passes through after at most `STRETCH` generations; the
+    archive holds what was found.
     """
-    population = _Population(features, target, scaled, rules, seed)
+    population = _Population(features, target, rules, seed)
     history: list[float] = []
     started, spent, generations = time.monotonic(), time.process_time(), 0
     while True:
-        seen = _run_stretch(population, target, archive, seed, generations, scaled)
+        seen = _run_stretch(population, target, archive, seed, generations, rules.scaled)
         seen = seen[1:] if generations else seen  # the first of a later stretch is the last of the one before
         for best, evaluations in seen:
             history.append(min([best, *history[-1:]]))
@@ -216,7 +304,7 @@ def _run_stretch(population: _Population, target, archive: Archive, seed: int, d
 
     def look():  # in a thread of pyoperon, where an exception would end the process
         try:
-            archive.evaluations = before + population.evaluator.CallCount
+            archive.evaluations = before + population.evaluations
             best = _collect(population, target, archive, seed, done + len(seen), scaled)
             seen.append((best, archive.evaluations))
         except BaseException as error:
@@ -237,7 +325,7 @@ def _collect(population: _Population, target, archive: Archive, seed: int, gener
     errors = errors + 1.0 if scaled else errors  # pyoperon's R2 is its negative
     for k in np.argsort(errors, kind="stable")[: count // 4]:
         tree = individuals[int(k)].Genotype
-        if np.isfinite(errors[k]) and archive.wants(tree.Length, errors[k]):
+        if errors[k] < NONE and archive.wants(tree.Length, errors[k]):
             formula = population.with_scale(tree, target) if scaled else population.formula(tree)
             archive.keep(Found(formula, float(errors[k]), tree.Length, seed, generation))
     return float(np.nanmin(errors))

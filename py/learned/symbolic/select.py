@@ -1,4 +1,4 @@
-"""Which formula it shall be: candidates refitted and judged in free runs, the shortest of the good ones, pruned."""
+"""Which formula it shall be: candidates refitted and judged in their runs, the shortest of the good ones, pruned."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from ..interruption import INTERRUPTED
 from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
 from .data import Prepared
-from .refit import FreeRun, cut, laid_out
+from .refit import cut
 from .text import simplified
 
 STRETCH = 100  # samples of the short free runs in which all candidates are refitted
@@ -23,15 +23,24 @@ FINALISTS = 8
 
 @dataclass(frozen=True)
 class Candidate:
-    """A formula of one output with its free-run error (RMS, in output scales) where it was judged."""
+    """A formula of one output with its error where it was judged (RMS in output scales).
+
+    error : infinite where the run diverges; a diverging formula is chosen only where all do. rms : the error as it is.
+    """
 
     formula: Formula
     error: float
+    rms: float
 
     @property
     def size(self) -> int:
         """Tokens: operators, functions, variables and constants."""
         return len(self.formula.tokens)
+
+    @property
+    def rank(self) -> tuple[float, float, int]:
+        """The smallest is the best."""
+        return self.error, self.rms, self.size
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,18 @@ class SelectionProgress:
 
 
 class Selection:
-    """The choice of one formula per output; ``stopped`` says what ended it early, empty when nothing did."""
+    """The choice of one formula per output.
+
+    stopped : what ended it early, empty when nothing did. fronts : for every output the `Candidate`s, judged on whole
+    runs, than which no other is both shorter and better, the shortest first. chosen : the one of each output.
+    """
 
     def __init__(self, data: Prepared, names: Sequence[str], *, tolerance: float, until: float, seed: int, progress):
         self.data, self.brief = data, _brief(data, seed)
         self.names, self.tolerance, self.until, self.progress = names, tolerance, until, progress
         self.stopped = ""
+        self.fronts: list[list[Candidate]] = []
+        self.chosen: list[Candidate] = []
 
     def choose(self, found: Sequence[Sequence[Formula]]) -> Formula:
         """The expressions of all outputs, from the formulas ``found`` for each and linear ones beside them.
@@ -60,17 +75,21 @@ class Selection:
         whole = Formula((), ())
         for i, formulas in enumerate(found):
             judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
+            judged = [c for c in judged if np.isfinite(c.error)] or [replace(c, error=c.rms) for c in judged]
             bound = (1 + self.tolerance) * min(c.error for c in judged)
-            shortest = min((c for c in judged if c.error <= bound), key=lambda c: (c.size, c.error))
-            whole += self._pruned(shortest, i, bound).formula
-        if len(self.names) == 1 or self.stopped:
+            shortest = min((c for c in judged if c.error <= bound), key=lambda c: (c.size, c.rank))
+            chosen = self._pruned(shortest, i, bound)
+            self.chosen.append(chosen)
+            self.fronts.append(pareto([*judged, chosen]))
+            whole += chosen.formula
+        if len(self.names) == 1 or self.data.static or self.stopped:
             return whole
         try:
             joint = _refit(self.data, whole, range(len(self.names)), LONG)
         except KeyboardInterrupt:
             self.stopped = INTERRUPTED
             return whole
-        return min(whole, joint, key=lambda f: free_run_error(self.data, f))
+        return min(joint, whole, key=lambda f: judged_errors(self.data, f))
 
     def _refitted(self, formulas: Sequence[Formula], i: int) -> list[Candidate]:
         """The best candidates after the refit on whole runs; those after the refit on stretches if time ends."""
@@ -82,14 +101,18 @@ class Selection:
                     break
                 short.append(self._candidate(formula, i, brief=True))
                 self._tell(i, len(short), len(formulas) + FINALISTS, short)
-            for candidate in _finalists(sorted(short, key=lambda c: (c.error, c.size))):
+            best = _finalists(sorted(short, key=lambda c: c.rank))
+            for candidate in best:
                 if self._late():
                     break
                 final.append(self._candidate(candidate.formula, i, brief=False))
                 self._tell(i, len(formulas) + len(final), len(formulas) + FINALISTS, final)
+            if not self.stopped:
+                others = [c.formula for c in pareto(short) if c not in best]
+                final += [Candidate(f, *judged_errors(self.data, f, [i])) for f in others]
         except KeyboardInterrupt:
             self.stopped = INTERRUPTED
-        return final or short or [Candidate(formulas[0], np.inf)]  # short ones are judged on less
+        return final or short or [Candidate(formulas[0], np.inf, np.inf)]  # short ones are judged on less
 
     def _pruned(self, candidate: Candidate, i: int, bound: float) -> Candidate:
         """The candidate without the constants it can do without: set to zero, one after the other, and refitted."""
@@ -98,7 +121,7 @@ class Selection:
                 tried = [self._candidate(f, i, brief=True) for f in _with_one_zero(candidate.formula, self.data)]
                 if not tried:
                     break
-                best = self._candidate(min(tried, key=lambda c: (c.error, c.size)).formula, i, brief=False)
+                best = self._candidate(min(tried, key=lambda c: c.rank).formula, i, brief=False)
                 if not best.error <= bound:
                     break
                 candidate = best
@@ -110,8 +133,8 @@ class Selection:
         """The formula before or after the refit, whichever runs better where it is judged."""
         data = self.brief if brief else self.data
         after = _refit(data, formula, [i], SHORT if brief else LONG)
-        pair = [Candidate(f, free_run_error(data, f, [i])) for f in (formula, after)]
-        return min(pair, key=lambda c: c.error)
+        pair = [Candidate(f, *judged_errors(data, f, [i])) for f in (after, formula)]
+        return min(pair, key=lambda c: c.rank)
 
     def _late(self) -> bool:
         if not self.stopped and time.monotonic() > self.until:
@@ -120,7 +143,7 @@ class Selection:
 
     def _tell(self, i: int, done: int, count: int, candidates: Sequence[Candidate]) -> None:
         if self.progress is not None:
-            self.progress(SelectionProgress(self.names[i], done, count, min(c.error for c in candidates)))
+            self.progress(SelectionProgress(self.names[i], done, count, min(c.rms for c in candidates)))
 
 
 def distinct(formulas: Sequence[Formula], data: Prepared) -> list[Formula]:
@@ -151,6 +174,15 @@ def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
     return kept[:FINALISTS]
 
 
+def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those whose run stays and than which no other is both shorter and better, the shortest first."""
+    front: list[Candidate] = []
+    for c in sorted(candidates, key=lambda c: (c.size, c.rank)):
+        if np.isfinite(c.error) and (not front or c.error < front[-1].error):
+            front.append(c)
+    return front
+
+
 def linear_formulas(data: Prepared, i: int, terms: int = 4) -> list[Formula]:
     """Linear formulas of the increment of output ``i`` with one to ``terms`` features, added greedily, and a shift."""
     z, d = data.pairs()
@@ -179,12 +211,10 @@ def _brief(data: Prepared, seed: int) -> Prepared:
 
 
 def _refit(data: Prepared, formula: Formula, own: Sequence[int], evaluations: int) -> Formula:
-    run = FreeRun(formula, own, data.shape, data.bounds)
-    return run.refit(laid_out(data.series, data.fit, own, data.shape), evaluations)
+    return data.run(formula, own).refit(data.laid_out(data.fit, own), evaluations)
 
 
-def free_run_error(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> float:
-    """Free-run error where formulas are judged, in output scales; by default of all outputs together."""
+def judged_errors(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> tuple[float, float]:
+    """The errors of `Run.errors` where formulas are judged; by default of all outputs together."""
     own = range(data.shape.outputs) if own is None else own
-    run = FreeRun(formula, own, data.shape, data.bounds)
-    return run.error(formula.constants, laid_out(data.series, data.judged, own, data.shape))
+    return data.run(formula, own).errors(formula.constants, data.laid_out(data.judged, own))

@@ -11,10 +11,36 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 
 from ..network.narx import NarxShape
-from .block import ADD, CONSTANT, COSINE, MULTIPLY, SINE, TANH, VARIABLE, Formula, evaluate
+from .block import (
+    ABSOLUTE,
+    ADD,
+    CONSTANT,
+    COSINE,
+    DIVIDE,
+    EXP,
+    LOG,
+    MULTIPLY,
+    SINE,
+    SQRT,
+    SQUARE,
+    TANH,
+    VARIABLE,
+    Formula,
+    evaluate,
+)
+from .static_block import StaticShape
 
 DIGITS = 4  # of a printed constant
-_FUNCTIONS = {sympy.cos: COSINE, sympy.sin: SINE, sympy.tanh: TANH}
+MOST_FACTORS = 9  # of a whole power written as a product
+_FUNCTIONS = {
+    sympy.cos: COSINE,
+    sympy.sin: SINE,
+    sympy.tanh: TANH,
+    sympy.exp: EXP,
+    sympy.log: LOG,
+    sympy.Abs: ABSOLUTE,
+}
+_ONE = Formula((CONSTANT,), (1.0,))
 
 
 def as_expressions(formula: Formula, symbols: Sequence[sympy.Symbol]) -> list[sympy.Expr]:
@@ -36,16 +62,55 @@ def simplified(formula: Formula, features: int) -> Formula:
 def _as_tokens(expression: sympy.Expr, index: Mapping[sympy.Symbol, int]) -> Formula:
     if expression in index:
         return Formula((index[expression],), ())
-    if expression.is_number:
-        return Formula((CONSTANT,), (float(expression),))
-    parts = [_as_tokens(a, index) for a in expression.args]
+    if expression.is_number or expression.has(sympy.nan, sympy.zoo, sympy.oo):
+        return Formula((CONSTANT,), (_real(expression),))
     if expression.func in _FUNCTIONS:
-        return Formula((_FUNCTIONS[expression.func], *parts[0].tokens), parts[0].constants)
-    if expression.is_Pow and expression.exp.is_Integer and expression.exp > 1:
-        return _joined(MULTIPLY, [parts[0]] * int(expression.exp))
-    if expression.is_Add or expression.is_Mul:
-        return _joined(ADD if expression.is_Add else MULTIPLY, parts)
+        return _before(_FUNCTIONS[expression.func], _as_tokens(_bare(expression), index))
+    if expression.is_Pow:
+        return _power(expression.base, expression.exp, index)
+    if expression.is_Add:
+        return _joined(ADD, [_as_tokens(a, index) for a in expression.args])
+    if expression.is_Mul:
+        under = [a for a in expression.args if a.is_Pow and a.exp.is_number and a.exp < 0]
+        over = [_as_tokens(a, index) for a in expression.args if a not in under] or [_ONE]
+        below = [_power(a.base, -a.exp, index) for a in under]
+        return _joined(DIVIDE, [_joined(MULTIPLY, p) for p in (over, below) if p])
     raise DataError(f"formula: cannot write {expression.func.__name__} as tokens. Report the formula: {expression}.")
+
+
+def _real(number: sympy.Expr) -> float:
+    value = complex(number) if number.is_number else complex("nan")
+    return value.real if value.imag == 0 else float("nan")
+
+
+def _bare(function: sympy.Expr) -> sympy.Expr:
+    """The argument; without the absolute value in a logarithm, which has it."""
+    inside = function.args[0]
+    return inside.args[0] if function.func is sympy.log and inside.func is sympy.Abs else inside
+
+
+def _before(operator: int, part: Formula) -> Formula:
+    return Formula((operator, *part.tokens), part.constants)
+
+
+def _power(base: sympy.Expr, exponent: sympy.Expr, index) -> Formula:
+    """A power: whole and half ones by products and roots, another one as exp(exponent log|base|)."""
+    if exponent.is_number and exponent < 0:
+        return _joined(DIVIDE, [_ONE, _power(base, -exponent, index)])
+    twice = 2 * exponent
+    if not (twice.is_Integer and twice < 2 * MOST_FACTORS):
+        return _before(EXP, _joined(MULTIPLY, [_as_tokens(exponent, index), _before(LOG, _as_tokens(base, index))]))
+    rooted = base.args[0] if base.func is sympy.Abs and exponent == sympy.Rational(1, 2) else base
+    part = _as_tokens(rooted, index)
+    half = [_before(SQRT, part)] if twice % 2 else []
+    return _joined(MULTIPLY, _factors(part, int(twice // 2)) + half)
+
+
+def _factors(part: Formula, count: int) -> list[Formula]:
+    """What ``count`` of them multiply to; a square where a product would have its constants twice."""
+    if len(part.tokens) == 1 or count < 2:
+        return [part] * count
+    return [_before(SQUARE, f) for f in _factors(part, count // 2)] + [part] * (count % 2)
 
 
 def _joined(operator: int, parts: Sequence[Formula]) -> Formula:
@@ -59,34 +124,37 @@ def equation_text(
     formula: Formula,
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
-    shape: NarxShape,
+    shape: NarxShape | StaticShape,
     scales: Mapping[str, np.ndarray],
     whole_value: bool = False,
+    own: Sequence[int] | None = None,
 ) -> tuple[str, str]:
     """The equations as text and as LaTeX, each with the meaning and unit of its x1, x2, ...
 
-    whole_value : write the next value, as the formula was found, instead of the increment.
+    whole_value : write the next value, as the formula was found, instead of the increment. own : the outputs that
+    ``formula`` has expressions for; None: all.
     """
-    meanings = _meanings(inputs, outputs, shape, scales)
+    static = isinstance(shape, StaticShape)
+    own = range(len(outputs)) if own is None else own
+    meanings = _static_meanings(inputs, scales) if static else _meanings(inputs, outputs, shape, scales)
     used = {t - VARIABLE for t in formula.tokens if t >= VARIABLE}
-    used = sorted(used | set(range(len(outputs)))) if whole_value else sorted(used)
+    used = sorted(used | set(own)) if whole_value else sorted(used)
     symbols = {i: sympy.Symbol(f"x{n}", real=True) for n, i in enumerate(used, 1)}
     expressions = as_expressions(formula, [symbols.get(i, sympy.Integer(0)) for i in range(shape.features)])
     text, latex = [], []
-    for i, (output, expression) in enumerate(zip(outputs, expressions, strict=True)):
-        part = "output" if whole_value else "increment"
-        if whole_value:
-            expression = expression + symbols[i]
-        rounded = _rounded(expression)
-        scale, centre = float(scales[f"{part}_scale"][i]), float(scales["output_centre"][i]) if whole_value else 0.0
-        unit, fancy = _units(output)
-        shift = f"{centre:g}{unit} + " if centre else ""
-        before = "" if whole_value else f"{output.name}[k] + "
-        text.append(f"{output.name}[k+1] = {before}{shift}{scale:g}{unit} * ({sympy.sstr(rounded)})")
-        word = _latex_word(output.name)
-        own = "" if whole_value else rf"{word}[k] + "
-        own += f"{centre:g}{fancy} + " if centre else ""
-        latex.append(rf"{word}[k+1] = {own}{scale:g}{fancy}\left({sympy.latex(rounded)}\right)")
+    for i, expression in zip(own, expressions, strict=True):
+        rounded = _rounded(expression + symbols[i] if whole_value else expression)
+        whole = static or whole_value
+        scale = float(scales["output_scale" if whole else "increment_scale"][i])
+        unit, fancy = _units(outputs[i])
+        name, word = outputs[i].name, _latex_word(outputs[i].name)
+        centre = float(scales["output_centre"][i]) if whole else 0.0
+        before, own_word = (f"{centre:g}{unit} + ", f"{centre:g}{fancy} + ") if centre else ("", "")
+        if not whole:
+            before, own_word = f"{name}[k] + ", rf"{word}[k] + "
+        at = "" if static else "[k+1]"
+        text.append(f"{name}{at} = {before}{scale:g}{unit} * ({sympy.sstr(rounded)})")
+        latex.append(rf"{word}{at} = {own_word}{scale:g}{fancy}\left({sympy.latex(rounded)}\right)")
     text += [f"x{n} = {meanings[i][0]}" for n, i in enumerate(used, 1)]
     latex += [f"x_{{{n}}} = {meanings[i][1]}" for n, i in enumerate(used, 1)]
     return "; ".join(text), r" \\ ".join(latex)
@@ -122,9 +190,13 @@ def _meanings(inputs, outputs, shape: NarxShape, scales) -> list[tuple[str, str]
     return words
 
 
+def _static_meanings(inputs: Sequence[Signal], scales) -> list[tuple[str, str]]:
+    return [_scaled(s, "", scales["input_centre"][i], scales["input_scale"][i]) for i, s in enumerate(inputs)]
+
+
 def _scaled(signal: Signal, at: str, centre, scale) -> tuple[str, str]:
-    centre, scale, (unit, fancy) = float(centre), float(scale), _units(signal)
-    plain, word = f"{signal.name}[{at}]", f"{_latex_word(signal.name)}[{at}]"
+    centre, scale, (unit, fancy), at = float(centre), float(scale), _units(signal), at and f"[{at}]"
+    plain, word = f"{signal.name}{at}", f"{_latex_word(signal.name)}{at}"
     if centre:
         plain, word = f"({plain} - {centre:g}{unit})", f"({word} - {centre:g}{fancy})"
     return f"{plain}/({scale:g}{unit})", f"{word}/({scale:g}{fancy})"

@@ -11,7 +11,8 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.identification import identify
 from hydrotwin.learned import domain_share
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.hybrid.block import join, read_hybrid, residual_signal, simulated_signal, write_hybrid
+from hydrotwin.learned.hybrid.block import join, residual_signal, simulated_signal
+from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.learned.hybrid.learn import learn_hybrid
 from hydrotwin.learned.network.narx import NETWORK, NarxShape, array_shapes, network_states
 from hydrotwin.models.language.errors import DataError, DeclarationError

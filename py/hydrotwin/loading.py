@@ -71,6 +71,7 @@ def load(spec: str):
     if at and not values:
         raise DeclarationError(f"MODEL: no file after '@' (got '{spec}'). Write {base}@model.toml.")
     if at:
+        _no_hybrid(Path(values))
         return _with_file(surroundable(base), read_model_file(values))
     if spec.endswith(".toml"):
         return _from_toml(Path(spec))
@@ -106,6 +107,8 @@ def _from_toml(path: Path):
         from hydrotwin.learned import read_hybrid
 
         return read_hybrid(path, load)
+    if content.get("kind") == "physics":
+        raise DeclarationError(f"{path}: the equations of a hybrid. Name the hybrid, the file without '_physics'.")
     if "model" not in content and content.get("kind", "model") != "model":
         from hydrotwin.learned import read_block
 
@@ -125,6 +128,14 @@ def _from_toml(path: Path):
             f"{path}: its model is none of hydrotwin's (got '{file.model}'). {nearest(file.model, PHYSICAL)}"
         )
     return _with_file(_load_base(file.model), file)
+
+
+def _no_hybrid(path: Path) -> None:
+    """Raise `DeclarationError` where the values that a model is to take are a hybrid."""
+    if path.suffix == ".toml" and read_toml(path).get("kind") == "hybrid":
+        raise DeclarationError(
+            f"{path}: a hybrid, not the values of a model. Its physics is in its files: name {path} alone."
+        )
 
 
 def surroundable(spec: str):

@@ -4,7 +4,8 @@ from .block_file import Certificate, LearnedBlock, LearnedKind, learned_kinds, r
 from .gaussian.dual import learn_dual_gp
 from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
-from .hybrid.block import HybridBlock, read_hybrid, write_hybrid
+from .hybrid.block import HybridBlock
+from .hybrid.files import read_hybrid, write_hybrid
 from .hybrid.learn import learn_hybrid
 from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic

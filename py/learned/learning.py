@@ -15,7 +15,7 @@ from . import held_out
 from .gaussian.dual import learn_dual_gp
 from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
-from .hybrid.block import HybridBlock, hybrid_outputs
+from .hybrid.block import hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .importance import idle, importance
 from .linear.arx import learn_arx
@@ -150,7 +150,8 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
 
 def _of_form(block: Block) -> tuple[list[str], list[str]]:
     """Bad news and notes: whether each output was found to integrate, and what was made of it."""
-    provenance, bad, notes = block.provenance, [], []
+    provenance, notes = block.provenance, []
+    bad = [provenance["says"]] if "says" in provenance else []  # a residual that was not added
     form, units = provenance.get("rate", provenance.get("integrating")), _units(block)
     for name, found in provenance.get("integration", {}).items():
         integrates = found["integrates"]
@@ -168,7 +169,7 @@ def _of_form(block: Block) -> tuple[list[str], list[str]]:
 
 def _units(block: Block) -> dict[str, str]:
     """Units of the outputs by name, those of a hybrid's residual among them."""
-    parts = [block, block.residual] if isinstance(block, HybridBlock) else [block]
+    parts = [block, block.residual] if getattr(block, "residual", None) else [block]
     return {s.name: s.unit for part in parts for s in part.outputs}
 
 

@@ -5,19 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn_inverse, learn_rate_network, train_network
+from hydrotwin.learned import learn_inverse, learn_rate_network
 from hydrotwin.learned.gaussian.dual import learn_dual_gp
 from hydrotwin.learned.gaussian.single import learn_gaussian_process
 from tests.learned.test_gaussian_process import valve_record
 from tests.learned.test_inverse import points
-from tests.learned.toy_machine import ANGLE, COMMAND, PERIOD, toy_record
 
 torch = pytest.importorskip("torch")
 pytest.importorskip("gpytorch")
 
-SMALL = {"starts": 1, "effort": 0.01, "hidden": 2, "lags": (1, 2)}
-TRAINERS = {  # the hybrid trains its residual with that of "nn"
-    "nn": lambda: train_network([toy_record(1, 6.0)], [COMMAND], [ANGLE], period=PERIOD, **SMALL),
+TRAINERS = {
     "gp": lambda: learn_gaussian_process([valve_record(1, 20.0)], ["current"], ["spool"], points=100),
     "dual_gp": lambda: learn_dual_gp([valve_record(1, 20.0)], ["current"], ["position"], points=100),
     "nn paper": lambda: learn_rate_network([valve_record(1, 20.0)], ["current"], ["position"], iterations=20),

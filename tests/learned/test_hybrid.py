@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import hashlib
+import io
+
 import casadi as ca
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hydrotwin
+from hydrotwin.cli import app
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.identification import identify
 from hydrotwin.learned import domain_share
 from hydrotwin.learned.block_file import assemble
-from hydrotwin.learned.hybrid.block import join, read_hybrid, residual_signal, simulated_signal, write_hybrid
+from hydrotwin.learned.hybrid.block import join, residual_signal, simulated_signal
+from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.learned.hybrid.learn import learn_hybrid
 from hydrotwin.learned.network.narx import NETWORK, NarxShape, array_shapes, network_states
 from hydrotwin.models.language.errors import DataError, DeclarationError
-from hydrotwin.records import Record
+from hydrotwin.records import Record, write_record
 from hydrotwin.simulation import lower, predict_one_step, simulate
 from tests import rig
 from tests.learned.toy_machine import toy_record
@@ -71,7 +77,6 @@ def identified(actuator, lopsided):
 
 @pytest.fixture(scope="module")
 def hybrid(identified, lopsided):
-    pytest.importorskip("torch")
     return learn_hybrid(identified, lopsided[0], ["arm_angle"], **QUICK)
 
 
@@ -83,7 +88,6 @@ def test_what_the_model_does_not_know_costs_the_hybrid_a_third_of_what_it_costs_
 
 
 def test_hidden_friction_is_learned_from_the_force_it_leaves(actuator):
-    pytest.importorskip("torch")
     hidden = [("coulomb_friction", {})]
     train, (validation,) = recordings("train", 2, hidden), recordings("validate", 1, hidden)
     hybrid = learn_hybrid(actuator, train, ["piston_force"], **QUICK)
@@ -147,6 +151,110 @@ def test_the_fmu_of_a_hybrid_runs_as_the_block_does(hybrid, lopsided, tmp_path):
     found, own = read_fmu(export_fmu(hybrid, tmp_path / "hybrid.fmu")).free_run(record), simulate(hybrid, record)
     for name in ("arm_angle", "piston_force"):
         assert np.abs(found[name] - own[name]).max() < 1e-6 * np.ptp(own[name])
+
+
+@pytest.fixture(scope="module")
+def knows_all(actuator):
+    """A recording that the model explains up to noise, and the hybrid that is learned from it."""
+    (record,) = recordings("train", 1, ())
+    run = simulate(actuator, record)
+    rng = np.random.default_rng(0)
+    clean = {n: run[n] + 1e-3 * np.ptp(run[n]) * rng.normal(size=len(record)) for n in ("arm_angle",)}
+    record = record.with_signals(clean)
+    return record, learn_hybrid(actuator, [record], ["arm_angle"], **QUICK | {"effort": 0.2})
+
+
+def test_a_residual_that_does_not_help_is_not_added_and_that_is_said_first(knows_all, actuator):
+    record, block = knows_all
+    told = block.provenance
+    assert block.residual is None and block.corrected == () and told["added"] is False
+    errors = told["held_out"]["arm_angle"]
+    assert errors["hybrid"] >= 0.9 * errors["model"]
+    assert told["says"].startswith("The residual was not added") and "the model alone" in told["says"]
+    model = simulate(lower(actuator, block.period), record.select(["command", "arm_angle"]))
+    assert np.allclose(simulate(block, record)["arm_angle"], model["arm_angle"], atol=1e-9)
+
+
+def test_a_model_alone_comes_back_from_its_files_and_runs_as_an_fmu(knows_all, tmp_path):
+    record, block = knows_all
+    written = write_hybrid(block, tmp_path / "arm.toml", "cehA")
+    assert [p.name for p in written] == ["arm.toml", "arm_model.toml"]
+    again = hydrotwin.load(str(written[0]))
+    runs = [simulate(h, record.window(0, 2.0))["arm_angle"] for h in (block, again)]
+    assert np.array_equal(*runs) and again.domain == block.domain and again.provenance["added"] is False
+    fmu = read_fmu(export_fmu(again, tmp_path / "alone.fmu")).free_run(record.window(0, 2.0))
+    assert np.allclose(fmu["arm_angle"], runs[0], atol=1e-6)
+
+
+AXIS = """from hydrotwin.models.cehA import model
+
+def axis():
+    return model()
+"""
+
+
+@pytest.fixture
+def in_python(tmp_path):
+    """A hybrid on a model of the user's own file, written; the file is gone afterwards."""
+    code = tmp_path / "rig.py"
+    code.write_text(AXIS)
+    spec = f"{code}:axis"
+    machine = hydrotwin.load(spec)
+    block = join(machine, random_residual(machine))
+    written = write_hybrid(block, tmp_path / "arm.toml", spec)
+    code.unlink()
+    return block, written
+
+
+def test_a_hybrid_on_a_model_in_python_runs_by_its_own_name_and_starts_no_code(in_python, lopsided):
+    block, written = in_python
+    assert [p.name for p in written] == ["arm.toml", "arm_model.toml", "arm_physics.toml", "arm_physics.npz",
+                                         "arm_residual.toml", "arm_residual.npz"]  # fmt: skip
+    again, record = hydrotwin.load(str(written[0])), lopsided[1].window(0, 2.0)
+    for seen in (record, record.select(["command"])):
+        for name in ("arm_angle", "piston_force"):
+            assert np.allclose(simulate(again, seen)[name], simulate(block, seen)[name], rtol=1e-12)
+    assert again.corrected == ("piston_force",)
+
+
+def test_the_commands_take_such_a_hybrid_by_that_name(in_python, lopsided, tmp_path, monkeypatch):
+    _, written = in_python
+    monkeypatch.chdir(tmp_path)
+    write_record(lopsided[1].window(0, 1.0), tmp_path / "run.csv")
+    (tmp_path / "scenario.toml").write_text('models = ["arm.toml", "cehA"]\nvalidate = ["run.csv"]\n')
+    for line in ("simulate arm.toml --input run.csv", "export arm.toml --out arm.fmu", "check arm.fmu",
+                 "compare scenario.toml --out compared"):  # fmt: skip
+        found = CliRunner().invoke(app, line.split())
+        assert found.exit_code == 0, found.output
+
+
+@pytest.mark.parametrize("damage", ["cut off", "missing", "another operation"])
+def test_damaged_equations_are_refused(in_python, damage):
+    path, _, physics, arrays, *_ = in_python[1]
+    content = arrays.read_bytes()
+    if damage == "missing":
+        arrays.unlink()
+    else:
+        arrays.write_bytes(content[:-20])
+    if damage == "another operation":
+        with np.load(io.BytesIO(content)) as archive:
+            tape = dict(archive)
+        tape["ode.rows"][:, 0] = 9999
+        np.savez(arrays, **tape)
+        digests = [hashlib.sha256(c).hexdigest() for c in (content, arrays.read_bytes())]
+        before = hashlib.sha256(physics.read_bytes()).hexdigest()
+        physics.write_text(physics.read_text().replace(*digests))
+        path.write_text(path.read_text().replace(before, hashlib.sha256(physics.read_bytes()).hexdigest()))
+    with pytest.raises(DataError, match="arm_physics"):
+        hydrotwin.load(str(path))
+
+
+def test_a_hybrid_is_no_set_of_values_and_its_equations_no_model(in_python):
+    path, _, physics, *_ = in_python[1]
+    with pytest.raises(DeclarationError, match=r"a hybrid, not the values .*name .*arm\.toml alone"):
+        hydrotwin.load(f"cehA@{path}")
+    with pytest.raises(DeclarationError, match="Name the hybrid"):
+        hydrotwin.load(str(physics))
 
 
 def test_a_hybrid_comes_back_from_its_files(hybrid, lopsided, tmp_path):
@@ -217,7 +325,6 @@ def test_names_of_recordings_and_residual_are_kept(hybrid, lopsided):
     ],
 )
 def test_what_no_hybrid_can_be_learned_from_is_refused(actuator, lopsided, change, error, sentence):
-    pytest.importorskip("torch")
     asked = {"records": lopsided[0][:1], "outputs": ["piston_force"], **BRIEF} | change
     with pytest.raises(error, match=sentence):
         learn_hybrid(actuator, asked.pop("records"), asked.pop("outputs"), **asked)

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 from hydrotwin.learned import domain_share, read_block, train_network, write_block
+from hydrotwin.learned.network import free_run as training
+from hydrotwin.learned.network.learn import certify
+from hydrotwin.learned.network.narx import NarxShape
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation import predict_one_step, simulate
@@ -33,7 +36,6 @@ def validation():
 
 @pytest.fixture(scope="module")
 def trained(recordings):
-    pytest.importorskip("torch")
     return train_network(recordings, [COMMAND], [ANGLE], **QUICK)
 
 
@@ -79,29 +81,36 @@ def test_states_name_the_outputs_that_measure_them():
     assert states[2].name == "arm_angle.increment_1" and states[-1].name == "command.lag_2"
 
 
-def test_the_derivatives_carried_along_agree_with_automatic_differentiation():
-    torch = pytest.importorskip("torch")
-    from hydrotwin.learned.network import free_run as training
-    from hydrotwin.learned.network.narx import NarxShape
-
+def free_run_case():
+    """Scales, stretches and weights that meet every clip."""
     shape = NarxShape(1, 2, 2, 3, 3)
     bounds = [0.2, 0.3], [2, 2], [-1, -1], [1, 1], [-1.5] * 9, [1.2] * 9
-    scales = training.Scales(*(torch.tensor(v, dtype=torch.float64) for v in bounds))
+    scales = training.Scales(*(np.array(v, dtype=float) for v in bounds))
     rng = np.random.default_rng(0)
     u, y = rng.normal(size=(40, 1)), rng.normal(size=(40, 2))
-    pieces = training.cut(u, y, 9, shape, np.array([0.2, 0.3]), rest=False)
-    (stretches,) = training.gather(pieces, 100, 0)
-    weights = 3 * training.first_weights(shape, 1)
+    (stretches,) = training.gather(training.cut(u, y, 9, shape, np.array([0.2, 0.3]), rest=False))
+    return shape, scales, stretches, rng.normal(size=shape.size)
 
-    def residuals(w):
-        run = training.free_run(w, shape, scales, stretches)
-        return (run - stretches.target)[1::2].reshape(-1)
 
-    J, e = torch.autograd.functional.jacobian(residuals, weights), residuals(weights)
-    clipped = training.free_run(weights, shape, scales, stretches).abs() == 1
-    assert 0 < clipped.double().mean() < 1
-    JJ, Je, ee, count = training.normal_equations(weights, shape, scales, stretches, 2)
-    assert torch.allclose(JJ, J.T @ J, rtol=1e-10, atol=1e-12) and torch.allclose(Je, J.T @ e, rtol=1e-10, atol=1e-12)
+def test_the_derivatives_carried_along_agree_with_differences():
+    shape, scales, stretches, weights = free_run_case()
+    every = np.arange(shape.size)
+    run = training.free_run(weights, shape, scales, stretches)
+    assert 0 < (~run.inside).mean() < 1 and 0 < (~run.moving).mean() < 1
+    found = np.concatenate([J for _, J in training.derivatives(weights, shape, scales, stretches, run, every)])
+    for k, step in enumerate(1e-6 * np.eye(shape.size)):
+        after, before = (training.free_run(weights + s, shape, scales, stretches).outputs for s in (step, -step))
+        assert np.allclose(found[..., k], (after - before) / 2e-6, atol=1e-7)
+
+
+def test_normal_equations_are_sums_of_the_derivatives_of_the_trained_weights_alone():
+    shape, scales, stretches, weights = free_run_case()
+    some = np.arange(0, shape.size, 3)
+    run = training.free_run(weights, shape, scales, stretches)
+    J = np.concatenate([J for _, J in training.derivatives(weights, shape, scales, stretches, run, some)])
+    rows, e = J[1::2].reshape(-1, len(some)), (run.outputs - stretches.target)[1::2].reshape(-1)
+    JJ, Je, ee, count = training.normal_equations(weights, shape, scales, stretches, 2, some)
+    assert np.allclose(JJ, rows.T @ rows) and np.allclose(Je, rows.T @ e)
     assert ee == pytest.approx(float(e @ e)) and count == len(e)
 
 
@@ -123,17 +132,12 @@ def test_one_step_ahead_the_error_is_near_the_sensor_noise(trained, validation):
 
 
 def test_the_certificate_holds_and_catches_a_changed_weight(trained):
-    torch = pytest.importorskip("torch")
-    from hydrotwin.learned.network import free_run as training
-    from hydrotwin.learned.network.learn import certify
-    from hydrotwin.learned.network.narx import NarxShape
-
     assert trained.certificate.holds and 0 < trained.certificate.difference <= 1e-12
     shape = NarxShape(1, 1, **trained.structure)
-    weights = torch.cat([torch.tensor(trained.arrays[name]).reshape(-1) for name in shape.weights]).numpy()
-    assert certify(trained, training, weights, shape) == trained.certificate
+    weights = np.concatenate([trained.arrays[name].ravel() for name in shape.weights])
+    assert certify(trained, weights, shape) == trained.certificate
     weights[3] += 1e-6
-    assert not certify(trained, training, weights, shape).holds
+    assert not certify(trained, weights, shape).holds
 
 
 def test_a_trained_network_comes_back_from_its_file(trained, validation, tmp_path):
@@ -145,7 +149,7 @@ def test_a_trained_network_comes_back_from_its_file(trained, validation, tmp_pat
 def test_provenance_names_recordings_seed_and_versions(trained, recordings):
     p = trained.provenance
     assert [r["sha256"] for r in p["trained_on"]] == [r.digest for r in recordings]
-    assert p["seed"] == 0 and p["stopped"] == "finished" and {"torch", "numpy", "casadi"} <= set(p["versions"])
+    assert p["seed"] == 0 and p["stopped"] == "finished" and {"numpy", "casadi"} <= set(p["versions"])
 
 
 def test_the_domain_is_the_training_range_and_a_stronger_command_leaves_it(trained, recordings, validation):
@@ -155,14 +159,12 @@ def test_the_domain_is_the_training_range_and_a_stronger_command_leaves_it(train
 
 
 def test_the_same_seed_gives_the_same_network_and_another_seed_another(recordings):
-    pytest.importorskip("torch")
     one, two, other = (train_network(recordings[:1], [COMMAND], [ANGLE], seed=s, **BRIEF) for s in (3, 3, 4))
     assert all(np.array_equal(one.arrays[k], two.arrays[k]) for k in one.arrays)
     assert not np.array_equal(one.arrays["hidden_weights"], other.arrays["hidden_weights"])
 
 
 def test_interrupting_keeps_the_best_so_far(recordings):
-    pytest.importorskip("torch")
     seen = []
 
     def interrupt(step):
@@ -172,29 +174,40 @@ def test_interrupting_keeps_the_best_so_far(recordings):
 
     block = train_network(recordings[:1], [COMMAND], [ANGLE], progress=interrupt, **QUICK)
     assert block.provenance["stopped"] == "interrupted" and block.provenance["iterations"] == 10
-    assert block.provenance["held_out_error"] == min(s.best for s in seen) == seen[-1].best
-    assert block.certificate.holds
+    assert block.provenance["held_out_error"] == seen[-1].best and block.certificate.holds
 
 
-def test_the_time_budget_ends_the_training_early(recordings):
-    pytest.importorskip("torch")
+def test_a_time_limit_ends_the_training_early_and_is_told(recordings):
     block = train_network(recordings[:1], [COMMAND], [ANGLE], budget=1e-3, **QUICK)
-    assert "time budget" in block.provenance["stopped"] and block.provenance["iterations"] == 1
+    assert block.provenance["stopped"] == "time limit of 0.001 s after 1 iterations"
+    assert block.provenance["iterations"] == 1 and block.certificate.holds
 
 
-def test_progress_reports_a_falling_best_error_and_growing_stretches(recordings):
-    pytest.importorskip("torch")
+def test_progress_reports_a_falling_best_error(recordings):
     steps = []
     train_network(recordings[:1], [COMMAND], [ANGLE], progress=steps.append, **BRIEF)
     best = [s.best for s in steps]
-    assert best == sorted(best, reverse=True) and best[-1] < 0.5 * best[0]
-    assert [s.horizon for s in steps] == sorted(s.horizon for s in steps) and steps[0].horizon == 4
+    assert best == sorted(best, reverse=True) and best[-1] < 0.8 * best[0]
+
+
+def test_every_seed_s_held_out_error_is_told(trained):
+    told = trained.provenance["seeds"]
+    assert [row["seed"] for row in told] == [0] and told[0]["held_out_error"] == trained.provenance["held_out_error"]
+
+
+def test_a_recording_to_validate_with_changes_nothing_and_one_to_select_with_does(recordings):
+    def arrays(**given):
+        return train_network(recordings[:2], [COMMAND], [ANGLE], **BRIEF, **given).arrays
+
+    plain, judged, other = arrays(), arrays(validate=[toy_record(5)]), arrays(validate=[toy_record(6)])
+    assert all(plain[k].tobytes() == judged[k].tobytes() == other[k].tobytes() for k in plain)
+    selected = arrays(select=[toy_record(5, name="shift").with_signals({"arm_angle": toy_record(6)["arm_angle"]})])
+    assert any(plain[k].shape != selected[k].shape or plain[k].tobytes() != selected[k].tobytes() for k in plain)
 
 
 def test_two_outputs_are_learnt_together_and_selection_on_given_recordings_is_recorded(recordings, validation):
-    pytest.importorskip("torch")
     names = ["arm_angle", "motor_speed"]
-    block = train_network(recordings, ["command"], names, validate=[toy_record(5)], **QUICK)
+    block = train_network(recordings, ["command"], names, select=[toy_record(5)], **QUICK)
     run = simulate(block, validation)
     assert np.degrees(rmse(run, validation)) < 1.0
     assert rmse(run, validation, "motor_speed") < 0.1 * np.std(validation["motor_speed"])
@@ -203,7 +216,6 @@ def test_two_outputs_are_learnt_together_and_selection_on_given_recordings_is_re
 
 
 def test_uneven_fast_recordings_are_brought_onto_a_chosen_period(validation):
-    pytest.importorskip("torch")
     rng, uneven = np.random.default_rng(0), []
     for seed in (1, 2):
         record = toy_record(seed)
@@ -228,7 +240,6 @@ def test_uneven_fast_recordings_are_brought_onto_a_chosen_period(validation):
     ],
 )
 def test_what_cannot_be_learnt_from_is_refused_in_a_sentence(recordings, change, sentence):
-    pytest.importorskip("torch")
     asked = {"records": recordings[:1], "inputs": ["command"], "outputs": ["arm_angle"], **QUICK} | change
     with pytest.raises(DataError, match=sentence):
         train_network(asked.pop("records"), asked.pop("inputs"), asked.pop("outputs"), **asked)
@@ -238,7 +249,6 @@ def test_what_cannot_be_learnt_from_is_refused_in_a_sentence(recordings, change,
     "option", [{"hidden": -1}, {"starts": 0}, {"lags": (-1, 2)}, {"effort": 0}, {"period": -0.01}, {"hidden": 2.5}]
 )
 def test_impossible_options_are_refused(recordings, option):
-    pytest.importorskip("torch")
     with pytest.raises(DeclarationError, match=next(iter(option))):
         train_network(recordings[:1], ["command"], ["arm_angle"], **QUICK | option)
 
@@ -249,7 +259,6 @@ def test_a_block_without_a_domain_has_no_share(trained, validation):
 
 
 def test_the_speed_signal_keeps_its_own_unit_when_named_as_a_signal(recordings):
-    pytest.importorskip("torch")
     block = train_network(recordings[:1], [COMMAND], [SPEED], **BRIEF | {"hidden": 0})
     assert block.outputs == (SPEED,) and block.states[0].unit == "rad/s"
 

@@ -8,36 +8,29 @@ The model is never fed with corrected values: it stays what was identified, and 
 the model. The residual is bounded as every learned block is. One-step prediction of a corrected output is its free run:
 no state of the hybrid is that output alone.
 
-A hybrid's file names two others beside it, the model file and the block file of the residual. All three are data.
+A residual that does not help is not added: the hybrid is then the model alone. `files` has how a hybrid is written.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
-import tomlkit
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable
-from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.models.language.parameter_file import read_toml
-from hydrotwin.models.language.writing import toml_values, write_whole
 from hydrotwin.simulation import Block, TrainingDomain, lower
 
-from ..block_file import LearnedBlock, read_block, write_block
+from ..block_file import LearnedBlock
 
-VERSION = 1
 SIMULATED, RESIDUAL = "simulated.", "residual."  # before the name of an output
 
 
 @dataclass(frozen=True, eq=False)
 class HybridBlock(Block):
-    """A Block with the physical model and the residual it was made of.
+    """A Block with the physical model and the residual it was made of; ``residual`` None: the model alone.
 
     method : that of `lower`. substep : longest step [s] of the explicit method. started_by : outputs whose first
     measured sample sets the start; the others start where the model puts them.
@@ -52,7 +45,7 @@ class HybridBlock(Block):
     @property
     def corrected(self) -> tuple[str, ...]:
         """Names of the outputs that the residual corrects."""
-        return tuple(s.name.removeprefix(RESIDUAL) for s in self.residual.outputs)
+        return tuple(s.name.removeprefix(RESIDUAL) for s in self.residual.outputs) if self.residual else ()
 
 
 def simulated_signal(output: Signal) -> Signal:
@@ -114,80 +107,46 @@ def join(
     )
 
 
-def write_hybrid(block: HybridBlock, path: str | Path, model: str) -> tuple[Path, ...]:
-    """Write ``block`` as ``path`` (.toml) with ``<stem>_model.toml``, ``<stem>_residual.toml`` and .npz beside it.
-
-    model : what the physical model is called in `hydrotwin.load`, such as ``cehA:third_order``.
-
-    Raises `DataError` when the path does not end in .toml.
-    """
-    path = Path(path)
-    if path.suffix != ".toml":
-        raise DataError(f"{path}: a hybrid is a .toml file (got '{path.suffix}'). Write to {path.stem}.toml.")
-    if not isinstance(block, HybridBlock):
-        raise DataError(f"{block.name}: no hybrid (got {type(block).__name__}). Write learned blocks with write_block.")
-    model_path, residual_path = (path.with_name(f"{path.stem}_{part}.toml") for part in ("model", "residual"))
-    write_model_file(model_path, model, block.model)
-    written = write_block(block.residual, residual_path)
-    header = {
-        "kind": "hybrid",
-        "version": VERSION,
-        "name": block.name,
-        "method": block.method,
-        "substep": block.substep,
-        "started_by": list(block.started_by),
-        "model": _named(model_path),
-        "residual": _named(residual_path),
-        "provenance": toml_values(block.provenance),
-    }
-    write_whole(path, tomlkit.dumps(header))
-    return (path, model_path, *written)
-
-
-def read_hybrid(path: str | Path, load: Callable[[str], object]) -> HybridBlock:
-    """Read a hybrid; ``load`` makes the physical model of a model file's path (`hydrotwin.load`).
-
-    Raises `DataError` naming the file when one of the three is missing, damaged or of another hybrid.
-    """
-    path = Path(path)
-    header = read_toml(path)
-    if header.get("kind") != "hybrid":
-        raise DataError(f"{path}: not a hybrid (got kind {header.get('kind')!r}). Write it again with write_hybrid.")
-    if header.get("version") != VERSION:
-        raise DataError(
-            f"{path}: written in version {header.get('version')} of 'hybrid', this hydrotwin reads version {VERSION}. "
-            "Learn the hybrid again, or open it with the hydrotwin that wrote it."
-        )
-    try:
-        frame = {"name": header["name"], "method": header["method"], "substep": float(header["substep"])}
-        frame["started_by"] = [str(name) for name in header["started_by"]]
-        frame["provenance"] = dict(header.get("provenance", {}))
-        model_path, residual_path = (_beside(path, header[part]) for part in ("model", "residual"))
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path}: the header lacks or garbles {error}. Write it again with write_hybrid.") from None
-    try:
-        return join(load(str(model_path)), read_block(residual_path), **frame)
-    except DeclarationError as error:
-        raise DataError(f"{path}: {error}") from None
+def alone(
+    model,
+    period: float,
+    *,
+    name: str = "hybrid",
+    method: str = "explicit",
+    substep: float | None = None,
+    started_by: Sequence[str] | None = None,
+    domain: TrainingDomain | None = None,
+    provenance: Mapping | None = None,
+) -> HybridBlock:
+    """The physical model without a residual, in the frame of `join`: a hybrid where no residual helps."""
+    flat = getattr(model, "flat", model)
+    physical = sampled_model(model, period, method, substep)
+    started_by = [s.name for s in flat.outputs] if started_by is None else started_by
+    u, p, y = (ca.SX.sym(n, len(part)) for n, part in (("u", flat.inputs), ("p", flat.parameters), ("y", flat.outputs)))
+    x = physical.start(u, _read(physical, y, started_by), p)
+    return HybridBlock(
+        name=name,
+        inputs=physical.inputs,
+        outputs=physical.outputs,
+        states=physical.states,
+        parameters=physical.parameters,
+        step=physical.step,
+        start=ca.Function("hybrid_start", [u, y, p], [x], ["u", "y", "p"], ["x"]),
+        period=period,
+        domain=domain,
+        description=f"{flat.name} alone: a learned residual did not help",
+        provenance=dict(provenance or {}),
+        model=model,
+        method=method,
+        substep=float(substep or flat.step),
+        started_by=tuple(started_by),
+    )
 
 
-def _named(path: Path) -> dict[str, str]:
-    return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-
-
-def _beside(path: Path, entry: Mapping[str, str]) -> Path:
-    """The file that the header names, in the same folder and unchanged."""
-    found, digest = path.with_name(Path(entry["file"]).name), entry["sha256"]
-    try:
-        content = found.read_bytes()
-    except OSError:
-        raise DataError(f"{path}: {found} is missing. Keep the files of a hybrid in one folder.") from None
-    if hashlib.sha256(content).hexdigest() != digest:
-        raise DataError(
-            f"{found}: not the file that {path.name} was written with (sha256 differs). The residual was learned for "
-            "that very model: learn it again with learn_hybrid, or copy all files again."
-        )
-    return found
+def _read(physical: Block, y, started_by: Sequence[str]):
+    """The measured outputs (ny,) that set the start, nan for the others."""
+    measured = zip(physical.outputs, ca.vertsplit(y), strict=True)
+    return ca.vertcat(*(v if s.name in started_by else np.nan for s, v in measured))
 
 
 def _check_names(flat: FlatModel, residual: LearnedBlock) -> None:
@@ -258,8 +217,7 @@ def _start(physical: Block, residual: LearnedBlock, started_by: Sequence[str]) -
     kind = _kind(physical)
     u, p = kind.sym("u", len(physical.inputs)), kind.sym("p", len(physical.parameters))
     y = kind.sym("y", len(physical.outputs))
-    read = [v if s.name in started_by else np.nan for s, v in zip(physical.outputs, ca.vertsplit(y), strict=True)]
-    x_model = physical.start(u, ca.vertcat(*read), p)
+    x_model = physical.start(u, _read(physical, y, started_by), p)
     simulated = physical.step(x_model, u, p)[1]
     apart = dict(zip([s.name for s in physical.outputs], ca.vertsplit(y - simulated), strict=True))
     lacks = [apart[s.name.removeprefix(RESIDUAL)] for s in residual.outputs]

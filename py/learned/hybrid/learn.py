@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,9 +13,21 @@ from hydrotwin.records import Record, noise_floor
 from hydrotwin.simulation import prepare, simulate
 
 from ..network.learn import train_network
-from ..training_data import RESOLUTION, check_excitation, choose_period, on_period, usable
-from .block import HybridBlock, hybrid_outputs, join, residual_signal, sampled_model, simulated_signal
+from ..training_data import (
+    HELD_OUT,
+    RESOLUTION,
+    check_excitation,
+    choose_period,
+    named,
+    on_period,
+    split_tail,
+    training_box,
+    usable,
+)
+from .block import HybridBlock, alone, hybrid_outputs, join, residual_signal, sampled_model, simulated_signal
 
+HELPS = 0.9  # of the model's error on what was held out: what a residual must bring it to
+TOLD = ("trained_on", "selected_on", "seed", "seeds", "stopped", "versions", "integration", "drift", "rest")
 STILL = 1e-9  # of its size: a simulated output that moves less tells the residual nothing
 
 
@@ -26,6 +38,7 @@ def learn_hybrid(
     *,
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     features: Sequence[str] | None = None,
     method: str = "auto",
     lags: tuple[int, int | None] = (1, 2),
@@ -43,54 +56,105 @@ def learn_hybrid(
         outputs: names of the outputs to correct; None: all that are in every recording.
         period: s between steps; None: the longest at which neither the recordings (`choose_period`) nor the runs of the
             model lose anything worth having.
-        validate: recordings that select the network; without them the last fifth of every recording does.
+        validate: checked, and nothing else. select: recordings to choose by, which take no part in training.
         features: simulated outputs that the residual may depend on; None: all that move.
         method: "explicit", "rosenbrock" (for a stiff model, see `lower`), or "auto": what `simulate` takes.
         lags: past increments of the residual, samples of the inputs.
         training: seed, starts, hidden, effort, budget and progress of `train_network`.
 
-    ``provenance["errors"]`` holds, by output, the RMS error of the free runs (SI) of the model and of the hybrid on
-    ``validate``, or on the training recordings when there are none.
+    The residual is added where it helps: on ``select``, or over the last fifth of every recording, run freely from its
+    beginning with a residual that was trained without that fifth. Where it does not, by `HELPS`, the answer is the
+    model alone (`alone`), and ``provenance["says"]`` begins with that. ``provenance["added"]`` tells it,
+    ``provenance["held_out"]`` holds both errors by output (RMS, SI), ``provenance["errors"]`` those over the training
+    recordings.
 
     Raises:
         DataError: too few samples, NaN, gaps, a model that leaves nothing. DeclarationError: unknown outputs or
         options, or PyTorch is not installed. Diverged: a run of the model that leaves the finite numbers.
     """
     flat = getattr(model, "flat", model)
-    records, validate = list(records), list(validate)
+    records, validate, select = list(records), list(validate), list(select)
     if not records:
         raise DataError("learn_hybrid: no recordings (got an empty list). Give at least one Record.")
-    known = [*records, *validate]
+    known = [*records, *validate, *select]
     chosen = hybrid_outputs(flat, outputs, lambda n: all(n in r for r in known))
     starting = {s.measured_by for s in flat.states}
     kept = [s for s in flat.outputs if s in chosen or (s.name in starting and all(s.name in r for r in known))]
-    records, validate = (usable(part, (*flat.inputs, *kept)) if part else [] for part in (records, validate))
+    records, _, select = (usable(part, (*flat.inputs, *kept)) if part else [] for part in (records, validate, select))
     check_excitation(records, chosen)
     period = float(period or _period(model, records, chosen))
     way = _method(flat, records[0]) if method == "auto" else {"method": method, "substep": None}
     physical = sampled_model(model, period, **way)
-    fit, judge = ([_lacking(physical, r, chosen, period) for r in part] for part in (records, validate))
+    fit, judge = ([_lacking(physical, r, chosen, period) for r in part] for part in (records, select))
     seen = [*flat.inputs, *(simulated_signal(s) for s in _moving(flat, fit, features))]
     _check_lacking(flat, fit, chosen)
-    residual = train_network(
-        fit,
-        seen,
-        [residual_signal(s) for s in chosen],
-        period=period,
-        validate=judge,
-        lags=lags,
-        name=f"{name}_residual",
-        **{"commands": [s.name for s in flat.inputs], **training},
-    )
-    hybrid = join(model, residual, name=name, started_by=[s.name for s in kept], **way)
+    task = _Task(model, flat, physical, chosen, seen, {"name": name, "started_by": [s.name for s in kept], **way})
+    options = {"period": period, "lags": lags, "commands": [s.name for s in flat.inputs], **training}
+    residual, told = _chosen(task, fit, judge, options, [on_period(r, period, flat.inputs) for r in select or records])
+    training_runs = [on_period(r, period, flat.inputs) for r in records]
+    if residual is None:
+        names = {"trained_on": named(records), **told}
+        hybrid = alone(model, period, **task.frame, domain=training_box(records, flat.inputs))
+        return replace(hybrid, provenance={"kind": "hybrid", "model": flat.name, **names})
+    hybrid = join(model, residual, **task.frame)
     provenance = {
         "kind": "hybrid",
         "model": flat.name,
-        **{key: residual.provenance[key] for key in ("trained_on", "selected_on", "seed", "stopped", "versions")},
-        **{key: residual.provenance[key] for key in ("integration", "drift", "rest") if key in residual.provenance},
-        "errors": _errors(physical, hybrid, [on_period(r, period, flat.inputs) for r in validate or records], chosen),
+        **{key: residual.provenance[key] for key in TOLD if key in residual.provenance},
+        **told,
+        "errors": _errors(physical, hybrid, training_runs, chosen),
     }
     return replace(hybrid, provenance=provenance)
+
+
+@dataclass(frozen=True, eq=False)
+class _Task:
+    """What is corrected, what the residual sees, and the frame of the hybrid."""
+
+    model: object
+    flat: object
+    physical: object
+    chosen: list[Signal]
+    seen: list[Signal]
+    frame: dict
+
+    def residual(self, records: Sequence[Record], select: Sequence[Record], options: dict):
+        """A network on what the model lacks."""
+        outputs = [residual_signal(s) for s in self.chosen]
+        name = f"{self.frame['name']}_residual"
+        return train_network(records, self.seen, outputs, select=select, name=name, **options)
+
+
+def _chosen(task: _Task, fit: list[Record], judge: list[Record], options: dict, runs: list[Record]):
+    """The residual, None where it does not help, and what is told of that."""
+    if judge:
+        residual, begins = task.residual(fit, judge, options), [r.time[0] for r in runs]
+    else:
+        parts = [split_tail(r, HELD_OUT) for r in fit]
+        residual, begins = task.residual([first for first, _ in parts], [], options), [end.time[0] for _, end in parts]
+    hybrid = join(task.model, residual, **task.frame)
+    errors = _errors(task.physical, hybrid, runs, task.chosen, begins)
+    helps = all(e["hybrid"] < HELPS * e["model"] for e in errors.values())
+    told = {"added": helps, "held_out": errors, "stopped": residual.provenance["stopped"]}
+    if not helps:
+        figures = "; ".join(f"{n} {e['hybrid']:.4g} with it, {e['model']:.4g} without" for n, e in errors.items())
+        told["says"] = (
+            f"The residual was not added: it does not improve the free run on what was held out (RMS, SI: {figures}). "
+            "The block is the model alone."
+        )
+        return None, told
+    if not judge and told["stopped"] == "finished":
+        residual = task.residual(fit, [], {**options, **_as_before(residual)})
+    return residual, told
+
+
+def _as_before(residual) -> dict:
+    """The options that fix what was chosen for a residual."""
+    form = residual.provenance["form"]
+    return {
+        "lags": (form["output_lags"], form["input_lags"]),
+        **{key: form[key] for key in ("delay", "integrates", "hidden")},
+    }
 
 
 def _method(flat, record: Record) -> dict:
@@ -157,11 +221,15 @@ def _check_lacking(flat, fit: Sequence[Record], chosen: Sequence[Signal]) -> Non
             )
 
 
-def _errors(physical, hybrid, records: Sequence[Record], chosen: Sequence[Signal]) -> dict[str, dict[str, float]]:
-    """RMS of the free runs by output, SI."""
-    runs = [(r, simulate(physical, r), simulate(hybrid, r)) for r in records]
+def _errors(
+    physical, hybrid, records: Sequence[Record], chosen: Sequence[Signal], begins: Sequence[float] | None = None
+) -> dict[str, dict[str, float]]:
+    """RMS of the free runs by output, SI, from the times ``begins`` of every recording on."""
+    begins = [-np.inf] * len(records) if begins is None else begins
+    both = zip(records, begins, strict=True)
+    runs = [(r.time >= at, r, simulate(physical, r), simulate(hybrid, r)) for r, at in both]
 
     def rms(name, which):
-        return float(np.sqrt(np.mean(np.concatenate([(run[which][name] - run[0][name]) ** 2 for run in runs]))))
+        return float(np.sqrt(np.mean(np.concatenate([(run[which][name] - run[1][name])[run[0]] ** 2 for run in runs]))))
 
-    return {s.name: {"model": rms(s.name, 1), "hybrid": rms(s.name, 2)} for s in chosen}
+    return {s.name: {"model": rms(s.name, 2), "hybrid": rms(s.name, 3)} for s in chosen}

@@ -1,0 +1,175 @@
+"""How much a block's band is worth: coverage, NLPD and CRPS on recordings that took no part in training.
+
+A band is the Gaussian of the *measured* value about the block's output: from the outputs ``<name>.sd`` where the block
+has them, else a constant one from the misses themselves (split conformal). With miss e and deviation s, z = e / s:
+
+    coverage  share of |z| <= 1.96            at the level 95 %
+    NLPD      mean of log(s sqrt(2 pi)) + z^2 / 2
+    CRPS      mean of s (z (2 Phi(z) - 1) + 2 phi(z) - 1 / sqrt(pi))
+
+Sources: Gneiting, Raftery, J. American Statistical Association 102 (2007) 359-378; Lei, G'Sell, Rinaldo, Tibshirani,
+Wasserman, J. American Statistical Association 113 (2018) 1094-1111 (conformal).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import ndtr
+from scipy.stats import norm
+
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import Record
+from hydrotwin.simulation import Block, predict_one_step, simulate
+from hydrotwin.simulation.stops import Diverged
+
+from .block_file import LearnedBlock, assemble, learned_kinds
+
+LEVEL = 0.95
+GOOD = (0.90, 0.99)  # coverage at `LEVEL` that needs no correction: a recording tells no more closely
+FAR = 2.0  # factor of a correction, either way, from which on the band's own shape is not to be trusted
+FOLDS = 4  # parts of a recording: a conformal band is judged on each with the width that the others give
+FEWEST = 20  # samples to judge a band on
+LEAST = 1e-12  # of the spread of the measured output: a deviation below it is taken as this
+SCALES = {"free_run": "run_scale", "one_step": "step_scale"}  # arrays of a block that scale its deviations
+RUNS = {"free_run": simulate, "one_step": predict_one_step}
+
+
+def scores(miss: np.ndarray, sd: np.ndarray, level: float = LEVEL) -> dict[str, float]:
+    """Coverage, NLPD, CRPS, median half width (the unit of ``miss``) and the factor that makes it cover ``level``.
+
+    miss, sd : (n,), measured less predicted and the standard deviation. The factor is the quantile of |z| over the
+    Gaussian's: above 1, the band is too narrow.
+    """
+    z, wide = miss / sd, float(norm.ppf(0.5 + level / 2))
+    density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
+    return {
+        "coverage": float(np.mean(np.abs(z) <= wide)),
+        "nlpd": float(np.mean(np.log(sd * np.sqrt(2 * np.pi)) + 0.5 * z**2)),
+        "crps": float(np.mean(sd * (z * (2 * ndtr(z) - 1) + 2 * density - 1 / np.sqrt(np.pi)))),
+        "half_width": wide * float(np.median(sd)),
+        "factor": float(_quantile(np.abs(z), level)) / wide,
+    }
+
+
+def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> dict[str, dict]:
+    """How the band of every measured output holds on ``records``, by output.
+
+    Each holds ``unit``, ``level``, ``samples``, ``source`` ("own" or "conformal"), and ``free_run`` and ``one_step``
+    with the `scores` (SI). A conformal band is constant; its coverage is of parts whose misses took no part in its
+    width. ``trustworthy``: the free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST`
+    samples, leave a sentence in ``why`` instead of the scores.
+    """
+    own = {s.name for s in block.outputs}
+    found = {}
+    for signal in block.outputs:
+        if not all(signal.name in r for r in records) or not records:
+            continue
+        told = {"unit": signal.unit, "level": level, "source": "own" if f"{signal.name}.sd" in own else "conformal"}
+        found[signal.name] = told
+    for mode, run in RUNS.items():
+        try:
+            runs = [(run(block, r), r) for r in records]
+        except (Diverged, DataError) as error:
+            for told in found.values():
+                told["why"] = str(error)
+            continue
+        for name, told in found.items():
+            _judge(told, mode, name, runs, level)
+    for told in found.values():
+        inside = told.get("free_run", {}).get("coverage", 0.0)
+        told["trustworthy"] = bool(GOOD[0] <= inside <= GOOD[1])
+    return found
+
+
+def _judge(told: dict, mode: str, name: str, runs: Sequence[tuple[Record, Record]], level: float) -> None:
+    """Put the scores of one output into ``told``."""
+    misses = [r[name] - run[name] for run, r in runs]
+    fine = [np.isfinite(e) for e in misses]
+    measured = np.concatenate([r[name][k] for (_, r), k in zip(runs, fine, strict=True)])
+    miss = np.concatenate([e[k] for e, k in zip(misses, fine, strict=True)])
+    told["samples"] = len(miss)
+    if len(miss) < FEWEST:
+        told["why"] = f"only {len(miss)} samples to judge the band on (at least {FEWEST} are needed)"
+        return
+    least = LEAST * max(float(np.std(measured)), 1e-300)
+    if told["source"] == "own":
+        sd = np.concatenate([run[f"{name}.sd"][k] for (run, _), k in zip(runs, fine, strict=True)])
+        told[mode] = scores(miss, np.maximum(sd, least), level)
+    else:
+        told[mode] = _conformal(miss, least, level)
+
+
+def _conformal(miss: np.ndarray, least: float, level: float) -> dict[str, float]:
+    """Scores of a constant band: width from all misses, coverage of each part with the width of the others."""
+    wide = float(norm.ppf(0.5 + level / 2))
+    parts = np.array_split(np.abs(miss), FOLDS)
+    inside = [
+        parts[k] <= _quantile(np.concatenate([p for n, p in enumerate(parts) if n != k]), level) for k in range(FOLDS)
+    ]
+    told = scores(miss, np.full(len(miss), max(_quantile(np.abs(miss), level) / wide, least)), level)
+    return told | {"coverage": float(np.mean(np.concatenate(inside)))}
+
+
+def _quantile(values: np.ndarray, level: float) -> float:
+    """The conformal quantile: of n values, the ceil((n + 1) level)-th."""
+    rank = min(int(np.ceil((len(values) + 1) * level)), len(values))
+    return float(np.partition(values, rank - 1)[rank - 1])
+
+
+def calibrated(block: LearnedBlock, records: Sequence[Record]) -> LearnedBlock:
+    """The block with deviations scaled to cover `LEVEL` on ``records`` where they are outside `GOOD`.
+
+    ``provenance["band"]`` holds by output ``coverage`` before and ``calibrated`` (the factor, 1 where none was needed)
+    of both ways to run, ``trustworthy`` (the factor of the free run is within `FAR`) and a sentence, ``says``. Blocks
+    without own deviations keep their arrays; their conformal band is told instead.
+    """
+    if not records:
+        return replace(block, provenance={**block.provenance, "band": {}})
+    before = band_of(block, records)
+    names = [n for n, told in before.items() if told["source"] == "own"]
+    factors = {mode: np.array([_factor(before[n].get(mode)) for n in names]) for mode in RUNS}
+    scaled = block
+    if names and all(array in block.arrays for array in SCALES.values()):
+        scaled = rescaled(block, {SCALES[mode]: factor for mode, factor in factors.items()})
+    told = {name: _told(name, before[name], {m: float(factors[m][names.index(name)]) for m in RUNS} if name in names else {})
+            for name in before}  # fmt: skip
+    return replace(scaled, provenance={**block.provenance, "band": told})
+
+
+def rescaled(block: LearnedBlock, factors: Mapping[str, np.ndarray]) -> LearnedBlock:
+    """The block with the arrays of `SCALES` times ``factors`` (outputs,)."""
+    kind = next(k for k in learned_kinds() if k.name == block.kind)
+    arrays = dict(block.arrays) | {name: block.arrays[name] * factor for name, factor in factors.items()}
+    kept = ("name", "inputs", "outputs", "states", "parameters", "period", "domain", "description", "provenance")
+    frame = {name: getattr(block, name) for name in (*kept, "certificate")}
+    return assemble(kind, arrays, block.structure, **frame)
+
+
+def _factor(told: dict | None) -> float:
+    """What the deviations are to be multiplied with."""
+    if told is None or GOOD[0] <= told["coverage"] <= GOOD[1]:
+        return 1.0
+    return max(told["factor"], LEAST)
+
+
+def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
+    """The entry of one output in the provenance."""
+    if "free_run" not in before:
+        why = before.get("why", "no free run")
+        return {"trustworthy": False, "says": f"The band of {name} could not be judged: {why}"}
+    inside = {mode: before[mode]["coverage"] for mode in RUNS if mode in before}
+    told = {"source": before["source"], "coverage": inside, "samples": before["samples"]}
+    if before["source"] == "conformal":
+        width = before["free_run"]["half_width"]
+        says = f"The block has no deviation of {name}; 95 % of what was held out lay within {width:.3g} {before['unit']} of it."
+        return told | {"half_width": width, "trustworthy": before["trustworthy"], "says": says}
+    factor = factors["free_run"]
+    share = f"{100 * inside['free_run']:.0f} % of what was held out lay in the 95 % band of {name} in free run"
+    says = f"{share}." if factor == 1.0 else f"{share}; the band was scaled by {factor:.2g}."
+    fine = 1 / FAR <= factor <= FAR
+    if not fine:
+        says += " The model errs by other means than its band knows of: do not trust the band beyond what was recorded."
+    return told | {"calibrated": factors, "trustworthy": fine, "says": says}

@@ -30,8 +30,9 @@ from .block_file import LearnedBlock, assemble, learned_kinds
 LEVEL = 0.95
 GOOD = (0.90, 0.99)  # coverage at `LEVEL` that needs no correction: a recording tells no more closely
 FAR = 2.0  # factor of a correction, either way, from which on the band's own shape is not to be trusted
+WORTH = 0.1  # of a factor: a smaller correction is not worth words
 FOLDS = 4  # parts of a recording: a conformal band is judged on each with the width that the others give
-FEWEST = 20  # samples to judge a band on
+FEWEST = 20  # samples to judge a band on, and independent misses to narrow one on
 LEAST = 1e-12  # of the spread of the measured output: a deviation below it is taken as this
 SCALES = {"free_run": "run_scale", "one_step": "step_scale"}  # arrays of a block that scale its deviations
 RUNS = {"free_run": simulate, "one_step": predict_one_step}
@@ -41,7 +42,8 @@ def scores(miss: np.ndarray, sd: np.ndarray, level: float = LEVEL) -> dict[str, 
     """Coverage, NLPD, CRPS, median half width (the unit of ``miss``) and the factor that makes it cover ``level``.
 
     miss, sd : (n,), measured less predicted and the standard deviation. The factor is the quantile of |z| over the
-    Gaussian's: above 1, the band is too narrow.
+    Gaussian's: above 1, the band is too narrow; ``largest``: the same of the largest |z|. ``independent``: what the misses, alike from sample to sample, are
+    worth; a coverage of a few independent misses says little.
     """
     z, wide = miss / sd, float(norm.ppf(0.5 + level / 2))
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
@@ -51,7 +53,19 @@ def scores(miss: np.ndarray, sd: np.ndarray, level: float = LEVEL) -> dict[str, 
         "crps": float(np.mean(sd * (z * (2 * ndtr(z) - 1) + 2 * density - 1 / np.sqrt(np.pi)))),
         "half_width": wide * float(np.median(sd)),
         "factor": float(_quantile(np.abs(z), level)) / wide,
+        "largest": float(np.abs(z).max()) / wide,
+        "independent": independent(z),
     }
+
+
+def independent(z: np.ndarray) -> float:
+    """How many independent samples tell as much as the correlated ones of z (n,), by their autocorrelation."""
+    n = 1 << (2 * len(z) - 1).bit_length()
+    shared = np.fft.irfft(np.abs(np.fft.rfft(z, n)) ** 2)[: len(z)]
+    if not shared[0] > 0:
+        return float(len(z))
+    ends = np.flatnonzero(shared <= 0)
+    return len(z) / float(1 + 2 * shared[1 : ends[0] if len(ends) else len(z)].sum() / shared[0])
 
 
 def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> dict[str, dict]:
@@ -62,16 +76,21 @@ def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> di
     width. ``trustworthy``: the free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST`
     samples, leave a sentence in ``why`` instead of the scores.
     """
-    own = {s.name for s in block.outputs}
+    return band_of_all([(block, records)], level)
+
+
+def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = LEVEL) -> dict[str, dict]:
+    """`band_of` of blocks with the same outputs, each on recordings of its own, taken together."""
+    first, records = pairs[0][0], [r for _, part in pairs for r in part]
+    own = {s.name for s in first.outputs}
     found = {}
-    for signal in block.outputs:
-        if not all(signal.name in r for r in records) or not records:
-            continue
-        told = {"unit": signal.unit, "level": level, "source": "own" if f"{signal.name}.sd" in own else "conformal"}
-        found[signal.name] = told
+    for signal in first.outputs:
+        if records and all(signal.name in r for r in records):
+            source = "own" if f"{signal.name}.sd" in own else "conformal"
+            found[signal.name] = {"unit": signal.unit, "level": level, "source": source}
     for mode, run in RUNS.items():
         try:
-            runs = [(run(block, r), r) for r in records]
+            runs = [(run(block, r), r) for block, part in pairs for r in part]
         except (Diverged, DataError) as error:
             for told in found.values():
                 told["why"] = str(error)
@@ -119,23 +138,29 @@ def _quantile(values: np.ndarray, level: float) -> float:
     return float(np.partition(values, rank - 1)[rank - 1])
 
 
-def calibrated(block: LearnedBlock, records: Sequence[Record]) -> LearnedBlock:
-    """The block with deviations scaled to cover `LEVEL` on ``records`` where they are outside `GOOD`.
+def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record]]]) -> LearnedBlock:
+    """The block with deviations scaled so that they cover `LEVEL`.
+
+    Misses that are alike over most of a recording are few, whatever the number of samples. With less than `FEWEST`
+    independent ones a band is not narrowed, and one that covers too little is widened to the largest of them.
+
+    pairs : what the band is judged on: recordings with the block, or its like that was not trained on them.
 
     ``provenance["band"]`` holds by output ``coverage`` before and ``calibrated`` (the factor, 1 where none was needed)
     of both ways to run, ``trustworthy`` (the factor of the free run is within `FAR`) and a sentence, ``says``. Blocks
     without own deviations keep their arrays; their conformal band is told instead.
     """
-    if not records:
+    if not any(records for _, records in pairs):
         return replace(block, provenance={**block.provenance, "band": {}})
-    before = band_of(block, records)
+    before = band_of_all(pairs)
     names = [n for n, told in before.items() if told["source"] == "own"]
     factors = {mode: np.array([_factor(before[n].get(mode)) for n in names]) for mode in RUNS}
     scaled = block
-    if names and all(array in block.arrays for array in SCALES.values()):
-        scaled = rescaled(block, {SCALES[mode]: factor for mode, factor in factors.items()})
-    told = {name: _told(name, before[name], {m: float(factors[m][names.index(name)]) for m in RUNS} if name in names else {})
-            for name in before}  # fmt: skip
+    known = {SCALES[mode]: factor for mode, factor in factors.items() if SCALES[mode] in block.arrays}
+    if names and known:
+        scaled = rescaled(block, known)
+    by_name = {n: {mode: float(factors[mode][j]) for mode in RUNS} for j, n in enumerate(names)}
+    told = {name: _told(name, entry, by_name.get(name, {})) for name, entry in before.items()}
     return replace(scaled, provenance={**block.provenance, "band": told})
 
 
@@ -150,9 +175,11 @@ def rescaled(block: LearnedBlock, factors: Mapping[str, np.ndarray]) -> LearnedB
 
 def _factor(told: dict | None) -> float:
     """What the deviations are to be multiplied with."""
-    if told is None or GOOD[0] <= told["coverage"] <= GOOD[1]:
+    if told is None:
         return 1.0
-    return max(told["factor"], LEAST)
+    if told["independent"] >= FEWEST:
+        return max(told["factor"], LEAST)
+    return 1.0 if told["coverage"] >= GOOD[0] else told["largest"]  # too few for a quantile, or to narrow a band on
 
 
 def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
@@ -162,13 +189,14 @@ def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
         return {"trustworthy": False, "says": f"The band of {name} could not be judged: {why}"}
     inside = {mode: before[mode]["coverage"] for mode in RUNS if mode in before}
     told = {"source": before["source"], "coverage": inside, "samples": before["samples"]}
+    told["independent"] = before["free_run"]["independent"]
     if before["source"] == "conformal":
         width = before["free_run"]["half_width"]
-        says = f"The block has no deviation of {name}; 95 % of what was held out lay within {width:.3g} {before['unit']} of it."
+        says = f"The block tells no deviation of {name}; 95 % of what was held out lay within {width:.3g} {before['unit']}."
         return told | {"half_width": width, "trustworthy": before["trustworthy"], "says": says}
     factor = factors["free_run"]
     share = f"{100 * inside['free_run']:.0f} % of what was held out lay in the 95 % band of {name} in free run"
-    says = f"{share}." if factor == 1.0 else f"{share}; the band was scaled by {factor:.2g}."
+    says = f"{share}." if abs(factor - 1.0) < WORTH else f"{share}; the band was scaled by {factor:.2g}."
     fine = 1 / FAR <= factor <= FAR
     if not fine:
         says += " The model errs by other means than its band knows of: do not trust the band beyond what was recorded."

@@ -13,10 +13,11 @@ neither drawn anew (too narrow a band) nor added up by its deviations (too wide)
 
 Two more directions of each output are what is not known of its start. Where the features leave the data, the part of
 the prior variance that the points do not explain is a direction of its own. The deviation is that of the measured
-value: with the noise of a free run, or of one step where a measured value was put in place of the state.
+value: with the noise of a free run, or of one step where a measured value was put in place of the state y, of which
+S_y is then zero.
 
-Sources: Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), chapter 8 (subset of regressors); Deisenroth,
-Turner, Huber, Hanebeck, Rasmussen, IEEE Trans. Automatic Control 57 (2012) (moments through dynamics).
+Sources: Rasmussen, Williams, Gaussian Processes for Machine Learning (2006), chapter 8 (subset of regressors);
+Deisenroth, Turner, Huber, Hanebeck, Rasmussen, IEEE Trans. Automatic Control 57 (2012) (moments through dynamics).
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ def lags_of(structure: Mapping[str, int], inputs: int, outputs: int) -> Lags:
     return Lags(inputs, outputs, structure["level"], structure["increments"], structure["samples"])
 
 
-def feedback_frame(lags: Lags, directions: int, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> dict[str, tuple]:
+def feedback_frame(
+    lags: Lags, directions: int, inputs: Sequence[Signal], outputs: Sequence[Signal]
+) -> dict[str, tuple]:
     """The signals and states of the block."""
     told = "standard deviation of the measured value"
     states = [StateVariable(s.name, s.unit, s.description, s.nominal, measured_by=s.name) for s in outputs]
@@ -55,7 +58,8 @@ def feedback_frame(lags: Lags, directions: int, inputs: Sequence[Signal], output
     for s in outputs:
         states.append(StateVariable(f"{s.name}.noise", "1", "share of one step in the noise: 1 after a measurement"))
     for r in range(1, directions + 1):
-        states += [StateVariable(f"{s.name}.by_{r}", s.unit, f"effect of direction {r} of the model error") for s in moved]
+        told_of = f"effect of direction {r} of the model error"
+        states += [StateVariable(f"{s.name}.by_{r}", s.unit, told_of) for s in moved]
     made = [(s, Signal(f"{s.name}.sd", s.unit, told, s.nominal)) for s in outputs]
     return {
         "inputs": tuple(inputs),
@@ -106,7 +110,7 @@ def feedback_functions(
     u, p = ca.MX.sym("u", nu), ca.MX.sym("p", 0)
     fed, old_u, expected, fresh, S = ca.vertsplit(x, np.cumsum([0, moved, past_u, ny, ny, moved * R]).tolist())
     known = ca.fabs(fed[:ny] - expected) > ALIKE * a["output_scale"]
-    S = ca.reshape(S, moved, R) * ca.repmat(ca.if_else(known, 0.0, 1.0), 1 + lags.increments, R)
+    S = ca.reshape(S, moved, R) * ca.repmat(ca.vertcat(ca.if_else(known, 0.0, 1.0), ca.DM.ones(moved - ny, 1)), 1, R)
 
     state, line = ca.MX.sym("state", moved), ca.vertcat(u, old_u)
     inputs = ca.MX.sym("line", line.numel())
@@ -115,11 +119,10 @@ def feedback_functions(
     x_moved, J, effect = advance(fed, line)
     effect = effect * ca.repmat(a["increment_scale"], 1, effect.size2())
     pushed = ca.horzcat(effect, ca.MX.zeros(ny, 2 * ny))
-    rows = [pushed] * min(1 + lags.increments, 2) + [ca.MX.zeros(moved - 2 * ny, R)] * (lags.increments > 1)
-    S_next = ca.mtimes(J, S) + ca.vertcat(*rows)
-    S_next = S_next if moved * R else ca.MX(moved, R)
+    first, kept = min(1 + lags.increments, 2), ny * max(lags.increments - 1, 0)
+    S_next = ca.mtimes(J, S) + ca.vertcat(*[pushed] * first, ca.MX.zeros(kept, R))
     noise = ca.if_else(known, 1.0, 0.0)
-    x_next = ca.vertcat(x_moved, line[:past_u], x_moved[:ny], noise, ca.vec(S_next))
+    x_next = ca.vertcat(x_moved, line[:past_u, :], x_moved[:ny], noise, ca.vec(S_next))
 
     y = fed[:ny]
     scale2 = a["output_scale"] ** 2
@@ -150,7 +153,7 @@ def _start(lags: Lags, R: int, a: Mapping[str, ca.DM]) -> ca.Function:
 def _moved(arrays: Mapping[str, np.ndarray], lags: Lags, a: Mapping[str, ca.DM], state, line):
     """Outputs and increments one period later, SI, and what the directions do to this increment (ny, R + ny)."""
     ny = lags.outputs
-    y, d = state[:ny], state[ny:]
+    y, d = state[:ny, :], state[ny:, :]
     level = (y - a["output_centre"]) / a["output_scale"]
     past = d / ca.repmat(a["increment_scale"], lags.increments, 1)
     u = (line - ca.repmat(a["input_centre"], lags.samples, 1)) / ca.repmat(a["input_scale"], lags.samples, 1)
@@ -168,7 +171,7 @@ def _moved(arrays: Mapping[str, np.ndarray], lags: Lags, a: Mapping[str, ca.DM],
     o = ca.fmin(ca.fmax(ca.vertcat(*o), -a["increment_limit"]), a["increment_limit"])
     moved = o * a["increment_scale"]
     y_next = ca.fmin(ca.fmax(y + moved, a["output_lower"]), a["output_upper"])
-    kept = ca.vertcat(moved, d)[: ny * lags.increments]
+    kept = ca.vertcat(moved, d)[: ny * lags.increments, :]  # two indices: [:0] of a scalar is (1, 0)
     return ca.vertcat(y_next, kept), ca.vertcat(*effects)
 
 

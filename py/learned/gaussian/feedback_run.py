@@ -12,7 +12,7 @@ MacKay, Neural Computation 4 (1992) 415-447 (noise from what is left and the num
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,7 +89,7 @@ class Model:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """B runs side by side: start outputs (B, ny) and increments (B, n ny), input lines (T, B, m), targets (T, B, ny)."""
+    """B runs side by side: first outputs (B, ny), increments (B, n ny), input lines (T, B, m), targets (T, B, ny)."""
 
     y: np.ndarray
     d: np.ndarray
@@ -106,7 +106,8 @@ def stretches(runs: Sequence[tuple[np.ndarray, np.ndarray]], lags: Lags, step: n
     for u, y in runs:
         lines = np.hstack([u[np.maximum(np.arange(len(u)) - i, 0)] for i in range(lags.samples)])
         moved = np.diff(y, axis=0, prepend=y[:1]) / step
-        past = np.hstack([moved[np.maximum(np.arange(len(y)) - i, 0)] for i in range(lags.increments)] or [moved[:, :0]])
+        ago = [np.maximum(np.arange(len(y)) - i, 0) for i in range(lags.increments)]
+        past = np.hstack([moved[k] for k in ago] or [moved[:, :0]])
         first = max(lags.increments, lags.samples - 1) if horizon else 0
         span = min(horizon or len(y), len(y) - 1 - first)
         starts = range(first, len(y) - span, span) if horizon else [0]
@@ -128,7 +129,7 @@ def free_run(model: Model, weights: Sequence[np.ndarray], s: Stretch, derivative
     S = np.zeros((B, ny + d.shape[1], P)) if derivatives else None
     J = np.empty((T, B, ny, P)) if derivatives else None
     for k in range(T):
-        z = np.hstack([y, d][1 - lags.level :] + [s.lines[k]])
+        z = np.hstack([*[y, d][1 - lags.level :], s.lines[k]])
         seen = np.clip(z, *model.feature_bounds)
         o = np.empty((B, ny))
         if derivatives:
@@ -227,7 +228,7 @@ def alike_in_a_row(misses: Sequence[np.ndarray], squares: np.ndarray) -> np.ndar
     total, open_ = np.ones(len(squares)), np.ones(len(squares), dtype=bool)
     longest = max(len(e) for e in misses)
     with np.errstate(all="ignore"):
-        for lag in np.unique(np.geomspace(1, max(longest - 1, 1), 40).astype(int)) if False else range(1, longest):
+        for lag in range(1, longest):
             shared = sum((e[lag:] * e[:-lag]).sum(axis=(0, 1)) for e in misses if len(e) > lag) / squares
             open_ &= shared > 0
             total = total + np.where(open_, 2 * shared, 0)

@@ -11,7 +11,7 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, noise_floor
 
 from ..training_data import free_run_bounds, increment_spread, on_period
-from .feedback_run import Basis, Fitted, Lags, Model, Stretch, free_run, refined, stretches
+from .feedback_run import Basis, Lags, Model, Stretch, free_run, refined, stretches
 from .kernels import Kernel
 from .sparse import conditioned, spread_points, train_sparse
 
@@ -51,12 +51,14 @@ class Form:
 
     period: float
     lags: Lags
+    kernel: Kernel
     stages: int = 0
 
     def told(self) -> dict:
         """For the provenance."""
         horizons = ("one step", *("whole recordings" if h is None else f"{h} steps" for h in HORIZONS))
-        return {"period": self.period, **self.lags.structure(), "fitted_to": horizons[self.stages]}
+        told = {"period": self.period, **self.lags.structure(), "kernel": str(self.kernel)}
+        return told | {"fitted_to": horizons[self.stages]}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +74,12 @@ class Trained:
     step_noise: np.ndarray
     loss: float
 
-    def misses(self, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-        """What free runs over recordings (SI) miss by, (n, ny) each, SI; nan from where one diverged."""
-        scale = self.data.arrays["output_scale"]
+    def runs(self, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+        """Free runs over recordings (SI) from their first outputs, (n, ny) each, SI; nan from where one diverged."""
+        a = self.data.arrays
         parts = [stretches([run], self.form.lags, self.data.step, None)[0] for run in self.data.normal(runs)]
-        return [(free_run(self.model, self.weights, s) - s.target)[:, 0] * scale for s in parts]
+        found = [np.concatenate([s.y, free_run(self.model, self.weights, s)[:, 0]]) for s in parts]
+        return [a["output_centre"] + a["output_scale"] * y for y in found]
 
 
 def at_period(records: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal], period: float):
@@ -112,9 +115,9 @@ class Effort:
     evaluations: int
 
 
-def stages(data: Data, form: Form, kernel: Kernel, effort: Effort, seed: int) -> Iterator[Trained]:
+def stages(data: Data, form: Form, effort: Effort, seed: int) -> Iterator[Trained]:
     """The process after the one-step fit, then after the fit to runs of every length of `HORIZONS` in turn."""
-    trained = one_step(data, form, kernel, effort, seed)
+    trained = one_step(data, form, effort, seed)
     yield trained
     least = np.maximum(LEAST_NOISE, data.floor / data.arrays["output_scale"]) ** 2
     longest = max(len(u) for u, _ in data.runs)
@@ -129,7 +132,7 @@ def stages(data: Data, form: Form, kernel: Kernel, effort: Effort, seed: int) ->
         yield trained
 
 
-def one_step(data: Data, form: Form, kernel: Kernel, effort: Effort, seed: int) -> Trained:
+def one_step(data: Data, form: Form, effort: Effort, seed: int) -> Trained:
     """Hyper-parameters and weights from each sample to the next."""
     lags, rng = form.lags, np.random.default_rng(seed)
     parts = stretches(data.normal(data.runs), lags, data.step, 1)
@@ -139,7 +142,7 @@ def one_step(data: Data, form: Form, kernel: Kernel, effort: Effort, seed: int) 
     some = slice(None) if len(X) <= effort.rows else np.sort(rng.permutation(len(X))[: effort.rows])
     bases, weights, noise, losses, blocks = [], [], [], [], []
     for target in T.T:
-        first = train_sparse(X[some], target[some], Z, kernel, evaluations=effort.evaluations)
+        first = train_sparse(X[some], target[some], Z, form.kernel, evaluations=effort.evaluations)
         process = conditioned(first.hyper, first.noise, X, target, Z)
         bases.append(Basis(process.hyper, Z, process.factor, np.linalg.inv(process.factor)))
         weights.append(process.mean)

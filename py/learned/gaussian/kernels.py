@@ -248,8 +248,9 @@ def in_casadi(hyper: Hyper, points: np.ndarray, z):
         value = dot
         if base != "linear":
             h = ca.fmax(ca.DM(0.5 * np.sum(scaled**2, axis=1)) + 0.5 * ca.sumsqr(at) - dot, 0.0)
-            r = ca.sqrt((6.0 if base == "matern32" else 10.0) * h + TINY) if base != "rbf" else None
-            value = ca.exp(-h) if base == "rbf" else (1.0 + r + (r * r / 3.0 if base == "matern52" else 0.0)) * ca.exp(-r)
+            r = ca.sqrt((6.0 if base == "matern32" else 10.0) * h + TINY)
+            polynomial = 1.0 + r + (r * r / 3.0 if base == "matern52" else 0.0)
+            value = ca.exp(-h) if base == "rbf" else polynomial * ca.exp(-r)
         parts[t] = parts[t] * value if t in parts else value
     for t, part in parts.items():
         total = total + float(hyper.variances[t]) * part

@@ -158,30 +158,23 @@ def bound(hyper: Hyper, noise: float, X, y, Z) -> tuple[float, np.ndarray]:
     B = cholesky(np.eye(M) + AA / noise, lower=True)
     c = solve_triangular(B, Ay, lower=True) / noise
     explained = float(np.trace(AA))
-    value = (
-        -0.5 * n * np.log(2 * np.pi * noise) - np.log(np.diag(B)).sum() - 0.5 * yy / noise + 0.5 * c @ c * noise * noise / noise**2
-        - 0.5 * (trace - explained) / noise
-    )  # fmt: skip
-    I = solve_triangular(L, np.eye(M), lower=True)  # noqa: E741
-    T = solve_triangular(B, I, lower=True)
-    K_inverse, S_inverse = I.T @ I, T.T @ T
-    m = T.T @ c
-    by_ZZ = 0.5 * (K_inverse - S_inverse - np.outer(m, m) - I.T @ AA @ I / noise)
-    by_variance, by_length = hyper.gradient(Z, Z, by_ZZ)
-    fitted = 0.0
+    fit = -0.5 * n * np.log(2 * np.pi * noise) - np.log(np.diag(B)).sum() - 0.5 * yy / noise + 0.5 * c @ c
+    value = fit - 0.5 * (trace - explained) / noise
+    one = np.eye(M)
+    L_inverse, B_inverse = solve_triangular(L, one, lower=True), solve_triangular(B, one, lower=True)
+    K_inverse, T = L_inverse.T @ L_inverse, B_inverse @ L_inverse
+    S_inverse, m = T.T @ T, T.T @ c
+    outer = 0.5 * (K_inverse - S_inverse - np.outer(m, m) - L_inverse.T @ AA @ L_inverse / noise)
+    slopes, fitted = [hyper.gradient(Z, Z, outer)], 0.0
     for rows, K in zip(_chunks(n), crosses, strict=True):
         K = hyper.values(Z, X[rows]) if K is None else K
         run = K.T @ m
         G = ((K_inverse - S_inverse) @ K + np.outer(m, y[rows] - run)) / noise
-        by_variance, by_length = (a + b for a, b in zip((by_variance, by_length), hyper.gradient(Z, X[rows], G), strict=True))
-        diagonal = hyper.diagonal_gradient(X[rows], -0.5 / noise)
-        by_variance, by_length, fitted = by_variance + diagonal[0], by_length + diagonal[1], fitted + run @ run
-    S_AA = float(np.sum((AA @ solve_triangular(B, np.eye(M), lower=True).T) * solve_triangular(B, np.eye(M), lower=True).T))
-    by_noise = (
-        -0.5 * n / noise + 0.5 * S_AA / noise**2 + 0.5 * yy / noise**2 - float(m @ (L @ Ay)) / noise**2
-        + 0.5 * fitted / noise**2 + 0.5 * (trace - explained) / noise**2
-    )  # fmt: skip
-    return -value / n, -np.concatenate([by_variance, by_length.ravel(), [noise * by_noise]]) / n
+        slopes += [hyper.gradient(Z, X[rows], G), hyper.diagonal_gradient(X[rows], -0.5 / noise)]
+        fitted += run @ run
+    in_noise = -n * noise + np.sum((B_inverse @ AA) * B_inverse) + yy - 2 * m @ (L @ Ay) + fitted + trace - explained
+    by_variance, by_length = (sum(part) for part in zip(*slopes, strict=True))
+    return -value / n, -np.concatenate([by_variance, by_length.ravel(), [0.5 * in_noise / noise]]) / n
 
 
 def _chunks(n: int) -> list[slice]:

@@ -42,8 +42,8 @@ def scores(miss: np.ndarray, sd: np.ndarray, level: float = LEVEL) -> dict[str, 
     """Coverage, NLPD, CRPS, median half width (the unit of ``miss``) and the factor that makes it cover ``level``.
 
     miss, sd : (n,), measured less predicted and the standard deviation. The factor is the quantile of |z| over the
-    Gaussian's: above 1, the band is too narrow; ``largest``: the same of the largest |z|. ``independent``: what the misses, alike from sample to sample, are
-    worth; a coverage of a few independent misses says little.
+    Gaussian's: above 1, the band is too narrow; ``largest``: the same of the largest |z|. ``independent``: what the
+    misses, alike from sample to sample, are worth; a coverage of a few independent misses says little.
     """
     z, wide = miss / sd, float(norm.ppf(0.5 + level / 2))
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
@@ -166,8 +166,13 @@ def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record
 
 def rescaled(block: LearnedBlock, factors: Mapping[str, np.ndarray]) -> LearnedBlock:
     """The block with the arrays of `SCALES` times ``factors`` (outputs,)."""
+    return with_arrays(block, {name: block.arrays[name] * factor for name, factor in factors.items()})
+
+
+def with_arrays(block: LearnedBlock, changed: Mapping[str, np.ndarray]) -> LearnedBlock:
+    """The block built anew with some of its arrays changed."""
     kind = next(k for k in learned_kinds() if k.name == block.kind)
-    arrays = dict(block.arrays) | {name: block.arrays[name] * factor for name, factor in factors.items()}
+    arrays = dict(block.arrays) | dict(changed)
     kept = ("name", "inputs", "outputs", "states", "parameters", "period", "domain", "description", "provenance")
     frame = {name: getattr(block, name) for name in (*kept, "certificate")}
     return assemble(kind, arrays, block.structure, **frame)
@@ -192,7 +197,9 @@ def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
     told["independent"] = before["free_run"]["independent"]
     if before["source"] == "conformal":
         width = before["free_run"]["half_width"]
-        says = f"The block tells no deviation of {name}; 95 % of what was held out lay within {width:.3g} {before['unit']}."
+        says = (
+            f"The block tells no deviation of {name}; 95 % of held out samples lay within {width:.3g} {before['unit']}."
+        )
         return told | {"half_width": width, "trustworthy": before["trustworthy"], "says": says}
     factor = factors["free_run"]
     share = f"{100 * inside['free_run']:.0f} % of what was held out lay in the 95 % band of {name} in free run"

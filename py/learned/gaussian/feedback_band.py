@@ -8,17 +8,16 @@ import numpy as np
 
 from .feedback_run import Stretch, free_run, stretches
 from .feedback_training import LONGEST, Trained
+from .integrated_band import leading
 
-DIRECTIONS = 20  # of the weights, at most; what they leave of the variance of free runs is put on them
-ENOUGH = 0.999  # of the variance of free runs: no further direction is taken
+DIRECTIONS = 20  # of the weights, at most
 LEAST_FACTOR = 1e-12  # of the largest variance of a weight, on the diagonal before the square root
 
 
 def directions(trained: Trained, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:
     """Directions (ny, M, R) for the arrays of the block, and the share of the variance of free runs that they hold.
 
-    With covariance C C' of the weights and derivatives J of free runs over recordings (SI), C times the leading
-    eigenvectors of C'J'J C, enlarged by what those left out would have added on average.
+    They are those of the weights' posterior that free runs over ``runs`` (SI) show most, see `leading`.
     """
     P, sizes = sum(trained.model.sizes), trained.model.sizes
     JJ = np.zeros((P, P))
@@ -28,12 +27,9 @@ def directions(trained: Trained, runs: Sequence[tuple[np.ndarray, np.ndarray]]) 
         JJ += J.T @ J
     values, vectors = np.linalg.eigh(trained.covariance)
     C = vectors * np.sqrt(np.maximum(values, LEAST_FACTOR * values[-1]))
-    shown, turned = np.linalg.eigh(C.T @ JJ @ C)
-    shown, turned = np.maximum(shown[::-1], 0.0), turned[:, ::-1]
-    share = np.cumsum(shown) / max(shown.sum(), 1e-300)
-    count = min(int(np.searchsorted(share, ENOUGH)) + 1, DIRECTIONS, P)
-    D = np.split(C @ turned[:, :count] / np.sqrt(max(share[count - 1], 1e-12)), np.cumsum(sizes)[:-1])
-    return np.stack([b.inverse.T @ d for b, d in zip(trained.model.bases, D, strict=True)]), float(share[count - 1])
+    D, share = leading(C, JJ, DIRECTIONS)
+    parts = zip(trained.model.bases, np.split(D, np.cumsum(sizes)[:-1]), strict=True)
+    return np.stack([b.inverse.T @ d for b, d in parts]), share
 
 
 def run_starts(trained: Trained, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[Stretch]:

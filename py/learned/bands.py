@@ -73,8 +73,9 @@ def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> di
 
     Each holds ``unit``, ``level``, ``samples``, ``source`` ("own" or "conformal"), and ``free_run`` and ``one_step``
     with the `scores` (SI). A conformal band is constant; its coverage is of parts whose misses took no part in its
-    width. Where delay lines still fill with inputs of before the recording, nothing is judged. ``trustworthy``: the free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST`
-    samples, leave a sentence in ``why`` instead of the scores.
+    width. Where delay lines still fill with inputs of before the recording, nothing is judged. ``trustworthy``: the
+    free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST` samples, leave a sentence in
+    ``why`` instead of the scores.
     """
     return band_of_all([(block, records)], level)
 

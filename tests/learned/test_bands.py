@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 
 from hydrotwin.learned.bands import GOOD, band_of, calibrated, independent, scores, with_arrays
-from tests.learned.test_feedback_gp import QUICK, tank_record
+from tests.learned.test_feedback_gp import tank_block, tank_record
 from tests.learned.toy_machine import toy_record, untrained_block
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def tank():
-    from hydrotwin.learned.gaussian.feedback import learn_feedback_gp
-
-    return learn_feedback_gp([tank_record(s) for s in (1, 2)], ["pump"], ["level"], **QUICK)
+    return tank_block()
 
 
 def test_a_right_band_scores_as_the_gaussian_does():

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import band_of, learn_gp, read_block, write_block
+from hydrotwin.learned.bands import with_arrays
 from hydrotwin.learned.block_file import LearnedBlock, assemble
 from hydrotwin.learned.gaussian.feedback import learn_feedback_gp
 from hydrotwin.learned.gaussian.feedback_block import FEEDBACK, array_shapes, feedback_frame
@@ -16,11 +19,12 @@ from hydrotwin.learned.gaussian.sparse import factor_of
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
-from hydrotwin.simulation import predict_one_step, simulate
+from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import TrainingDomain
 
 PUMP, LEVEL, FLOW = Signal("pump", "V"), Signal("level", "m"), Signal("flow", "m3/s")
 PERIOD, NOISE = 1.0, 0.01
+POSITIVE = ("variances", "lengths", "increment_limit", "unexplained")
 QUICK = {"points": 25, "samples": 500, "evaluations": 30, "period": PERIOD, "lags": (1, 1, 2), "kernel": "linear+rbf"}
 
 
@@ -83,9 +87,15 @@ def started(block: LearnedBlock, u: np.ndarray, y: np.ndarray) -> Stretch:
     return Stretch(first, np.zeros((1, len(y) * s["increments"])), lines[:, None], np.zeros((len(u), 1, len(y))))
 
 
-@pytest.fixture(scope="module")
+@cache
+def tank_block() -> LearnedBlock:
+    """Learnt from two recordings."""
+    return learn_feedback_gp([tank_record(s, 240) for s in (1, 2)], ["pump"], ["level"], **QUICK)
+
+
+@pytest.fixture
 def tank():
-    return learn_feedback_gp([tank_record(s) for s in (1, 2)], ["pump"], ["level"], **QUICK)
+    return tank_block()
 
 
 @pytest.mark.parametrize("lags", [(1, 0, 1), (1, 2, 3), (0, 1, 2), (0, 0, 3)])
@@ -118,25 +128,34 @@ def test_the_band_is_that_of_sampled_functions_and_not_of_a_sum_of_deviations(ta
     """Weights drawn along the block's own directions, each run freely, spread as the block says."""
     record, a, rng = tank_record(5, 120), tank.arrays, np.random.default_rng(3)
     plain = {"start_noise": 0 * a["start_noise"], "start_increment": 0 * a["start_increment"]}
-    from hydrotwin.learned.bands import with_arrays
-
     block = with_arrays(tank, plain | {"run_noise": np.zeros(1), "run_scale": np.ones(1)})
     draws = []
-    for _ in range(150):
+    for _ in range(100):
         weights = a["weights"] + np.einsum("jmr,r->jm", a["directions"], rng.normal(size=a["directions"].shape[2]))
         draws.append(simulate(with_arrays(block, {"weights": weights}), record)["level"])
     spread, told = np.std(draws, axis=0)[5:], simulate(block, record)["level.sd"][5:]
     assert 0.8 < np.median(told / spread) < 1.25 and np.abs(np.log(told / spread)).max() < np.log(2)
-    assert told.max() < 0.5 * np.sum(np.abs(np.diff(told))) or told[-1] < 5 * told[5]  # it does not only grow
+    assert np.any(np.diff(told) < 0)  # a sum of deviations only grows
 
 
-def test_a_measured_value_brings_the_band_back_to_one_step(tank):
-    record = tank_record(6, 120)
-    free, ahead = simulate(tank, record), predict_one_step(tank, record)
-    assert np.median(ahead["level.sd"]) < np.median(free["level.sd"])
+def test_a_measured_value_in_place_of_the_state_clears_what_was_not_known_of_it(tank):
+    names = [s.name for s in tank.states]
+    rows = [k for k, name in enumerate(names) if name.startswith("level.by_")]
+    x = tank.start(1.0, [0.8, 0.0], []).full().ravel()
+    x[rows] = np.linspace(0.1, 0.2, len(rows))
+    other = x.copy()
+    other[rows] *= 3.0
+    known, also = (tank.step(np.where(np.arange(len(x)) == 0, 0.85, s), 1.0, [])[0].full().ravel() for s in (x, other))
+    assert np.array_equal(known, also) and known[names.index("level.noise")] == 1.0
+    free = tank.step(x, 1.0, [])[0].full().ravel()
+    assert np.abs(free[rows]).max() > 0.05 > np.abs(known[rows]).max() and free[names.index("level.noise")] == 0.0
+
+
+def test_the_band_of_an_unseen_recording_covers_what_it_says(tank):
+    record = tank_record(6)
     found = band_of(tank, [record])["level"]
     assert found["one_step"]["coverage"] >= 0.9 and found["free_run"]["coverage"] >= 0.9
-    assert found["free_run"]["half_width"] < 0.3 * np.ptp(record["level"])
+    assert found["free_run"]["half_width"] < 4 * NOISE and found["one_step"]["half_width"] < 4 * NOISE
 
 
 def test_a_tank_is_learnt_to_a_few_times_its_noise_and_the_certificate_holds(tank):
@@ -152,7 +171,7 @@ def test_outside_the_data_the_band_grows(tank):
 
 
 def test_lags_and_kernel_are_chosen_by_what_was_held_out_and_validation_has_no_part(tmp_path):
-    options = {"points": 15, "samples": 300, "evaluations": 10, "period": 4.0}
+    options = {"points": 12, "samples": 300, "evaluations": 8, "period": 4.0}
     records = [tank_record(1, 320)]
     blocks = [learn_gp(records, ["pump"], ["level"], validate=[tank_record(s, 100)], **options) for s in (3, 4)]
     assert all(np.array_equal(blocks[0].arrays[k], blocks[1].arrays[k]) for k in blocks[0].arrays)

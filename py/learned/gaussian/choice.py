@@ -1,4 +1,4 @@
-"""`learn gp`: a Gaussian process with output feedback, or one of delayed inputs alone where its options ask for that."""
+"""`learn gp`: a Gaussian process with output feedback, or one of delayed inputs where its options ask for that."""
 
 from __future__ import annotations
 

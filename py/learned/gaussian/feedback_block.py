@@ -129,7 +129,7 @@ def feedback_functions(
     model = ca.sum2(S[:ny, :] ** 2)
     run = a["run_scale"] ** 2 * (model + a["run_noise"] ** 2 * scale2)
     one = a["step_scale"] ** 2 * (model + a["step_noise"] ** 2 * scale2)
-    sd = ca.sqrt(fresh * one + (1.0 - fresh) * run + LEAST * scale2)
+    sd = ca.sqrt(ca.if_else(fresh > 0.5, one, run) + LEAST * scale2)
     seen = ca.vec(ca.horzcat(y, sd).T)
     step = ca.Function("step", [x, u, p], [ca.densify(x_next), ca.densify(seen)], ["x", "u", "p"], ["x_next", "y"])
     return step, _start(lags, R, a)

@@ -67,7 +67,7 @@ def deviation(held, run, one):
     """Standard deviation of the measured value; run, one: (noise, scale) of a free run and of one step, numbers."""
     model, share = ca.sumsqr(held[2:, :]), held[1]
     parts = [scale**2 * (model + noise**2) for noise, scale in (run, one)]
-    return ca.sqrt((1.0 - share) * parts[0] + share * parts[1] + LEAST)
+    return ca.sqrt(ca.if_else(share > 0.5, parts[1], parts[0]) + LEAST)
 
 
 def run_noise(runs: Sequence[np.ndarray], measured: Sequence[np.ndarray]) -> float:

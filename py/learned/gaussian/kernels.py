@@ -148,7 +148,7 @@ class Hyper:
     def slopes(self, points: np.ndarray, z: np.ndarray, weights: np.ndarray, columns: int) -> np.ndarray:
         """Derivative of weights' k(points, z) by the first ``columns`` features at every row of z: (n, columns)."""
         pairs = list(self._pairs(points, z))
-        parts = [base_value(base, *pair) for (_, base), pair in pairs]
+        parts, derivatives = zip(*(base_both(base, *pair) for (_, base), pair in pairs), strict=True)
         total = np.zeros((len(z), columns))
         for f, ((t, base), (p, at)) in enumerate(pairs):
             W = self.variances[t] * weights[:, None] * self._others(parts, f)
@@ -156,24 +156,24 @@ class Hyper:
             if base == "linear":
                 total += (W.T @ p[:, :columns]) / length
                 continue
-            W = W * base_slope(base, p, at)
+            W = W * derivatives[f]
             total += (W.sum(axis=0)[:, None] * at[:, :columns] - W.T @ p[:, :columns]) / length
         return total
 
     def gradient(self, a: np.ndarray, b: np.ndarray, G: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivative of sum(G * k(a, b)) by the logarithms of variances and lengths, for G (n, m)."""
         pairs = list(self._pairs(a, b))
-        parts = [base_value(base, *pair) for (_, base), pair in pairs]
+        parts, derivatives = zip(*(base_both(base, *pair) for (_, base), pair in pairs), strict=True)
         by_variance, by_length = np.zeros(len(self.variances)), np.zeros_like(self.lengths)
         for t in range(len(self.variances)):
-            product = np.prod([p for p, (k, _) in zip(parts, self.kernel.factors, strict=True) if k == t], axis=0)
-            by_variance[t] = self.variances[t] * np.sum(G * product)
+            own = [p for p, (k, _) in zip(parts, self.kernel.factors, strict=True) if k == t]
+            by_variance[t] = self.variances[t] * np.vdot(G, own[0] if len(own) == 1 else np.prod(own, axis=0))
         for f, ((t, base), (p, q)) in enumerate(pairs):
             W = self.variances[t] * G * self._others(parts, f)
             if base == "linear":
                 by_length[f] = -2.0 * np.sum(p * (W @ q), axis=0)
                 continue
-            W = W * base_slope(base, p, q)
+            W = W * derivatives[f]
             squares = W.sum(axis=1) @ p**2 + W.sum(axis=0) @ q**2 - 2.0 * np.sum(p * (W @ q), axis=0)
             by_length[f] = -squares
         return by_variance, by_length
@@ -216,22 +216,22 @@ class Hyper:
 
 def base_value(base: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """A base kernel (n, m) for points over its lengths."""
+    return base_both(base, a, b)[0]
+
+
+def base_both(base: str, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """A base kernel (n, m) for points over its lengths, and its derivative by h where it is stationary."""
     if base == "linear":
-        return a @ b.T
+        return a @ b.T, None
     h = _half_squares(a, b)
     if base == "rbf":
-        return np.exp(-h)
+        value = np.exp(np.negative(h, out=h), out=h)
+        return value, -value
     r = np.sqrt((6.0 if base == "matern32" else 10.0) * h)
-    return (1.0 + r + (r * r / 3.0 if base == "matern52" else 0.0)) * np.exp(-r)
-
-
-def base_slope(base: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Derivative of a stationary base kernel by h, (n, m)."""
-    h = _half_squares(a, b)
-    if base == "rbf":
-        return -np.exp(-h)
-    r = np.sqrt((6.0 if base == "matern32" else 10.0) * h)
-    return -3.0 * np.exp(-r) if base == "matern32" else -5.0 / 3.0 * (1.0 + r) * np.exp(-r)
+    decay = np.exp(-r)
+    if base == "matern32":
+        return (1.0 + r) * decay, -3.0 * decay
+    return (1.0 + r + r * r / 3.0) * decay, -5.0 / 3.0 * (1.0 + r) * decay
 
 
 def _half_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:

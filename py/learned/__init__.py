@@ -1,7 +1,10 @@
 """Learned surrogates: trained from recordings, deployed as Blocks that need numpy and CasADi only."""
 
+from .bands import band_of
 from .block_file import Certificate, LearnedBlock, LearnedKind, learned_kinds, read_block, register_kind, write_block
+from .gaussian.choice import learn_gp
 from .gaussian.dual import learn_dual_gp
+from .gaussian.feedback import learn_feedback_gp
 from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
 from .hybrid.block import HybridBlock
@@ -28,6 +31,7 @@ __all__ = [
     "HybridBlock",
     "LearnedBlock",
     "LearnedKind",
+    "band_of",
     "characteristic",
     "domain_share",
     "learn",
@@ -35,7 +39,9 @@ __all__ = [
     "learn_arx",
     "learn_compensator",
     "learn_dual_gp",
+    "learn_feedback_gp",
     "learn_gaussian_process",
+    "learn_gp",
     "learn_grey_box",
     "learn_hybrid",
     "learn_inverse",

@@ -17,8 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import ndtr
-from scipy.stats import norm
+from scipy.special import ndtr, ndtri
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record
@@ -28,11 +27,12 @@ from hydrotwin.simulation.stops import Diverged
 from .block_file import LearnedBlock, assemble, learned_kinds
 
 LEVEL = 0.95
-GOOD = (0.90, 0.99)  # coverage at `LEVEL` that needs no correction: a recording tells no more closely
+GOOD = (0.90, 0.99)  # coverage at `LEVEL` of a band to be trusted
 FAR = 2.0  # factor of a correction, either way, from which on the band's own shape is not to be trusted
 WORTH = 0.1  # of a factor: a smaller correction is not worth words
 FOLDS = 4  # parts of a recording: a conformal band is judged on each with the width that the others give
-FEWEST = 20  # samples to judge a band on, and independent misses to narrow one on
+CHANCE = 2.0  # standard deviations of a coverage of independent misses: within them it may be the one wanted
+FEWEST = 20  # samples to judge a band on; independent misses that tell a quantile, and that a block's own band is worth
 LEAST = 1e-12  # of the spread of the measured output: a deviation below it is taken as this
 SCALES = {"free_run": "run_scale", "one_step": "step_scale"}  # arrays of a block that scale its deviations
 RUNS = {"free_run": simulate, "one_step": predict_one_step}
@@ -42,10 +42,10 @@ def scores(miss: np.ndarray, sd: np.ndarray, level: float = LEVEL) -> dict[str, 
     """Coverage, NLPD, CRPS, median half width (the unit of ``miss``) and the factor that makes it cover ``level``.
 
     miss, sd : (n,), measured less predicted and the standard deviation. The factor is the quantile of |z| over the
-    Gaussian's: above 1, the band is too narrow; ``largest``: the same of the largest |z|. ``independent``: what the misses, alike from sample to sample, are
-    worth; a coverage of a few independent misses says little.
+    Gaussian's: above 1, the band is too narrow; ``largest``: the same of the largest |z|. ``independent``: what the
+    misses, alike from sample to sample, are worth; a coverage of a few independent misses says little.
     """
-    z, wide = miss / sd, float(norm.ppf(0.5 + level / 2))
+    z, wide = miss / sd, float(ndtri(0.5 + level / 2))
     density = np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
     return {
         "coverage": float(np.mean(np.abs(z) <= wide)),
@@ -73,8 +73,9 @@ def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> di
 
     Each holds ``unit``, ``level``, ``samples``, ``source`` ("own" or "conformal"), and ``free_run`` and ``one_step``
     with the `scores` (SI). A conformal band is constant; its coverage is of parts whose misses took no part in its
-    width. ``trustworthy``: the free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST`
-    samples, leave a sentence in ``why`` instead of the scores.
+    width. Where delay lines still fill with inputs of before the recording, nothing is judged. ``trustworthy``: the
+    free run's coverage is within `GOOD`. A run that diverged, or fewer than `FEWEST` samples, leave a sentence in
+    ``why`` instead of the scores.
     """
     return band_of_all([(block, records)], level)
 
@@ -90,7 +91,7 @@ def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = 
             found[signal.name] = {"unit": signal.unit, "level": level, "source": source}
     for mode, run in RUNS.items():
         try:
-            runs = [(run(block, r), r) for block, part in pairs for r in part]
+            runs = [_filled(run(block, r), r, block) for block, part in pairs for r in part]
         except (Diverged, DataError) as error:
             for told in found.values():
                 told["why"] = str(error)
@@ -101,6 +102,13 @@ def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = 
         inside = told.get("free_run", {}).get("coverage", 0.0)
         told["trustworthy"] = bool(GOOD[0] <= inside <= GOOD[1])
     return found
+
+
+def _filled(run: Record, record: Record, block: Block) -> tuple[Record, Record]:
+    """Run and recording from where the block's delay lines hold recorded inputs."""
+    lags = [int(s.name.rsplit(".lag_", 1)[1]) for s in block.states if ".lag_" in s.name]
+    since = record.time[0] + max(lags, default=0) * block.period
+    return (run.window(since, None), record.window(since, None)) if since < record.time[-1] else (run, record)
 
 
 def _judge(told: dict, mode: str, name: str, runs: Sequence[tuple[Record, Record]], level: float) -> None:
@@ -123,7 +131,7 @@ def _judge(told: dict, mode: str, name: str, runs: Sequence[tuple[Record, Record
 
 def _conformal(miss: np.ndarray, least: float, level: float) -> dict[str, float]:
     """Scores of a constant band: width from all misses, coverage of each part with the width of the others."""
-    wide = float(norm.ppf(0.5 + level / 2))
+    wide = float(ndtri(0.5 + level / 2))
     parts = np.array_split(np.abs(miss), FOLDS)
     inside = [
         parts[k] <= _quantile(np.concatenate([p for n, p in enumerate(parts) if n != k]), level) for k in range(FOLDS)
@@ -141,8 +149,10 @@ def _quantile(values: np.ndarray, level: float) -> float:
 def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record]]]) -> LearnedBlock:
     """The block with deviations scaled so that they cover `LEVEL`.
 
-    Misses that are alike over most of a recording are few, whatever the number of samples. With less than `FEWEST`
-    independent ones a band is not narrowed, and one that covers too little is widened to the largest of them.
+    Misses that are alike over most of a recording are few, whatever the number of samples. Where chance may explain
+    the coverage, the band that the block came with counts as `FEWEST` independent misses beside those found. Where it
+    does not, the factor is taken whole; but with less than `FEWEST` a band is not narrowed, and one that covers too
+    little is widened to the largest miss.
 
     pairs : what the band is judged on: recordings with the block, or its like that was not trained on them.
 
@@ -166,8 +176,13 @@ def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record
 
 def rescaled(block: LearnedBlock, factors: Mapping[str, np.ndarray]) -> LearnedBlock:
     """The block with the arrays of `SCALES` times ``factors`` (outputs,)."""
+    return with_arrays(block, {name: block.arrays[name] * factor for name, factor in factors.items()})
+
+
+def with_arrays(block: LearnedBlock, changed: Mapping[str, np.ndarray]) -> LearnedBlock:
+    """The block built anew with some of its arrays changed."""
     kind = next(k for k in learned_kinds() if k.name == block.kind)
-    arrays = dict(block.arrays) | {name: block.arrays[name] * factor for name, factor in factors.items()}
+    arrays = dict(block.arrays) | dict(changed)
     kept = ("name", "inputs", "outputs", "states", "parameters", "period", "domain", "description", "provenance")
     frame = {name: getattr(block, name) for name in (*kept, "certificate")}
     return assemble(kind, arrays, block.structure, **frame)
@@ -177,9 +192,12 @@ def _factor(told: dict | None) -> float:
     """What the deviations are to be multiplied with."""
     if told is None:
         return 1.0
-    if told["independent"] >= FEWEST:
+    count, inside = told["independent"], told["coverage"]
+    if abs(inside - LEVEL) <= CHANCE * np.sqrt(LEVEL * (1 - LEVEL) / count):
+        return max(told["factor"], LEAST) ** (count / (count + FEWEST))
+    if count >= FEWEST:
         return max(told["factor"], LEAST)
-    return 1.0 if told["coverage"] >= GOOD[0] else told["largest"]  # too few for a quantile, or to narrow a band on
+    return 1.0 if inside > LEVEL else told["largest"]
 
 
 def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
@@ -192,7 +210,9 @@ def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
     told["independent"] = before["free_run"]["independent"]
     if before["source"] == "conformal":
         width = before["free_run"]["half_width"]
-        says = f"The block tells no deviation of {name}; 95 % of what was held out lay within {width:.3g} {before['unit']}."
+        says = (
+            f"The block tells no deviation of {name}; 95 % of held out samples lay within {width:.3g} {before['unit']}."
+        )
         return told | {"half_width": width, "trustworthy": before["trustworthy"], "says": says}
     factor = factors["free_run"]
     share = f"{100 * inside['free_run']:.0f} % of what was held out lay in the 95 % band of {name} in free run"

@@ -12,8 +12,8 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
+from .gaussian.choice import learn_gp
 from .gaussian.dual import learn_dual_gp
-from .gaussian.single import learn_gaussian_process
 from .grey_box.learn import learn_grey_box
 from .hybrid.block import hybrid_outputs
 from .hybrid.learn import learn_hybrid
@@ -30,7 +30,7 @@ KINDS: Mapping[str, Callable] = {
     "arx": learn_arx,
     "linear": learn_linear,
     "nn": train_network,
-    "gp": learn_gaussian_process,
+    "gp": learn_gp,
     "dual_gp": learn_dual_gp,
     "piecewise": learn_piecewise,
     "grey_box": learn_grey_box,

@@ -77,6 +77,8 @@ def steadied(
     for n, j in enumerate(measured_states(states)):
         extra = ca.if_else(now, 0, _extra(arrays, u, n)) if KINKS in arrays else 0.0
         x_next[j] = _held(x_next[j] + period * extra - x[j], resting, arrays, n) + x[j]
+        for k, state in enumerate(states):
+            x_next[k] = x_next[j] if state.name == f"{states[j].name}.expected" else x_next[k]
         for k, output in enumerate(outputs):
             if output.name == f"{states[j].measured_by}.slope":
                 y[k] = _held(period * (y[k] + extra), resting, arrays, n) / period

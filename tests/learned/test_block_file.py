@@ -24,6 +24,7 @@ from tests.learned import (
 )
 from tests.learned.test_compensator import small_compensator
 from tests.learned.test_dual_gp import random_dual_gp
+from tests.learned.test_feedback_gp import random_feedback
 from tests.learned.test_gaussian_process import random_gaussian_process
 from tests.learned.test_inverse import small_network, small_table
 from tests.learned.test_rate_network import random_rate_network
@@ -36,6 +37,7 @@ EXAMPLES = {
     "rate_network": random_rate_network,
     "published_formula": published_formula,
     "gaussian_process": random_gaussian_process,
+    "gaussian_feedback": random_feedback,
     "dual_gaussian_process": random_dual_gp,
     "piecewise": test_piecewise.written_block,
     "grey_box": test_grey_box.written_block,

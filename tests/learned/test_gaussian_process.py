@@ -11,6 +11,7 @@ import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
+from hydrotwin.learned.bands import band_of
 from hydrotwin.learned.block_file import LearnedBlock, assemble
 from hydrotwin.learned.gaussian.delay_lines import delayed_rows, even_period, input_scales, normalised
 from hydrotwin.learned.gaussian.kernel_block import GAUSSIAN_PROCESS, KERNELS, array_shapes, process_frame
@@ -45,10 +46,11 @@ def random_gaussian_process(rate: int = 0, kernel: int = 0, inputs=(CURRENT,), o
     """A block of processes with random arrays: it predicts nothing, but it is a complete block."""
     rng = np.random.default_rng(0)
     structure = {"kernel": kernel, "lags": lags, "rate": rate, "points": 8, "sd_points": 6, "rank": 4}
-    frame = process_frame(inputs, outputs, lags, bool(rate))
+    structure["directions"] = 2 * rate
+    frame = process_frame(inputs, outputs, lags, bool(rate), 2)
     shapes = array_shapes(structure, len(inputs), len(frame["outputs"]))
     arrays = {key: rng.normal(size=shape) for key, shape in shapes.items()}
-    for key in ("input_scale", "lengths", "prior_variance"):
+    for key in ("input_scale", "lengths", "prior_variance", "noise", *[k for k in shapes if k.endswith("_scale")]):
         arrays[key] = 1.0 + rng.uniform(size=shapes[key])
     arrays["input_lower"], arrays["input_upper"] = np.full(len(inputs), -0.6), np.full(len(inputs), 0.7)
     arrays["sd_factor"] = 0.2 * np.triu(arrays["sd_factor"])
@@ -58,8 +60,8 @@ def random_gaussian_process(rate: int = 0, kernel: int = 0, inputs=(CURRENT,), o
     return assemble(GAUSSIAN_PROCESS, arrays, structure, name="random", **frame, **told)
 
 
-def in_numpy(block: LearnedBlock, features: np.ndarray, j: int = 0) -> tuple[float, float]:
-    """Mean and deviation of process j for one delay line, as the module writes them."""
+def in_numpy(block: LearnedBlock, features: np.ndarray, j: int = 0) -> tuple[float, float, np.ndarray]:
+    """Mean, latent deviation and correlations of process j for one delay line, as the module writes them."""
     a, kernel = block.arrays, KERNELS[block.structure["kernel"]]
     lags = len(features) // len(block.inputs)
     z = (features - np.tile(a["input_centre"], lags)) / np.tile(a["input_scale"], lags)
@@ -71,8 +73,15 @@ def in_numpy(block: LearnedBlock, features: np.ndarray, j: int = 0) -> tuple[flo
 
     clipped = np.clip(z, np.tile(a["input_lower"], lags), np.tile(a["input_upper"], lags))
     mean = a["output_centre"][j] + a["weights"][j] @ k(a["points"][j], clipped)
-    explained = a["sd_factor"][j] @ k(a["sd_points"][j], z)
-    return mean, np.sqrt(max(a["prior_variance"][j] - explained @ explained, 0.0))
+    k_sd = k(a["sd_points"][j], z)
+    explained = a["sd_factor"][j] @ k_sd
+    return mean, np.sqrt(max(a["prior_variance"][j] - explained @ explained, 0.0)), k_sd
+
+
+def measured_in_numpy(block: LearnedBlock, features: np.ndarray, j: int = 0) -> tuple[float, float]:
+    """Mean and deviation of the measured value of process j."""
+    mean, latent, _ = in_numpy(block, features, j)
+    return mean, np.hypot(latent, block.arrays["noise"][j])
 
 
 def at_lines(block: LearnedBlock, features: np.ndarray) -> np.ndarray:
@@ -111,24 +120,43 @@ def test_the_step_is_the_written_equation(kernel, inputs):
     block = random_gaussian_process(0, kernel, inputs, (SPOOL, POSITION))
     features = np.random.default_rng(1).normal(size=(20, 3 * len(inputs)))
     for line, y in zip(features, at_lines(block, features), strict=True):
-        expected = [v for j in (0, 1) for v in in_numpy(block, line, j)]
+        expected = [v for j in (0, 1) for v in measured_in_numpy(block, line, j)]
+        expected[1::2] *= block.arrays["run_scale"]
         assert np.allclose(y, expected, rtol=1e-10)
     after = block.step(features[0][len(inputs) :], features[0][: len(inputs)], [])[0].full().ravel()
     assert np.array_equal(after, features[0][: 2 * len(inputs)])
 
 
-def test_a_slope_is_integrated_and_the_deviations_of_the_increments_add_up():
+def test_a_slope_is_integrated_and_every_direction_of_its_error_with_it():
     block = random_gaussian_process(rate=1)
+    a = block.arrays
     current = np.random.default_rng(1).normal(size=30)
     record = Record(
         PERIOD * np.arange(30), {"current": current, "spool": np.full(30, 0.3)}, {"current": "1", "spool": "1"}
     )
     run = simulate(block, record)
     line = np.concatenate([[current[0]] * 2, current])
-    slopes, sds = np.array([in_numpy(block, line[k : k + 3][::-1]) for k in range(30)]).T
-    assert np.allclose(run["spool.slope"], slopes) and np.allclose(run["spool.slope.sd"], sds)
+    found = [in_numpy(block, line[k : k + 3][::-1]) for k in range(30)]
+    slopes, latents, k_sd = (np.array(part) for part in zip(*found, strict=True))
+    assert np.allclose(run["spool.slope"], slopes) and np.allclose(run["spool.slope.sd"], np.hypot(latents, a["noise"]))
     assert np.allclose(run["spool"], 0.3 + PERIOD * np.concatenate([[0], np.cumsum(slopes)[:-1]]))
-    assert np.allclose(run["spool.sd"], PERIOD * np.concatenate([[0], np.cumsum(sds)[:-1]]))
+    outside = np.sqrt(np.maximum(latents**2 - a["inside"], 0))
+    effects = np.column_stack([k_sd @ a["directions"][0], outside])
+    q = PERIOD * np.vstack([0 * effects[:1], np.cumsum(effects, axis=0)[:-1]])
+    assert np.allclose(run["spool.sd"], a["run_scale"] * np.sqrt(np.sum(q**2, axis=1) + a["run_noise"] ** 2))
+
+
+def test_a_measured_value_in_place_of_the_state_begins_the_band_anew_with_the_noise_of_one_step():
+    block = random_gaussian_process(rate=1)
+    a, lags = block.arrays, np.zeros(2)
+    x = np.concatenate([[0.5, 0.2, 0.0, 3.0, 4.0, 0.0], lags])
+    (after, seen), same = block.step(x, 0.0, []), block.step([0.2, *x[1:]], 0.0, [])[0]
+    after, same, seen = after.full().ravel(), same.full().ravel(), seen.full().ravel()
+    assert seen[1] == pytest.approx(float(a["run_scale"][0] * np.hypot(5.0, a["run_noise"][0])))
+    assert after[2] == 1 and same[2] == 0 and np.allclose(same[3:6] - after[3:6], [3.0, 4.0, 0.0])
+    later = block.step(after, 0.0, [])[1].full().ravel()[1]
+    one = np.sqrt(np.sum(after[3:6] ** 2) + (PERIOD * a["noise"][0]) ** 2)
+    assert later == pytest.approx(float(a["step_scale"][0] * one))
 
 
 def test_rows_hold_past_inputs_and_raw_slopes_and_do_not_reach_over_a_pause():
@@ -170,7 +198,8 @@ def test_the_deployed_process_is_gpytorchs_own_prediction_within_the_certified_b
     certificate = spool_block.certificate
     assert certificate.holds and certificate.tolerance == 0.02 and certificate.points > 1000
     assert np.abs(deployed[:, 0] - (centre + scale * mean)).max() <= certificate.difference * scale
-    off, above, below = (deployed[:, 1] - scale * sd) / scale, *list(spool_block.provenance["deviation"].values())[1:]
+    latent = np.sqrt((deployed[:, 1] / spool_block.arrays["run_scale"]) ** 2 - spool_block.arrays["noise"] ** 2)
+    off, above, below = (latent - scale * sd) / scale, *list(spool_block.provenance["deviation"].values())[1:]
     assert -below <= off.min() and off.max() <= above < 0.02 and f"{above:.1e} too large" in certificate.reference
     assert np.std(deployed[:, 0]) > 0.3 and np.std(deployed[:, 1]) > 0
 
@@ -195,12 +224,12 @@ def test_the_shortest_length_scales_stand_at_the_dead_time(spool_block):
     assert lengths[4] > 20 * lengths[1:3].min()
 
 
-def test_the_spool_of_an_unseen_recording_is_within_two_deviations_of_95_in_100_samples(spool_block, validation):
-    run = simulate(spool_block, validation)
-    noise = spool_block.provenance["processes"][0]["noise_sd"]
-    miss = np.abs(run["spool"] - validation["spool"])[5:]
-    inside = np.mean(miss < 2 * np.hypot(run["spool.sd"][5:], noise))
-    assert inside > 0.9
+def test_the_spool_of_an_unseen_recording_is_within_the_band_of_95_in_100_samples(spool_block, validation):
+    found = band_of(spool_block, [validation])["spool"]
+    assert 0.90 <= found["free_run"]["coverage"] <= 0.99 and found["trustworthy"]
+    assert 0.90 <= found["one_step"]["coverage"] <= 0.99
+    run = simulate(spool_block, validation).window(0.4, None)
+    assert np.allclose(found["free_run"]["half_width"], 1.96 * np.median(run["spool.sd"]), rtol=1e-3)
     assert spool_block.provenance["validation"]["spool"] < 0.15 * np.std(validation["spool"])
 
 
@@ -209,14 +238,17 @@ def test_the_position_follows_an_unseen_recording_for_half_a_minute(position_blo
     error = np.sqrt(np.mean((run["position"] - validation["position"]) ** 2))
     assert error < 0.15 * np.std(validation["position"])
     assert position_block.outputs[2] == Signal("position.slope", "m/s", "rate of position over the next period")
-    assert run["position.sd"][0] == 0 and np.all(np.diff(run["position.sd"]) > 0)
+    found = band_of(position_block, [validation])["position"]
+    assert found["free_run"]["coverage"] >= 0.9 and found["one_step"]["coverage"] >= 0.9
+    assert found["free_run"]["half_width"] < 0.15 * np.ptp(validation["position"])
 
 
 def test_away_from_the_data_the_deviation_grows_to_its_prior_and_the_mean_keeps_its_edge_value(spool_block):
     levels = np.array([1.0, 1.1, 1.2, 1.4, 60.0]) * spool_block.domain.upper[0]
     mean, sd = at_lines(spool_block, np.repeat(levels[:, None], 5, axis=1)).T
     assert np.all(np.diff(sd) > 0) and sd[-1] > 5 * sd[0]
-    assert sd[-1] == pytest.approx(spool_block.provenance["processes"][0]["prior_sd"], rel=1e-3)
+    told, scale = spool_block.provenance["processes"][0], spool_block.arrays["run_scale"][0]
+    assert sd[-1] == pytest.approx(scale * np.hypot(told["prior_sd"], told["noise_sd"]), rel=1e-3)
     assert np.allclose(mean, mean[0], rtol=1e-12) and mean[0] > 0.7
 
 

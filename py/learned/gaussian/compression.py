@@ -151,6 +151,13 @@ def _factor(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> np.ndarray:
     return np.triu(qr(exact.prior_variance * R, mode="economic")[1])
 
 
+def uncertain(exact: Posterior, Z: np.ndarray) -> np.ndarray:
+    """Root (M, M) of the covariance of the posterior's weights for correlations with ``Z`` (M, d)."""
+    L, _, B = _whitened(exact, exact.features / exact.lengths, Z)
+    scale, V = eigh(B)
+    return exact.prior_variance * solve_triangular(L, V / np.sqrt(scale), lower=True, trans="T")
+
+
 def _whitened(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """L with L L' = K_ZZ, A = L^-1 K_ZX and B = 1 + A A' / noise."""
     s2 = exact.prior_variance

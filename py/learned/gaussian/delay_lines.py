@@ -31,6 +31,11 @@ class Rows:
     def __len__(self) -> int:
         return len(self.features)
 
+    @classmethod
+    def joined(cls, parts: Sequence[Rows]) -> Rows:
+        """The rows of several recordings."""
+        return cls(*(np.concatenate([getattr(p, key) for p in parts]) for key in cls.__dataclass_fields__))
+
     def taken(self, index) -> Rows:
         """Only these rows."""
         return Rows(*(part[index] for part in (self.features, self.levels, self.ahead, self.slopes)))
@@ -46,7 +51,7 @@ def even_period(records: Sequence[Record]) -> float:
 def training_rows(records, period, inputs, outputs, lags, samples, rng) -> Rows:
     """The rows of all recordings, at most ``samples`` of them."""
     parts = [delayed_rows(r, period, inputs, outputs, lags) for r in records]
-    rows = Rows(*(np.concatenate([getattr(p, key) for p in parts]) for key in Rows.__dataclass_fields__))
+    rows = Rows.joined(parts)
     if len(rows) < FEWEST:
         raise DataError(
             f"{records[0].source or records[0].name}: too few samples to train on (got {len(rows)} with {lags} lags at "

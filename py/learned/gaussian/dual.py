@@ -12,15 +12,17 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
+from .. import held_out
+from ..bands import calibrated, with_arrays
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import CtrlC
 from ..needs import needed_to_train
 from ..steady import steady_where_it_integrates
 from ..training_data import training_box
-from .delay_lines import Rows, certification_grid, delayed_rows, even_period, input_scales, training_rows
-from .dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, rate
+from .delay_lines import Rows, certification_grid, delayed_rows, even_period, input_scales, normalised, training_rows
+from .dual_block import DUAL_GAUSSIAN_PROCESS, dual_frame, rate, spline
 from .kernel_block import KERNELS
-from .single import free_run_errors, recordings
+from .single import Form, free_run_errors, recordings, thinned_rows, with_run_noise
 from .training import (
     DeployedProcess,
     apart,
@@ -87,8 +89,8 @@ def learn_dual_gp(
     rows = training_rows(records, period, inputs, both, lags, samples, rng)
     lead = _lead(rows, fit) if lead is None else lead
     check_size(VERB, len(rows), rows.features.shape[1], 1, compress)
-    held_out = [delayed_rows(r, period, inputs, both, lags) for r in validate]
-    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
+    judged = [delayed_rows(r, period, inputs, both, lags) for r in validate]
+    grid = certification_grid([rows, *judged], len(inputs), lags, rng)
     options = {"fit": fit, "points": points, "compress": compress}
     with CtrlC() as ctrl_c:
         shared = {**options, "bound": SHARE_OF_ONE * bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}
@@ -98,35 +100,83 @@ def learn_dual_gp(
             exact_gp, rows.features, spool, scales, grid, kernel=kernels[0], label=both[0].name, **shared
         )
         two = _second(exact_gp, spool, slopes, kernel=kernels[1], label=f"{both[1].name}.slope", **shared)
-        process, splines = stacked([one.arrays]), _splines(two, spool, knots)
-        block = assemble(
-            DUAL_GAUSSIAN_PROCESS,
-            scales | process | splines | {"period": np.array(period)},
-            {
-                "kernel": KERNELS.index(kernels[0]),
-                "lags": lags,
-                "lead": lead,
-                "knots": knots,
-                "sd_knots": SD_KNOTS * knots,
-            }
-            | counts(process),
-            name=name,
-            **dual_frame(inputs, *both, lags, lead),
-            period=period,
-            domain=training_box(records, (*inputs, *both)),
-            description=f"dual Gaussian process, {'/'.join(kernels)}, {lags} lags, {process['points'].shape[1]} points",
-            provenance=provenance(
-                "dual_gaussian_process", records, seed, rows, [one, two], options | {"kernel": kernels}
-            ),
-        )
+        form = Form(inputs, both, lags, period, True)
+        told = provenance("dual_gaussian_process", records, seed, rows, [one, two], options | {"kernel": kernels})
+        counted = {"lead": lead, "knots": knots}
+        block = _block(form, one, two, counted, records, name=name, provenance=told)
         deviation, certificate = certify(block, one, two, grid, bound)
         errors = {"training": _errors(block, [rows], lead)} | (
-            {"validation": _errors(block, held_out, lead)} if held_out else {}
+            {"validation": _errors(block, judged, lead)} if judged else {}
         )
         block = steady_where_it_integrates(block, records, both[1:], curve=True, published=fit == "paper")
+        block = calibrated(with_run_noise(block, records, both[1:]), _judged(form, one, two, counted, records))
         told = {"lead": lead, "errors": errors, "deviation": deviation}
         told["validation"] = free_run_errors(block, validate, both)
         return replace(block, certificate=certificate, provenance={**block.provenance, **told})
+
+
+def _block(form: Form, one: DeployedProcess, two: DeployedProcess, counted: dict, records, **told) -> LearnedBlock:
+    """The block of both processes; ``counted``: lead and knots."""
+    knots, lead = counted["knots"], counted["lead"]
+    rows = form.rows(records)
+    splines = _splines(two, two.raw(), knots)
+    slope = [_slopes_at(splines, one.fast(part.features)[0]) for part in rows]
+    process = stacked([dict(one.arrays) | {"directions": one.directions(rows, slope), "inside": 0.0}])
+    structure = {"kernel": KERNELS.index(one.trained.posterior.kernel), "lags": form.lags, **counted}
+    structure |= {"sd_knots": SD_KNOTS * knots, "directions": process["directions"].shape[2]} | counts(process)
+    measured = [replace(part, features=_spool(part, lead)[:, None]) for part in rows]
+    splines |= _direction_splines(two, measured, splines["spool_range"], knots)
+    structure["rate_directions"] = len(splines["rate_directions"])
+    arrays = dict(one.scales) | process | splines | {"period": np.array(form.period), "rate_noise": two.arrays["noise"]}
+    arrays |= {"run_noise": np.zeros(1), "run_scale": np.ones(2), "step_scale": np.ones(2)}
+    kernels = "/".join(p.trained.posterior.kernel for p in (one, two))
+    directions = structure["directions"] + structure["rate_directions"]
+    block = assemble(
+        DUAL_GAUSSIAN_PROCESS,
+        arrays,
+        structure,
+        **dual_frame(form.inputs, *form.outputs, form.lags, lead, directions),
+        period=form.period,
+        domain=training_box(records, (*form.inputs, *form.outputs)),
+        description=f"dual Gaussian process, {kernels}, {form.lags} lags, {structure['points']} points",
+        **told,
+    )
+    most = max((float(cascade(block, part.features)[3].max()) for part in rows if len(part)), default=0.0)
+    inside = max(most**2 - float(two.arrays["noise"]) ** 2, 0.0)
+    return with_arrays(block, {"inside": np.array([inside])})
+
+
+def _judged(form: Form, one: DeployedProcess, two: DeployedProcess, counted: dict, records) -> list:
+    """The block as it is without the end of every recording, and those ends, to judge its band on."""
+    split = held_out.split(records, *([s.name for s in part] for part in (form.inputs, form.outputs)))
+    rows = thinned_rows(form, split)
+    if rows is None:
+        return []
+    spool = _spool(rows, counted["lead"])
+    seen = one.on_part(rows.features, spool), two.on_part(spool[:, None], rows.slopes[:, 1])
+    block = _block(form, *seen, counted, split.fit, name="part", provenance={})
+    return [(with_run_noise(block, split.fit, form.outputs[1:]), split.held_out)]
+
+
+def _slopes_at(splines: dict[str, np.ndarray], spools: np.ndarray) -> np.ndarray:
+    """Slope of the rate by the spool at spools (n,)."""
+    s = ca.MX.sym("s")
+    one = ca.Function("slope", [s], [spline(splines["rate_mean"], splines["spool_range"], s)[1]])
+    return one.map(len(spools))(spools[None]).full().ravel()
+
+
+def _direction_splines(two: DeployedProcess, parts, bounds: np.ndarray, knots: int) -> dict[str, np.ndarray]:
+    """The directions of process II as splines over the range of the spool."""
+    from .compression import correlation, spline_coefficients
+
+    D, posterior = two.directions(parts), two.trained.posterior
+
+    def at(spools):
+        places = normalised(spools[:, None], two.scales) / posterior.lengths
+        return D.T @ correlation(two.small.sd_points, places, posterior.kernel)
+
+    found = [spline_coefficients(lambda s, r=r: at(s)[r], *bounds, knots) for r in range(D.shape[1])]
+    return {"rate_directions": np.stack(found)}
 
 
 def _second(exact_gp, spool: np.ndarray, slopes: np.ndarray, **options) -> DeployedProcess:
@@ -158,14 +208,16 @@ def certify(block: LearnedBlock, one: DeployedProcess, two: DeployedProcess, gri
 
 
 def cascade(block: LearnedBlock, features: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Spool, its deviation, rate and its deviation (n,), as the block finds them from delay lines (n, lags nu)."""
-    nu, lead = len(block.inputs), block.structure["lead"]
-    held = np.zeros((len(features), 4 if lead else 2))
-    x = np.hstack([held, features[:, nu:]])
+    """Spool, its latent deviation, rate and its deviation (n,), as the block finds them from lines (n, lags nu)."""
+    nu, lead, lags = len(block.inputs), block.structure["lead"], block.structure["lags"]
+    at = len(block.states) - nu * (lags - 1)
+    x = np.hstack([np.zeros((len(features), at)), features[:, nu:]])
     step = block.step.map(len(features))
     x_next, y = (part.full() for part in step(x.T, features[:, :nu].T, np.zeros((0, len(features)))))
-    spool, spool_sd = x_next[2:4] if lead else y[0:2]
-    return spool, spool_sd, y[4], y[5]
+    if lead:
+        return x_next[at - 2], x_next[at - 1], y[4], y[5]
+    latent = np.sqrt(np.maximum((y[1] / block.arrays["run_scale"][0]) ** 2 - block.arrays["noise"][0] ** 2, 0.0))
+    return y[0], latent, y[4], y[5]
 
 
 def _rate_of(block: LearnedBlock):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,14 +11,18 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
+from hydrotwin.simulation.stops import Diverged
 
+from .. import held_out
+from ..bands import calibrated, with_arrays
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..integrating import integration, one_form, told_forms
 from ..interruption import CtrlC
 from ..needs import needed_to_train
 from ..steady import Steady, steady_block
 from ..training_data import as_signals, check_excitation, training_box, usable
-from .delay_lines import certification_grid, delayed_rows, even_period, input_scales, training_rows
+from .delay_lines import FEWEST, Rows, certification_grid, delayed_rows, even_period, input_scales, training_rows
+from .integrated_band import run_noise
 from .kernel_block import GAUSSIAN_PROCESS, KERNELS, process_frame
 from .training import (
     DeployedProcess,
@@ -31,6 +35,8 @@ from .training import (
     stacked,
     train_process,
 )
+
+PART_ROWS = 3000  # that the process is conditioned on whose band is judged on the rest
 
 
 def learn_gaussian_process(
@@ -54,7 +60,8 @@ def learn_gaussian_process(
 ) -> LearnedBlock:
     """Train one Gaussian process per output on delayed inputs, a length scale for each lag; answer them as a Block.
 
-    Beside each output stands its standard deviation ``<output>.sd``; see `kernel_block` for what it means. Recordings
+    Beside each output stands ``<output>.sd``, the standard deviation of its measured value (`kernel_block`), scaled to
+    what the end of every recording shows of a process that did not see it (``provenance["band"]``). Recordings
     sampled near ``period`` are taken sample by sample, evenly spaced or not; faster ones are resampled.
 
     Args:
@@ -94,8 +101,8 @@ def learn_gaussian_process(
     check_size("learn_gaussian_process", len(rows), rows.features.shape[1], len(outputs), compress)
     targets = rows.slopes if rate else rows.levels
     scales = input_scales(rows.features, len(inputs))
-    held_out = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
-    grid = certification_grid([rows, *held_out], len(inputs), lags, rng)
+    judged = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
+    grid = certification_grid([rows, *judged], len(inputs), lags, rng)
     options = {"kernel": kernel, "fit": fit, "points": points, "compress": compress}
     with CtrlC() as ctrl_c:
         shared = {**options, "bound": bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}
@@ -103,23 +110,87 @@ def learn_gaussian_process(
             train_process(exact_gp, rows.features, targets[:, j], scales, grid, label=s.name, **shared)
             for j, s in enumerate(outputs)
         ]
-        processes = stacked([p.arrays for p in trained])
-        block = assemble(
-            GAUSSIAN_PROCESS,
-            scales | processes | ({"period": np.array(period)} if rate else {}),
-            {"kernel": KERNELS.index(kernel), "lags": lags, "rate": int(rate)} | counts(processes),
-            name=name,
-            **process_frame(inputs, outputs, lags, rate),
-            period=period,
-            domain=training_box(records, (*inputs, *outputs)),
-            description=f"Gaussian process, {kernel}, {lags} lags, {processes['points'].shape[1]} points",
-            provenance=provenance("gaussian_process", records, seed, rows, trained, options),
-        )
+        form = Form(inputs, outputs, lags, period, rate)
+        block = _block(form, trained, records, name=name, provenance=provenance(
+            "gaussian_process", records, seed, rows, trained, options))  # fmt: skip
         deviation, certificate = certify(block, trained, grid, bound)
         block = steady_block(block, records, Steady(outputs if rate and fit != "paper" else (), curve=True))
+        block = calibrated(with_run_noise(block, records, outputs), _judged(form, trained, records, rate))
         told = {"rate": rate, "integration": told_forms(forms), "deviation": deviation}
         told["validation"] = free_run_errors(block, validate, outputs)
         return replace(block, certificate=certificate, provenance={**block.provenance, **told})
+
+
+@dataclass(frozen=True)
+class Form:
+    """Signals, delay line, period [s], and whether the outputs integrate."""
+
+    inputs: tuple[Signal, ...]
+    outputs: tuple[Signal, ...]
+    lags: int
+    period: float
+    rate: bool
+
+    def rows(self, records: Sequence[Record]) -> list[Rows]:
+        """The rows of every recording."""
+        return [delayed_rows(r, self.period, self.inputs, self.outputs, self.lags) for r in records]
+
+
+def _block(form: Form, trained: Sequence[DeployedProcess], records: Sequence[Record], **told) -> LearnedBlock:
+    """The block of processes, one for each output."""
+    kernel, ones, parts = trained[0].trained.posterior.kernel, np.ones(len(trained)), []
+    rows = form.rows(records) if form.rate else []
+    for process in trained:
+        extra = {"directions": process.directions(rows), "inside": process.largest_variance()} if form.rate else {}
+        parts.append(dict(process.arrays) | extra)
+    arrays = stacked(parts) | {"run_scale": ones}
+    structure = {"kernel": KERNELS.index(kernel), "lags": form.lags, "rate": int(form.rate)} | counts(arrays)
+    structure["directions"] = arrays["directions"].shape[2] if form.rate else 0
+    if form.rate:
+        arrays |= {"period": np.array(form.period), "step_scale": ones, "run_noise": 0 * ones}
+    return assemble(
+        GAUSSIAN_PROCESS,
+        dict(trained[0].scales) | arrays,
+        structure,
+        **process_frame(form.inputs, form.outputs, form.lags, form.rate, structure["directions"]),
+        period=form.period,
+        domain=training_box(records, (*form.inputs, *form.outputs)),
+        description=f"Gaussian process, {kernel}, {form.lags} lags, {structure['points']} points",
+        **told,
+    )
+
+
+def with_run_noise(block: LearnedBlock, records: Sequence[Record], outputs: Sequence[Signal]) -> LearnedBlock:
+    """The block whose band holds what its free runs over the training recordings leave of ``outputs``."""
+    if "run_noise" not in block.arrays:
+        return block
+    try:
+        runs = [simulate(block, r) for r in records]
+    except Diverged:
+        return block
+    noise = [run_noise([run[s.name] for run in runs], [r[s.name] for r in records]) for s in outputs]
+    return with_arrays(block, {"run_noise": np.array(noise)})
+
+
+def _judged(form: Form, trained: Sequence[DeployedProcess], records: Sequence[Record], rate: bool) -> list:
+    """The block as it is without the end of every recording, and those ends, to judge its band on."""
+    split = held_out.split(records, *([s.name for s in part] for part in (form.inputs, form.outputs)))
+    rows = thinned_rows(form, split)
+    if rows is None:
+        return []
+    targets = rows.slopes if rate else rows.levels
+    seen = [p.on_part(rows.features, targets[:, j]) for j, p in enumerate(trained)]
+    block = _block(form, seen, split.fit, name="part", provenance={})
+    return [(with_run_noise(block, split.fit, form.outputs), split.held_out)]
+
+
+def thinned_rows(form: Form, split: held_out.Split) -> Rows | None:
+    """At most `PART_ROWS` of the rows that are not held out; None where nothing is, or they are too few."""
+    parts = form.rows(split.fit) if split.held_out else []
+    rows = Rows.joined(parts) if parts else None
+    if rows is None or len(rows) < FEWEST:
+        return None
+    return rows.taken(slice(None, None, -(-len(rows) // PART_ROWS)))
 
 
 def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.ndarray, bound: float):
@@ -131,6 +202,7 @@ def certify(block: LearnedBlock, trained: Sequence[DeployedProcess], grid: np.nd
     deviation = {"mean": 0.0, "sd_above": 0.0, "sd_below": 0.0}
     for j, process in enumerate(trained):
         mean, sd = seen[:, each * (j + 1) - 2], seen[:, each * (j + 1) - 1]
+        sd = np.sqrt(np.maximum(sd**2 - block.arrays["noise"][j] ** 2, 0.0))
         found = apart(mean, sd, process.on_grid, process.scale)
         deviation = {part: max(value, found[part]) for part, value in deviation.items()}
     reference = reference_name(deviation["sd_above"], deviation["sd_below"])

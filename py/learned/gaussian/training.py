@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from typing import TYPE_CHECKING
 
@@ -14,13 +14,15 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from ..interruption import INTERRUPTED, CtrlC
 from ..training_data import named
 from .delay_lines import FEWEST, Rows, normalised
+from .integrated_band import leading
 from .kernel_block import BYTES_OF_CONSTANT, KERNELS, LARGEST_C
 
 if TYPE_CHECKING:
-    from .compression import SmallPosterior
+    from .compression import Posterior, SmallPosterior
     from .exact import TrainedProcess
 
 FEWEST_POINTS = 100  # inducing points, before the bound asks for more
+PART_POINTS = 150  # inducing points of a process that is judged on the rest of a recording
 FITS = ("default", "paper")
 
 
@@ -49,6 +51,42 @@ class DeployedProcess:
         posterior = self.trained.posterior
         mean, sd = self.small.at(normalised(features, self.scales) / posterior.lengths, posterior.kernel)
         return self.centre + self.scale * mean, self.scale * sd
+
+    def on_part(self, features: np.ndarray, targets: np.ndarray) -> DeployedProcess:
+        """The process with the same hyper-parameters that saw only ``features`` (n, d), ``targets`` (n,), SI."""
+        from .compression import compressed
+
+        X, y = normalised(features, self.scales), (targets - self.centre) / self.scale
+        posterior = replace(self.trained.posterior, features=X, targets=y, weights=np.zeros(len(y)))
+        small = compressed(posterior, X[:1], (np.zeros(1), np.zeros(1)), min(PART_POINTS, len(X)), 1.0)
+        arrays = process_arrays(posterior, small, self.centre, self.scale)
+        return replace(self, trained=replace(self.trained, posterior=posterior), small=small, arrays=arrays)
+
+    def directions(self, parts: Sequence[Rows], slopes: Sequence[np.ndarray] | None = None) -> np.ndarray:
+        """Directions (points of the deviation, R), SI, that integrals of the process over recordings show most.
+
+        slopes : what the process is multiplied with before it is integrated, (n,) for every part.
+        """
+        from .compression import correlation, uncertain
+
+        posterior, points = self.trained.posterior, self.small.sd_points
+        JJ = np.zeros((len(points), len(points)))
+        for k, part in enumerate(parts):
+            values = correlation(points, normalised(part.features, self.scales) / posterior.lengths, posterior.kernel)
+            G = np.cumsum(values if slopes is None else values * slopes[k], axis=1)
+            JJ += G @ G.T
+        return self.scale * leading(uncertain(posterior, points), JJ)[0]
+
+    def raw(self) -> np.ndarray:
+        """The features of its rows, SI, of a process of one feature (n,)."""
+        posterior = self.trained.posterior
+        return self.scales["input_centre"][0] + self.scales["input_scale"][0] * posterior.features[:, 0]
+
+    def largest_variance(self) -> float:
+        """The largest variance of the latent function at the rows of the process, SI."""
+        posterior = self.trained.posterior
+        sd = self.small.at(posterior.features / posterior.lengths, posterior.kernel)[1]
+        return float(self.scale * sd.max()) ** 2
 
     def told(self) -> dict:
         """Hyper-parameters for the provenance; noise in SI, lengths over the spread of their input."""
@@ -80,17 +118,23 @@ def train_process(
     )
     exact = trained.predict(places)
     small = compressed(trained.posterior, places, exact, compress, bound)
-    arrays = {
-        "lengths": trained.posterior.lengths,
+    on_grid = (centre + scale * exact[0], scale * exact[1])
+    arrays = process_arrays(trained.posterior, small, centre, scale)
+    return DeployedProcess(label, trained, small, arrays, scales, on_grid, centre, scale)
+
+
+def process_arrays(posterior: Posterior, small: SmallPosterior, centre: float, scale: float) -> dict:
+    """The arrays of a block for one process, SI."""
+    return {
+        "lengths": posterior.lengths,
         "points": small.points,
         "weights": scale * small.weights,
         "sd_points": small.sd_points,
         "sd_factor": scale * small.sd_factor,
         "prior_variance": scale**2 * small.prior_variance,
         "output_centre": centre + scale * small.constant,
+        "noise": scale * posterior.noise_variance**0.5,
     }
-    on_grid = (centre + scale * exact[0], scale * exact[1])
-    return DeployedProcess(label, trained, small, arrays, scales, on_grid, centre, scale)
 
 
 def stacked(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:

@@ -42,7 +42,7 @@ def rate_frame(inputs: Sequence[Signal], output: Signal, lags: int) -> dict[str,
     return {
         "inputs": tuple(inputs),
         "outputs": (output, integrated_outputs(output)[2]),
-        "states": (integrated_states(output)[0], *line_states(inputs, lags)),
+        "states": (integrated_states(output, 0)[0], *line_states(inputs, lags)),
         "parameters": (),
     }
 

@@ -1,0 +1,203 @@
+"""Levenberg-Marquardt on the free run over sections that grow from a few samples to whole recordings.
+
+    minimise  mean |y_sim - y|^2 + decay |w|^2
+
+The sections are drawn anew, from random places, for every length; each starts from what the encoder sees before it. Of
+all iterates the one with the smallest free-run error on held-out data is kept. Sources: Marquardt, SIAM J. Appl. Math. 11
+(1963) 431-441; Forgione, Piga, European J. Control 59 (2021) 69-81 (truncated simulation error).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..training_data import smoothed
+from .equations import StateShape
+from .sensitivities import Network, Sections, errors, normal_equations
+from .subspace import Runs, encoder_features
+
+MOST_SAMPLES = 30_000  # steps simulated in one iteration; more sections than that are a random choice
+TRIES = 7  # of a step, with more and more damping
+SETTLED = 2e-3  # relative decrease of the cost, below which a length has nothing more to give
+LINEAR_DECAY = 1e-3  # of the decay of the tanh part: the linear part is hardly held back
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Sections of ``horizon`` samples (None: whole recordings, from their first sample alone) and iterations."""
+
+    horizon: int | None
+    iterations: int
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A network and its free-run error on held-out data: RMS over outputs, each over its spread."""
+
+    error: float
+    net: Network
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One accepted iteration; errors are RMS over outputs, each over its spread."""
+
+    seed: int
+    horizon: int
+    iteration: int
+    train_error: float
+    held_out_error: float
+
+
+def section_at(u, y, quiet, at: np.ndarray, span: int, net_past: int, rates, *, still: bool) -> Sections:
+    """Sections of ``span`` steps that start at the samples ``at``; those that end before are padded.
+
+    still : the encoder takes the first sample for the whole past, as a deployed block does.
+    """
+    steps = at[None, :] + np.arange(span)[:, None]
+    last = len(u) - 1
+    inside = steps < last
+    if still:
+        one = encoder_features(u[at], y[at], np.arange(len(at)), 0, rates)
+        ny = y.shape[1]
+        encoder = np.hstack([one[:, :ny], np.zeros((len(at), ny * net_past)), np.tile(u[at], net_past + 1)])
+    else:
+        encoder = encoder_features(u, quiet, at, net_past, rates)
+    first = y[at] if still else quiet[at]
+    return Sections(
+        encoder, first, u[np.minimum(steps, last)], y[np.minimum(steps + 1, last)], inside.astype(float)
+    )
+
+
+def joined(sections: Sequence[Sections]) -> Sections:
+    """Several as one, padded to the longest."""
+    longest = max(len(s.inputs) for s in sections)
+
+    def padded(values):
+        return np.concatenate([values, np.zeros((longest - len(values), *values.shape[1:]))])
+
+    parts = {name: np.concatenate([getattr(s, name) for s in sections]) for name in ("encoder", "first")}
+    for name in ("inputs", "targets", "weights"):
+        parts[name] = np.concatenate([padded(getattr(s, name)) for s in sections], axis=1)
+    return Sections(**parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What is trained on: normalised recordings, those that judge (from a sample on), shape, decay, callback."""
+
+    runs: Runs
+    judges: Sequence[tuple[np.ndarray, np.ndarray, int]]
+    shape: StateShape
+    decay: float
+    progress: Callable[[Progress], None] | None = None
+    stop: Callable[[], bool] = lambda: False
+
+    def sections(self, horizon: int | None, rates: np.ndarray, rng: np.random.Generator) -> Sections:
+        """Sections of the training recordings."""
+        pieces = []
+        for u, y in self.runs:
+            quiet, n = smoothed(y), len(u)
+            if horizon is None or n <= horizon + self.shape.past:
+                pieces.append(section_at(u, y, quiet, np.array([0]), n - 1, self.shape.past, rates, still=True))
+                continue
+            count = max(1, round((n - self.shape.past) / horizon))
+            latest = n - 1 - horizon
+            even = np.linspace(min(self.shape.past, latest), latest, count)
+            at = np.clip(even + rng.uniform(-0.5, 0.5, count) * horizon, min(self.shape.past, latest), latest)
+            pieces.append(section_at(u, y, quiet, np.unique(at.astype(int)), horizon, self.shape.past, rates, still=False))
+        return self._thinned(joined(pieces), rng)
+
+    @staticmethod
+    def _thinned(s: Sections, rng) -> Sections:
+        count = s.weights.shape[1]
+        most = max(1, MOST_SAMPLES // len(s.inputs))
+        if count <= most:
+            return s
+        kept = np.sort(rng.choice(count, most, replace=False))
+        return Sections(s.encoder[kept], s.first[kept], s.inputs[:, kept], s.targets[:, kept], s.weights[:, kept])
+
+    def judging(self, rates: np.ndarray) -> list[Sections]:
+        """Held-out ends of recordings: run from the sample they begin at, and as the end of a run from the first."""
+        found = []
+        for u, y, begin in self.judges:
+            for at in {0, begin}:
+                span = len(u) - 1 - at
+                s = section_at(u, y, smoothed(y), np.array([at]), span, self.shape.past, rates, still=at == 0)
+                found.append(replace(s, weights=s.weights * (np.arange(span) >= begin - at)[:, None]))
+        return found
+
+
+class Climb:
+    """One network on its way through the stages."""
+
+    def __init__(self, course: Course, net: Network, seed: int):
+        self.course, self.net, self.seed = course, net, seed
+        self.rng = np.random.default_rng(seed)
+        self.rates = net.rate[: course.shape.outputs]
+        self.judges = course.judging(self.rates)
+        self.judged = sum(float(s.weights.sum()) for s in self.judges) * course.shape.outputs
+        self.best = Judged(self.judge(net), net)
+        self.iterations = 0
+        self.now = self.best.error
+
+    def judge(self, net: Network) -> float:
+        """Free-run error on the held-out data."""
+        misses = [errors(net, s) for s in self.judges]
+        error = np.sqrt(sum(float((m**2).sum()) for m in misses) / self.judged)
+        return float(error) if np.isfinite(error) else np.inf
+
+    def through(self, stages: Sequence[Stage]) -> Climb:
+        """Each stage in turn, from where the last one ended."""
+        for stage in stages:
+            self._stage(stage)
+        return self
+
+    def _stage(self, stage: Stage) -> None:
+        s = self.course.sections(stage.horizon, self.rates, self.rng)
+        count = float(s.weights.sum()) * self.course.shape.outputs
+        damping, decay = 1e-2, self._decay()
+        for iteration in range(stage.iterations):
+            if self.course.stop():
+                return
+            JJ, Je, before = normal_equations(self.net, s)
+            if not (np.isfinite(before) and np.isfinite(JJ).all()):
+                return
+            cost = before / count + decay @ self.net.flat**2
+            found = self._step(s, JJ / count + np.diag(decay), Je / count + decay * self.net.flat, cost, count, damping)
+            if found is None:
+                return
+            self.net, after, damping = found
+            self.iterations += 1
+            self._look(stage, iteration, after)
+            if cost - after < SETTLED * cost:
+                return
+
+    def _decay(self) -> np.ndarray:
+        shape, decay = self.course.shape, self.course.decay
+        tanh = ("hidden_weights", "output_weights", "encoder_hidden_weights", "encoder_output_weights")
+        sizes = [(name, int(np.prod(size))) for name, size in shape.weights.items()]
+        return np.concatenate([np.full(n, decay * (1.0 if name in tanh else LINEAR_DECAY)) for name, n in sizes])
+
+    def _step(self, s: Sections, A: np.ndarray, g: np.ndarray, cost: float, count: float, damping: float):
+        """The first damped step that lowers the cost: (network, cost, damping for the next)."""
+        decay = self._decay()
+        for _ in range(TRIES):
+            step = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g)
+            trial = replace(self.net, flat=self.net.flat + step)
+            after = float((errors(trial, s) ** 2).sum()) / count + decay @ trial.flat**2
+            if after < cost:
+                return trial, after, max(damping / 8, 1e-9)
+            damping *= 5
+        return None
+
+    def _look(self, stage: Stage, iteration: int, cost: float) -> None:
+        self.now = self.judge(self.net)
+        if self.now < self.best.error:
+            self.best = Judged(self.now, self.net)
+        if self.course.progress:
+            told = self.seed, stage.horizon or 0, iteration, float(np.sqrt(cost)), self.now
+            self.course.progress(Progress(*told))

@@ -14,6 +14,7 @@ from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
+from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
 from .training_data import DomainShare, domain_share
 
@@ -35,6 +36,7 @@ __all__ = [
     "learn_inverse",
     "learn_piecewise",
     "learn_rate_network",
+    "learn_state_network",
     "learn_symbolic",
     "learned_kinds",
     "published_formula",

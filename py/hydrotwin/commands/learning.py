@@ -38,6 +38,7 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "grey_box": "dead time, hidden spool, play and a monotone characteristic; no spool sensor",
     "symbolic": "a formula found by genetic programming",
     "hybrid": "an identified model (--model) and a network for what it lacks",
+    "state_nn": "a network with hidden states, started by an encoder",
 }
 OWN = {"records", "inputs", "outputs", "validate", "progress", "name", "seed"}  # options with a flag of their own
 SetOption = Annotated[

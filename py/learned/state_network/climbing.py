@@ -21,16 +21,17 @@ from .subspace import Runs, encoder_features
 
 MOST_SAMPLES = 30_000  # steps simulated in one iteration; more sections than that are a random choice
 TRIES = 7  # of a step, with more and more damping
-SETTLED = 2e-3  # relative decrease of the cost, below which a length has nothing more to give
+SETTLED = 1e-4  # relative decrease of the cost, below which a length has nothing more to give
 LINEAR_DECAY = 1e-3  # of the decay of the tanh part: the linear part is hardly held back
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Sections of ``horizon`` samples (None: whole recordings, from their first sample alone) and iterations."""
+    """Sections of ``horizon`` samples, whole recordings from their first sample alone if ``whole``, and iterations."""
 
-    horizon: int | None
+    horizon: int
     iterations: int
+    whole: bool = False
 
 
 @dataclass(frozen=True)
@@ -43,13 +44,14 @@ class Judged:
 
 @dataclass(frozen=True)
 class Progress:
-    """One accepted iteration; errors are RMS over outputs, each over its spread."""
+    """One accepted iteration; errors are RMS over outputs, each over its spread; ``best`` is on held-out data."""
 
     seed: int
     horizon: int
     iteration: int
     train_error: float
     held_out_error: float
+    best: float
 
 
 def section_at(u, y, quiet, at: np.ndarray, span: int, net_past: int, rates, *, still: bool) -> Sections:
@@ -86,49 +88,76 @@ def joined(sections: Sequence[Sections]) -> Sections:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """What is trained on: normalised recordings, those that judge (from a sample on), shape, decay, callback."""
+class Run:
+    """A normalised recording: inputs (n, nu), outputs (n, ny), and whether each sample is trained on (n,)."""
 
-    runs: Runs
-    judges: Sequence[tuple[np.ndarray, np.ndarray, int]]
+    u: np.ndarray
+    y: np.ndarray
+    used: np.ndarray
+
+    def held_out(self) -> list[tuple[int, int]]:
+        """(first, last) of every stretch that is not trained on."""
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], self.used, [True]]).astype(int)))
+        return [(int(a), int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """What is trained on: recordings, shape, decay, which weights are free (P,), samples per iteration, callbacks."""
+
+    runs: Sequence[Run]
     shape: StateShape
     decay: float
+    free: np.ndarray
+    most_samples: int = MOST_SAMPLES
     progress: Callable[[Progress], None] | None = None
     stop: Callable[[], bool] = lambda: False
 
-    def sections(self, horizon: int | None, rates: np.ndarray, rng: np.random.Generator) -> Sections:
-        """Sections of the training recordings."""
-        pieces = []
-        for u, y in self.runs:
-            quiet, n = smoothed(y), len(u)
-            if horizon is None or n <= horizon + self.shape.past:
-                pieces.append(section_at(u, y, quiet, np.array([0]), n - 1, self.shape.past, rates, still=True))
-                continue
-            count = max(1, round((n - self.shape.past) / horizon))
-            latest = n - 1 - horizon
-            even = np.linspace(min(self.shape.past, latest), latest, count)
-            at = np.clip(even + rng.uniform(-0.5, 0.5, count) * horizon, min(self.shape.past, latest), latest)
-            pieces.append(section_at(u, y, quiet, np.unique(at.astype(int)), horizon, self.shape.past, rates, still=False))
-        return self._thinned(joined(pieces), rng)
+    def sections(self, stage: Stage, rates: np.ndarray, rng: np.random.Generator) -> list[Sections]:
+        """Sections of the training recordings, those of one length together."""
+        short, whole = [], []
+        for run in self.runs:
+            n, past, horizon = len(run.u), self.shape.past, stage.horizon
+            fits = n > horizon + past + 1
+            if stage.whole or not fits:
+                whole.append(self._cut(run, np.array([0]), n - 1, rates, still=True))
+            if fits:
+                even = np.linspace(past, n - 1 - horizon, max(1, round((n - past) / horizon)))
+                at = np.clip(even + rng.uniform(-0.5, 0.5, len(even)) * horizon, past, n - 1 - horizon)
+                short.append(self._cut(run, np.unique(at.astype(int)), horizon, rates, still=False))
+        return [self._thinned(joined(part), rng) for part in (short, whole) if part]
 
-    @staticmethod
-    def _thinned(s: Sections, rng) -> Sections:
+    def _cut(self, run: Run, at: np.ndarray, span: int, rates: np.ndarray, *, still: bool) -> Sections:
+        s = section_at(run.u, run.y, smoothed(run.y), at, span, self.shape.past, rates, still=still)
+        return replace(s, weights=s.weights * _at(run.used, at, span))
+
+    def _thinned(self, s: Sections, rng: np.random.Generator) -> Sections:
         count = s.weights.shape[1]
-        most = max(1, MOST_SAMPLES // len(s.inputs))
+        most = max(1, self.most_samples // len(s.inputs))
         if count <= most:
             return s
         kept = np.sort(rng.choice(count, most, replace=False))
         return Sections(s.encoder[kept], s.first[kept], s.inputs[:, kept], s.targets[:, kept], s.weights[:, kept])
 
     def judging(self, rates: np.ndarray) -> list[Sections]:
-        """Held-out ends of recordings: run from the sample they begin at, and as the end of a run from the first."""
+        """What is not trained on: run from the sample it begins at, and as a part of a run from the first."""
         found = []
-        for u, y, begin in self.judges:
-            for at in {0, begin}:
-                span = len(u) - 1 - at
-                s = section_at(u, y, smoothed(y), np.array([at]), span, self.shape.past, rates, still=at == 0)
-                found.append(replace(s, weights=s.weights * (np.arange(span) >= begin - at)[:, None]))
+        for run in self.runs:
+            quiet, past = smoothed(run.y), self.shape.past
+            for first, last in run.held_out():
+                if first >= past and last > first:
+                    at = np.array([first])
+                    found.append(section_at(run.u, run.y, quiet, at, last - first, past, rates, still=False))
+            if not run.used.all():
+                at, span = np.array([0]), len(run.u) - 1
+                s = section_at(run.u, run.y, quiet, at, span, past, rates, still=True)
+                found.append(replace(s, weights=s.weights * ~_at(run.used, at, span)))
         return found
+
+
+def _at(used: np.ndarray, at: np.ndarray, span: int) -> np.ndarray:
+    """Whether the targets of sections are used (span, B)."""
+    return used[np.minimum(at[None, :] + np.arange(1, span + 1)[:, None], len(used) - 1)]
 
 
 class Climb:
@@ -147,7 +176,7 @@ class Climb:
     def judge(self, net: Network) -> float:
         """Free-run error on the held-out data."""
         misses = [errors(net, s) for s in self.judges]
-        error = np.sqrt(sum(float((m**2).sum()) for m in misses) / self.judged)
+        error = np.sqrt(sum(float((m**2).sum()) for m in misses) / self.judged) if misses else 0.0
         return float(error) if np.isfinite(error) else np.inf
 
     def through(self, stages: Sequence[Stage]) -> Climb:
@@ -157,17 +186,17 @@ class Climb:
         return self
 
     def _stage(self, stage: Stage) -> None:
-        s = self.course.sections(stage.horizon, self.rates, self.rng)
-        count = float(s.weights.sum()) * self.course.shape.outputs
+        sections = self.course.sections(stage, self.rates, self.rng)
+        count = sum(float(s.weights.sum()) for s in sections) * self.course.shape.outputs
         damping, decay = 1e-2, self._decay()
         for iteration in range(stage.iterations):
             if self.course.stop():
                 return
-            JJ, Je, before = normal_equations(self.net, s)
+            JJ, Je, before = (sum(part) for part in zip(*(normal_equations(self.net, s) for s in sections), strict=True))
             if not (np.isfinite(before) and np.isfinite(JJ).all()):
                 return
             cost = before / count + decay @ self.net.flat**2
-            found = self._step(s, JJ / count + np.diag(decay), Je / count + decay * self.net.flat, cost, count, damping)
+            found = self._step(sections, JJ / count + np.diag(decay), Je / count + decay * self.net.flat, cost, count, damping)
             if found is None:
                 return
             self.net, after, damping = found
@@ -182,13 +211,14 @@ class Climb:
         sizes = [(name, int(np.prod(size))) for name, size in shape.weights.items()]
         return np.concatenate([np.full(n, decay * (1.0 if name in tanh else LINEAR_DECAY)) for name, n in sizes])
 
-    def _step(self, s: Sections, A: np.ndarray, g: np.ndarray, cost: float, count: float, damping: float):
+    def _step(self, sections: Sequence[Sections], A: np.ndarray, g: np.ndarray, cost: float, count: float, damping: float):
         """The first damped step that lowers the cost: (network, cost, damping for the next)."""
-        decay = self._decay()
+        decay, free = self._decay(), np.flatnonzero(self.course.free)
         for _ in range(TRIES):
-            step = -np.linalg.solve(A + damping * np.diag(np.diag(A) + 1e-12), g)
+            step = np.zeros(len(g))
+            step[free] = -np.linalg.solve((A + damping * np.diag(np.diag(A) + 1e-12))[np.ix_(free, free)], g[free])
             trial = replace(self.net, flat=self.net.flat + step)
-            after = float((errors(trial, s) ** 2).sum()) / count + decay @ trial.flat**2
+            after = sum(float((errors(trial, s) ** 2).sum()) for s in sections) / count + decay @ trial.flat**2
             if after < cost:
                 return trial, after, max(damping / 8, 1e-9)
             damping *= 5
@@ -199,5 +229,5 @@ class Climb:
         if self.now < self.best.error:
             self.best = Judged(self.now, self.net)
         if self.course.progress:
-            told = self.seed, stage.horizon or 0, iteration, float(np.sqrt(cost)), self.now
+            told = self.seed, stage.horizon, iteration, float(np.sqrt(cost)), self.now, self.best.error
             self.course.progress(Progress(*told))

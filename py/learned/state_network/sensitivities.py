@@ -19,7 +19,6 @@ import numpy as np
 from .equations import StateShape
 
 AT_ONCE = 4_000_000  # numbers of derivatives of one step that are held at a time
-FAR = 1e3  # spreads: a state that far out has diverged
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,10 +42,12 @@ class Sections:
 
 @dataclass(frozen=True, eq=False)
 class Network:
-    """A shape, the rates of its states (nx,), and a flat vector of weights."""
+    """A shape, rates and bounds of its states (nx,), normalised, and a flat vector of weights."""
 
     shape: StateShape
     rate: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
     flat: np.ndarray
 
     @property
@@ -77,46 +78,45 @@ def encode(net: Network, s: Sections) -> np.ndarray:
     if net.shape.encoder_hidden:
         h = np.tanh(s.encoder @ w["encoder_hidden_weights"].T + w["encoder_hidden_bias"])
         hidden = hidden + h @ w["encoder_output_weights"].T
-    return np.hstack([s.first, hidden])
+    ny = net.shape.outputs
+    return np.hstack([s.first, np.clip(hidden, net.lower[ny:], net.upper[ny:])])
 
 
-def free_run(net: Network, s: Sections) -> np.ndarray:
-    """States and inputs z (T + 1, B, nx + nu) of a free run; the last inputs are 0. Not finite where it diverges."""
+def free_run(net: Network, s: Sections, start: np.ndarray | None = None) -> np.ndarray:
+    """States and inputs z (T + 1, B, nx + nu) of a free run; the last inputs are 0. ``start`` replaces the encoder's."""
     w, nx = net.parts, net.shape.order
     steps, count, nu = s.inputs.shape
     z = np.zeros((steps + 1, count, nx + nu))
-    z[0, :, :nx], z[:-1, :, nx:] = encode(net, s), s.inputs
+    z[0, :, :nx], z[:-1, :, nx:] = encode(net, s) if start is None else start, s.inputs
     linear, bias = w["linear_weights"].T * net.rate, w["output_bias"] * net.rate
-    into, start, out = w["hidden_weights"].T.copy(), w["hidden_bias"], w["output_weights"].T * net.rate
+    into, at, out = w["hidden_weights"].T.copy(), w["hidden_bias"], w["output_weights"].T * net.rate
     linear[:nx] += np.eye(nx)
-    with np.errstate(all="ignore"):
-        for k in range(steps):
-            now = z[k]
-            following = now @ linear + bias
-            if net.shape.hidden:
-                following += np.tanh(now @ into + start) @ out
-            z[k + 1, :, :nx] = following
+    for k in range(steps):
+        now = z[k]
+        following = now @ linear + bias
+        if net.shape.hidden:
+            following += np.tanh(now @ into + at) @ out
+        np.minimum(np.maximum(following, net.lower, out=following), net.upper, out=z[k + 1, :, :nx])
     return z
 
 
 def errors(net: Network, s: Sections) -> np.ndarray:
-    """Weighted errors of the outputs (T, B, ny); infinite where the run diverges."""
-    y = free_run(net, s)[1:, :, : net.shape.outputs]
-    if not np.abs(y).max(initial=0.0) < FAR:
-        return np.full(s.targets.shape, np.inf)
-    return (y - s.targets) * s.weights[..., None]
+    """Weighted errors of the outputs (T, B, ny)."""
+    return (free_run(net, s)[1:, :, : net.shape.outputs] - s.targets) * s.weights[..., None]
 
 
 def normal_equations(net: Network, s: Sections) -> tuple[np.ndarray, np.ndarray, float]:
     """``J'J`` (P, P), ``J'e`` (P,) and ``e'e`` of the weighted errors of a free run."""
     shape, z = net.shape, free_run(net, s)
     JJ, Je, ee = np.zeros((shape.size, shape.size)), np.zeros(shape.size), 0.0
-    count, ny, steps = z.shape[1], shape.outputs, len(s.inputs)
+    count, ny, nx, steps = z.shape[1], shape.outputs, shape.order, len(s.inputs)
     S = _encoder_derivatives(net, s)
     chunk = max(1, AT_ONCE // (count * shape.order * shape.size))
     for first in range(0, steps, chunk):
         part = slice(first, min(first + chunk, steps))
         A, D = _step_derivatives(net, z[part])
+        inside = ((net.lower < z[first + 1 : part.stop + 1, :, :nx]) & (z[first + 1 : part.stop + 1, :, :nx] < net.upper))
+        A, D = (d * inside[..., None] for d in (A, D)) if not inside.all() else (A, D)
         J = np.empty((len(A), count, ny, shape.size))
         for k in range(len(A)):
             S = np.matmul(A[k], S)
@@ -145,7 +145,9 @@ def _encoder_derivatives(net: Network, s: Sections) -> np.ndarray:
         slope,
         (rows[None, :, :, None] * h[:, None, None, :]).reshape(count, states, -1),
     ]
-    S[:, ny:, shape.size - sum(d.shape[-1] for d in direct) :] = np.concatenate(direct, axis=2)
+    first = encode(net, s)[:, ny:]
+    inside = (net.lower[ny:] < first) & (first < net.upper[ny:])
+    S[:, ny:, shape.size - sum(d.shape[-1] for d in direct) :] = np.concatenate(direct, axis=2) * inside[..., None]
     return S
 
 

@@ -9,10 +9,12 @@ systems", Kluwer 1996, in the plain form of one projection and one regression.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from .equations import StateShape
+from .sensitivities import Network, joined_weights
 
 AHEAD = 20  # samples that the past is asked to foretell
 MOST = 6000  # rows of the regressions, over all recordings
@@ -79,6 +81,18 @@ def _encoder(runs: Runs, past: Sequence[np.ndarray], shape: StateShape, ahead: i
     spread = np.maximum((told @ chosen).std(axis=0), 1e-9)
     encoder = (solution @ chosen / spread).T
     return encoder, -encoder @ e.mean(axis=0)
+
+
+def rescaled(net: Network, spread: np.ndarray) -> Network:
+    """The same network with its hidden states over ``spread`` (nh,): their unit is free."""
+    ny, w = net.shape.outputs, {name: part.copy() for name, part in net.parts.items()}
+    every = np.concatenate([np.ones(ny), spread])
+    wide = np.concatenate([every, np.ones(net.shape.inputs)])
+    for name in ("linear_weights", "hidden_weights"):
+        w[name] *= wide
+    for name in ("encoder_linear_weights", "encoder_bias", "encoder_output_weights"):
+        w[name] = (w[name].T / spread).T
+    return replace(net, flat=joined_weights(w, net.shape), rate=net.rate / every)
 
 
 def _thinned(rows: np.ndarray) -> np.ndarray:

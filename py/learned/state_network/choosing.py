@@ -1,7 +1,7 @@
 """Which network: hidden states and what they may depend on are chosen by free run on parts that take no training.
 
-Every candidate starts from a linear model (`subspace`), which is refined in free run; tanh units are added that do nothing
-yet, so that a candidate is never worse than its linear start on what is held out.
+Every candidate starts from a linear model (`subspace`), which is refined in free run; tanh units are added that do
+nothing yet, so that a candidate is never worse than its linear start on what is held out.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages of the linear start, of every trial, of the chosen network, and of it on everything; samples of a trial."""
+    """Stages of the linear start, of every trial, of the chosen one, and of it on everything; samples of a trial."""
 
     linear: Sequence[Stage]
     trial: Sequence[Stage]
@@ -127,10 +127,12 @@ def start_trial(task: Task, form: Form, linear: Network, seed: int, samples: int
     return Trial(form, seed, Climb(course, replace(linear, shape=shape, flat=flat), seed))
 
 
-def choose(task: Task, forms: Sequence[Form], decays: Sequence[float], seeds: Sequence[int]) -> tuple[Trial, list[dict]]:
+def choose(
+    task: Task, forms: Sequence[Form], decays: Sequence[float], seeds: Sequence[int]
+) -> tuple[Trial, list[dict]]:
     """The best candidate by free run on what is held out, trained to the end, and what each trial came to.
 
-    Every form is tried from the first seed, the best form with other decays, then from all seeds; the best trial goes on.
+    Every form is tried from the first seed, the best form with other decays, then from all seeds; the best goes on.
     """
     linear = {form: linear_network(task, form) for form in forms}
     trials = [_tried(task, form, linear[form].net, seeds[0]) for form in forms]

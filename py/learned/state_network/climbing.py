@@ -2,9 +2,9 @@
 
     minimise  mean |y_sim - y|^2 + decay |w|^2
 
-The sections are drawn anew, from random places, for every length; each starts from what the encoder sees before it. Of
-all iterates the one with the smallest free-run error on held-out data is kept. Sources: Marquardt, SIAM J. Appl. Math. 11
-(1963) 431-441; Forgione, Piga, European J. Control 59 (2021) 69-81 (truncated simulation error).
+The sections are drawn anew, from random places, for every length; each starts from what the encoder sees before it.
+Of all iterates the one with the smallest free-run error on held-out data is kept. Sources: Marquardt, SIAM J. Appl.
+Math. 11 (1963) 431-441; Forgione, Piga, European J. Control 59 (2021) 69-81 (truncated simulation error).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from ..training_data import smoothed
 from .equations import StateShape
 from .sensitivities import Network, Sections, errors, normal_equations
-from .subspace import Runs, encoder_features
+from .subspace import encoder_features
 
 MOST_SAMPLES = 30_000  # steps simulated in one iteration; more sections than that are a random choice
 TRIES = 7  # of a step, with more and more damping
@@ -69,9 +69,7 @@ def section_at(u, y, quiet, at: np.ndarray, span: int, net_past: int, rates, *, 
     else:
         encoder = encoder_features(u, quiet, at, net_past, rates)
     first = y[at] if still else quiet[at]
-    return Sections(
-        encoder, first, u[np.minimum(steps, last)], y[np.minimum(steps + 1, last)], inside.astype(float)
-    )
+    return Sections(encoder, first, u[np.minimum(steps, last)], y[np.minimum(steps + 1, last)], inside.astype(float))
 
 
 def joined(sections: Sequence[Sections]) -> Sections:
@@ -192,11 +190,10 @@ class Climb:
         for iteration in range(stage.iterations):
             if self.course.stop():
                 return
-            JJ, Je, before = (sum(part) for part in zip(*(normal_equations(self.net, s) for s in sections), strict=True))
-            if not (np.isfinite(before) and np.isfinite(JJ).all()):
-                return
-            cost = before / count + decay @ self.net.flat**2
-            found = self._step(sections, JJ / count + np.diag(decay), Je / count + decay * self.net.flat, cost, count, damping)
+            sums = zip(*(normal_equations(self.net, s) for s in sections), strict=True)
+            JJ, Je, ee = (sum(part) / count for part in sums)
+            cost = ee + decay @ self.net.flat**2
+            found = self._step(sections, JJ + np.diag(decay), Je + decay * self.net.flat, cost, damping)
             if found is None:
                 return
             self.net, after, damping = found
@@ -211,8 +208,9 @@ class Climb:
         sizes = [(name, int(np.prod(size))) for name, size in shape.weights.items()]
         return np.concatenate([np.full(n, decay * (1.0 if name in tanh else LINEAR_DECAY)) for name, n in sizes])
 
-    def _step(self, sections: Sequence[Sections], A: np.ndarray, g: np.ndarray, cost: float, count: float, damping: float):
+    def _step(self, sections: Sequence[Sections], A: np.ndarray, g: np.ndarray, cost: float, damping: float):
         """The first damped step that lowers the cost: (network, cost, damping for the next)."""
+        count = sum(float(s.weights.sum()) for s in sections) * self.course.shape.outputs
         decay, free = self._decay(), np.flatnonzero(self.course.free)
         for _ in range(TRIES):
             step = np.zeros(len(g))

@@ -5,9 +5,9 @@
     x[k+1] = clip(x[k] + r o[k])                r: period over the time constant of each state
     x[0]   = (y[0], V_out tanh(V_in e + c_in) + V_lin e + c_out)            e: past increments and inputs
 
-The first states are the outputs themselves, so that a measured y[k] can be put in place of a state. The encoder sees the
-last samples of a recording; a block is started from one sample alone and takes it for the whole past: a machine at rest.
-The clip lies outside everything seen: a free run stays bounded.
+The first states are the outputs themselves, so that a measured y[k] can be put in place of a state. The encoder sees
+the last samples of a recording; a block is started from one sample alone and takes it for the whole past: a machine at
+rest. The clip lies outside everything seen: a free run stays bounded.
 
 Source: Beintema, Schoukens, Toth, "Continuous-time identification of dynamic state-space models by deep subspace
 encoding", ICLR 2023; "Deep subspace encoders for nonlinear system identification", Automatica 156 (2023) 111210.
@@ -30,8 +30,7 @@ NUMBERED = "hidden_state_{}"
 
 @dataclass(frozen=True)
 class StateShape:
-    """The counts that fix a network: inputs, outputs, hidden states, tanh units, samples that the encoder looks back,
-    tanh units of the encoder."""
+    """The counts that fix a network; ``past``: samples before the first that the encoder sees."""
 
     inputs: int
     outputs: int

@@ -68,13 +68,13 @@ def learn_state_network(
 ) -> LearnedBlock:
     """Train a network with hidden states on several recordings and answer it as a Block.
 
-    The outputs and some hidden states move at rates that are a linear part plus one layer of tanh units of all states and
-    inputs (see `equations`). An encoder of the last samples starts the sections that it is trained on; a block starts
-    from its first sample, taken for a machine at rest. Training is Levenberg-Marquardt on the free run (see `climbing`)
-    from a linear start (see `subspace`). The number of hidden states, whether anything depends on where the outputs are
-    (not so where they integrate), the decay of the weights and the seed are chosen by the free-run error on parts of the
-    training recordings that are held out (`HELD_OUT`), and so is the iteration that is kept. What is chosen is trained
-    some more on everything.
+    The outputs and some hidden states move at rates that are a linear part plus one layer of tanh units of all states
+    and inputs (see `equations`). An encoder of the last samples starts the sections that it is trained on; a block
+    starts from its first sample, taken for a machine at rest. Training is Levenberg-Marquardt on the free run (see
+    `climbing`) from a linear start (see `subspace`). The number of hidden states, whether anything depends on where the
+    outputs are (not so where they integrate), the decay of the weights and the seed are chosen by the free-run error on
+    parts of the training recordings that are held out (`HELD_OUT`), and so is the iteration that is kept. What is
+    chosen is trained some more on everything.
 
     Args:
         records: training recordings, uniform or not, without gaps.
@@ -167,7 +167,8 @@ def _check_options(hidden_states, hidden, past, starts, effort, budget, period) 
     counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
     for option, (value, least) in counts.items():
         if value is not None and (int(value) != value or value < least):
-            raise DeclarationError(f"learn_state_network: {option} must be a whole number from {least} up (got {value}).")
+            told = f"learn_state_network: {option} must be a whole number from {least} up (got {value})."
+            raise DeclarationError(told)
     for option, value in {"effort": effort, "budget": budget, "period": period}.items():
         if value is not None and not value > 0:
             raise DeclarationError(f"learn_state_network: {option} must be positive (got {value}).")
@@ -224,7 +225,8 @@ def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
 
 def _plan(longest: int, effort: float) -> Plan:
     """Lengths that fit into the recordings, the longest of them together with whole recordings."""
-    short, middle, long = (min(length, max(longest // parts, 16)) for length, parts in zip(LENGTHS, (16, 8, 4), strict=True))
+    fitting = zip(LENGTHS, (16, 8, 4), strict=True)
+    short, middle, long = (min(length, max(longest // parts, 16)) for length, parts in fitting)
 
     def stage(horizon: int, iterations: int, whole: bool) -> Stage:
         return Stage(horizon, max(1, round(effort * iterations)), whole)

@@ -5,8 +5,8 @@ for all samples at once, and only their linear recursion
 
     S[k+1] = A[k] S[k] + D[k]        S: states by weights; S[0] from the encoder
 
-goes sample by sample again. NumPy costs a fifth of PyTorch here: the arrays of a step are tiny, and the time goes into
-calls. Normal equations of a least-squares step are what comes out.
+goes sample by sample again. NumPy costs a quarter of PyTorch here: the arrays of a step are tiny, and the time goes
+into calls. Normal equations of a least-squares step are what comes out.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def encode(net: Network, s: Sections) -> np.ndarray:
 
 
 def free_run(net: Network, s: Sections, start: np.ndarray | None = None) -> np.ndarray:
-    """States and inputs z (T + 1, B, nx + nu) of a free run; the last inputs are 0. ``start`` replaces the encoder's."""
+    """States and inputs z (T + 1, B, nx + nu) of a free run, the last inputs 0; ``start`` replaces the encoder's."""
     w, nx = net.parts, net.shape.order
     steps, count, nu = s.inputs.shape
     z = np.zeros((steps + 1, count, nx + nu))
@@ -115,7 +115,8 @@ def normal_equations(net: Network, s: Sections) -> tuple[np.ndarray, np.ndarray,
     for first in range(0, steps, chunk):
         part = slice(first, min(first + chunk, steps))
         A, D = _step_derivatives(net, z[part])
-        inside = ((net.lower < z[first + 1 : part.stop + 1, :, :nx]) & (z[first + 1 : part.stop + 1, :, :nx] < net.upper))
+        following = z[first + 1 : part.stop + 1, :, :nx]
+        inside = (net.lower < following) & (following < net.upper)
         A, D = (d * inside[..., None] for d in (A, D)) if not inside.all() else (A, D)
         J = np.empty((len(A), count, ny, shape.size))
         for k in range(len(A)):
@@ -124,7 +125,7 @@ def normal_equations(net: Network, s: Sections) -> tuple[np.ndarray, np.ndarray,
             J[k] = S[:, :ny]
         weight = s.weights[part, :, None]
         J *= weight[..., None]
-        e = ((z[first + 1 : part.stop + 1, :, :ny] - s.targets[part]) * weight).ravel()
+        e = ((following[..., :ny] - s.targets[part]) * weight).ravel()
         J = J.reshape(-1, shape.size)
         JJ, Je, ee = JJ + J.T @ J, Je + J.T @ e, ee + float(e @ e)
     return JJ, Je, ee

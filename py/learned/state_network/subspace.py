@@ -1,4 +1,4 @@
-"""A linear start: hidden states as what the past tells of the future, and the linear step and encoder that go with them.
+"""A linear start: hidden states as what the past tells of the future, and the linear step and encoder to go with them.
 
 The outputs of the next samples are regressed on the past and on the inputs of those samples. What the past contributes
 beyond the present output spans the hidden states; the largest directions are kept, scaled to unit spread. The step is
@@ -41,7 +41,7 @@ def linear_start(runs: Runs, shape: StateShape) -> tuple[dict[str, np.ndarray], 
 
     runs : normalised (inputs (n, nu), outputs (n, ny)).
     """
-    rates, ny, nu = output_rates(runs), shape.outputs, shape.inputs
+    rates, ny = output_rates(runs), shape.outputs
     past = [encoder_features(u, y, np.arange(len(u)), shape.past, rates) for u, y in runs]
     ahead = min(AHEAD, min(len(u) for u, _ in runs) // 4)
     encoder, bias = _encoder(runs, past, shape, ahead)
@@ -51,7 +51,6 @@ def linear_start(runs: Runs, shape: StateShape) -> tuple[dict[str, np.ndarray], 
     z = np.concatenate([np.hstack([x, u])[:-1] for x, (u, _) in zip(states, runs, strict=True)])
     solution = _regressed(z, moved / rate)
     parts = {"linear_weights": solution[1:].T, "output_bias": solution[0]}
-    assert z.shape[1] == shape.order + nu
     return parts | {"encoder_linear_weights": encoder, "encoder_bias": bias}, rate
 
 

@@ -21,6 +21,7 @@ from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
 from .ranking import learn_best
+from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
 from .training_data import DomainShare, domain_share
 
@@ -35,8 +36,8 @@ __all__ = [
     "characteristic",
     "domain_share",
     "learn",
-    "learn_best",
     "learn_arx",
+    "learn_best",
     "learn_compensator",
     "learn_dual_gp",
     "learn_feedback_gp",
@@ -48,6 +49,7 @@ __all__ = [
     "learn_linear",
     "learn_piecewise",
     "learn_rate_network",
+    "learn_state_network",
     "learn_symbolic",
     "learned_kinds",
     "published_formula",

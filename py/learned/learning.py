@@ -24,6 +24,7 @@ from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
+from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
 
 KINDS: Mapping[str, Callable] = {
@@ -36,6 +37,7 @@ KINDS: Mapping[str, Callable] = {
     "grey_box": learn_grey_box,
     "symbolic": learn_symbolic,
     "hybrid": learn_hybrid,
+    "state_nn": learn_state_network,
 }
 ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
 ANY_FORM = ("gp", "nn", "grey_box", "symbolic")

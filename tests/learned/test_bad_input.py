@@ -26,6 +26,7 @@ from hydrotwin.learned import (
     learn_hybrid,
     learn_piecewise,
     learn_rate_network,
+    learn_state_network,
     learn_symbolic,
     train_network,
     write_block,
@@ -52,6 +53,8 @@ class Kind:
 KINDS = {
     "nn": Kind(lambda r: train_network(r, ["current"], ["position"], hidden=2, starts=1, effort=0.02, lags=(1, 2),
                                      period=PERIOD), None),
+    "state_nn": Kind(lambda r: learn_state_network(r, ["current"], ["position"], hidden=2, hidden_states=1, starts=1,
+                                                   effort=0.1, period=PERIOD), None),
     "nn paper": Kind(lambda r: learn_rate_network(r, ["current"], ["position"], iterations=20), "torch"),
     "gp": Kind(lambda r: learn_gaussian_process(r, ["current"], ["position"], rate=True, points=100, compress=10,
                                                 lags=2), "gpytorch"),

@@ -28,12 +28,14 @@ from tests.learned.test_feedback_gp import random_feedback
 from tests.learned.test_gaussian_process import random_gaussian_process
 from tests.learned.test_inverse import small_network, small_table
 from tests.learned.test_rate_network import random_rate_network
+from tests.learned.test_state_network import random_state_network
 from tests.learned.toy_machine import toy_record, untrained_block
 
 EXAMPLES = {
     "arx": test_arx.written_block,
     "linear": test_linear.written_block,
     "network": untrained_block,
+    "state_network": random_state_network,
     "rate_network": random_rate_network,
     "published_formula": published_formula,
     "gaussian_process": random_gaussian_process,

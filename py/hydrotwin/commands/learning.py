@@ -29,6 +29,7 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "grey_box": "dead time, hidden spool, play and a monotone characteristic; no spool sensor",
     "symbolic": "a formula found by genetic programming",
     "hybrid": "an identified model (--model) and a network for what it lacks",
+    "state_nn": "a network with hidden states, started by an encoder",
 }
 TOLD = {AUTO: "every kind that needs no more than the recordings; the best in free run", **KINDS}
 

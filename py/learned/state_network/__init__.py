@@ -1,0 +1,1 @@
+"""Networks with hidden states, started by an encoder."""

@@ -1,0 +1,260 @@
+"""Learn a network with hidden states from recordings, judged by how well it runs free; NumPy alone trains it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib import metadata
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from ..block_file import Certificate, LearnedBlock, assemble
+from ..interruption import INTERRUPTED, CtrlC
+from ..steady import steady_where_it_integrates
+from ..training_data import ROOM, checked_recordings, choose_period, named, on_period, training_box
+from .choosing import Form, Plan, Task, Trial, choose, on_everything
+from .climbing import Run, Stage
+from .equations import STATE_NETWORK, StateShape, network_states
+from .sensitivities import Network, Sections, free_run
+
+TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
+FEWEST = 60  # samples at the network's period, over all recordings
+PLENTY = 2000  # samples that are not thinned any further
+HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every recording that choose and take no training
+ORDERS = (1, 2, 3)  # hidden states that are tried
+PAST = 6  # samples that the encoder looks back
+SAMPLES_PER_UNIT, UNITS = 100, (2, 8)  # one tanh unit for so many samples; fewest and most
+DECAYS = (1e-4, 1e-3, 1e-5)  # of the squared weights: the first for every form, the others for the best
+LENGTHS = (64, 256, 1024)  # samples of the sections, each as far as the recordings go
+TRIAL_SAMPLES = 8000  # simulated in one iteration of a trial
+CHECKED = 5000  # random steps of the certificate
+
+
+@dataclass(frozen=True)
+class _Normalised:
+    """Recordings at the network's period, over the scales that are written into the block."""
+
+    arrays: dict[str, np.ndarray]
+    runs: list[Run]
+
+    @property
+    def samples(self) -> int:
+        """Over all recordings."""
+        return sum(len(run.u) for run in self.runs)
+
+
+def learn_state_network(
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str],
+    outputs: Sequence[Signal | str],
+    *,
+    period: float | None = None,
+    validate: Sequence[Record] = (),
+    hidden_states: int | None = None,
+    hidden: int | None = None,
+    past: int = PAST,
+    seed: int = 0,
+    starts: int = 3,
+    effort: float = 1.0,
+    budget: float | None = None,
+    name: str = "state_network",
+    commands: Sequence[str] | None = None,
+    progress: Callable | None = None,
+) -> LearnedBlock:
+    """Train a network with hidden states on several recordings and answer it as a Block.
+
+    The outputs and some hidden states move at rates that are a linear part plus one layer of tanh units of all states
+    and inputs (see `equations`). An encoder of the last samples starts the sections that it is trained on; a block
+    starts from its first sample, taken for a machine at rest. Training is Levenberg-Marquardt on the free run (see
+    `climbing`) from a linear start (see `subspace`). The number of hidden states, whether anything depends on where the
+    outputs are (not so where they integrate), the decay of the weights and the seed are chosen by the free-run error on
+    parts of the training recordings that are held out (`HELD_OUT`), and so is the iteration that is kept. What is
+    chosen is trained some more on everything.
+
+    Args:
+        records: training recordings, uniform or not, without gaps.
+        inputs, outputs: Signals, or names that take the unit of the recording.
+        period: s between steps; None: the longest that loses nothing worth having (`choose_period`) and leaves
+            `PLENTY` samples, or that of the recordings.
+        validate: checked, but nothing is selected on them.
+        hidden_states: beside the outputs; None: 1 to 3 are tried.
+        hidden: tanh units; None: one for every 100 samples, 2 to 8; 0 gives a linear model.
+        past: samples before the first that the encoder sees.
+        seed, starts: seeds ``seed ... seed + starts - 1`` are tried.
+        effort: scales the number of iterations. budget: s, after which the best so far is taken; None: no limit.
+        commands: inputs whose standing still lets the machine rest (see `steady`); None: all of them.
+        progress: called with a `Progress` after every iteration.
+
+    The same seed and data give the same network unless the budget ends the training (``provenance["stopped"]``).
+    Ctrl-C ends the training with the best network so far. ``provenance["trials"]`` holds what every candidate came to.
+
+    Raises:
+        DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
+    """
+    _check_options(hidden_states, hidden, past, starts, effort, budget, period)
+    inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
+    period, began = float(period or _period(records)), time.monotonic()
+    data = _normalised(records, inputs, outputs, period)
+    forms = _forms(data, hidden_states, hidden)
+    with CtrlC() as ctrl_c:
+        stop = _Stop(ctrl_c, budget, began)
+        task = _task(data, past, effort, {"progress": progress, "stop": stop})
+        found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)])
+        last = on_everything(task, found)
+    net = last.net
+    block = assemble(
+        STATE_NETWORK,
+        data.arrays | {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts,
+        net.shape.structure(),
+        name=name,
+        inputs=inputs,
+        outputs=outputs,
+        states=network_states(net.shape, outputs),
+        parameters=(),
+        period=period,
+        domain=training_box(records, (*inputs, *outputs)),
+        description=_described(net.shape, found.form),
+        provenance=_provenance(records, found, trials)
+        | {"iterations": found.climb.iterations + last.iterations, "stopped": stop.reason or "finished"},
+    )
+    block = replace(block, certificate=certify(block, net))
+    return steady_where_it_integrates(block, records, outputs, commands=commands)
+
+
+class _Stop:
+    """Whether training shall end, and why."""
+
+    def __init__(self, ctrl_c: CtrlC, budget: float | None, began: float):
+        self.ctrl_c, self.budget, self.began, self.reason = ctrl_c, budget, began, ""
+
+    def __call__(self) -> bool:
+        if self.ctrl_c.came:
+            self.reason = INTERRUPTED
+        elif self.budget is not None and time.monotonic() - self.began > self.budget:
+            self.reason = f"time budget of {self.budget:g} s"
+        return bool(self.reason)
+
+
+def certify(block: LearnedBlock, net: Network) -> Certificate:
+    """The largest |deployed - trained| of one step from random states and inputs, over the outputs' scale."""
+    a, shape, rng = block.arrays, net.shape, np.random.default_rng(0)
+    x = rng.uniform(net.lower, net.upper, (CHECKED, shape.order))
+    u = rng.uniform(-3, 3, (CHECKED, shape.inputs))
+    spread = np.concatenate([a["output_scale"], np.ones(shape.hidden_states)])
+    centre = np.concatenate([a["output_centre"], np.zeros(shape.hidden_states)])
+    after = block.step.map(CHECKED)(
+        (centre + spread * x).T, (a["input_centre"] + a["input_scale"] * u).T, np.zeros((0, CHECKED))
+    )[0]
+    wanted = _stepped(net, x, u)
+    difference = float(np.abs((after.full().T - centre) / spread - wanted).max())
+    return Certificate(difference, TOLERANCE, CHECKED, f"numpy {metadata.version('numpy')} float64")
+
+
+def _stepped(net: Network, x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """States one period after x (n, nx), by what trains."""
+    shape, n = net.shape, len(x)
+    none, ny = np.zeros((n, shape.encoder_features)), shape.outputs
+    s = Sections(none, x[:, :ny], u[None], np.zeros((1, n, ny)), np.ones((1, n)))
+    return free_run(net, s, x)[1, :, : shape.order]
+
+
+def _check_options(hidden_states, hidden, past, starts, effort, budget, period) -> None:
+    counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
+    for option, (value, least) in counts.items():
+        if value is not None and (int(value) != value or value < least):
+            told = f"learn_state_network: {option} must be a whole number from {least} up (got {value})."
+            raise DeclarationError(told)
+    for option, value in {"effort": effort, "budget": budget, "period": period}.items():
+        if value is not None and not value > 0:
+            raise DeclarationError(f"learn_state_network: {option} must be positive (got {value}).")
+
+
+def _period(records: Sequence[Record]) -> float:
+    """The period of the network [s]."""
+    recorded = max(r.period for r in records)
+    most = max(1, int(sum(r.duration for r in records) / recorded / PLENTY))
+    return float(f"{min(choose_period(records), most * recorded):.9g}")
+
+
+def _normalised(records, inputs, outputs, period: float) -> _Normalised:
+    even = [on_period(r, period, inputs) for r in records]
+    count = sum(len(r) for r in even)
+    if count < FEWEST:
+        raise DataError(
+            f"learn_state_network: too few samples to learn from (got {count} at {period:g} s). At least {FEWEST} are "
+            "needed. Record longer or choose a shorter period."
+        )
+    even = [r for r in even if len(r) > PAST + 2]
+    u, y = ([r.array([s.name for s in part]) for r in even] for part in (inputs, outputs))
+    arrays = {}
+    for part, values in (("input", np.concatenate(u)), ("output", np.concatenate(y))):
+        spread = values.std(axis=0)
+        arrays |= {f"{part}_centre": values.mean(axis=0), f"{part}_scale": np.where(spread > 0, spread, 1.0)}
+    runs = []
+    for given, measured in zip(u, y, strict=True):
+        normal = (given - arrays["input_centre"]) / arrays["input_scale"]
+        runs.append(Run(normal, (measured - arrays["output_centre"]) / arrays["output_scale"], _used(len(given))))
+    return _Normalised(arrays, runs)
+
+
+def _used(n: int) -> np.ndarray:
+    """Which samples of a recording are trained on."""
+    used = np.ones(n, dtype=bool)
+    for first, last in HELD_OUT:
+        used[round(first * n) : round(last * n)] = False
+    return used
+
+
+def _forms(data: _Normalised, hidden_states: int | None, hidden: int | None) -> list[Form]:
+    orders = ORDERS if hidden_states is None else (hidden_states,)
+    units = hidden if hidden is not None else int(np.clip(data.samples // SAMPLES_PER_UNIT, *UNITS))
+    return [Form(order, units, level_free, DECAYS[0]) for order in orders for level_free in (False, True)]
+
+
+def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
+    y = np.concatenate([run.y for run in data.runs])
+    room = ROOM * np.ptp(y, axis=0)
+    longest = max(len(run.u) for run in data.runs)
+    return Task(data.runs, np.array([y.min(axis=0) - room, y.max(axis=0) + room]), past, _plan(longest, effort), hooks)
+
+
+def _plan(longest: int, effort: float) -> Plan:
+    """Lengths that fit into the recordings, the longest of them together with whole recordings."""
+    fitting = zip(LENGTHS, (16, 8, 4), strict=True)
+    short, middle, long = (min(length, max(longest // parts, 16)) for length, parts in fitting)
+
+    def stage(horizon: int, iterations: int, whole: bool) -> Stage:
+        return Stage(horizon, max(1, round(effort * iterations)), whole)
+
+    return Plan(
+        linear=[stage(short, 8, False), stage(middle, 10, True)],
+        trial=[stage(short, 8, False), stage(middle, 15, True)],
+        final=[stage(middle, 15, True), stage(long, 25, True)],
+        everything=[stage(middle, 15, True)],
+        trial_samples=TRIAL_SAMPLES,
+    )
+
+
+def _described(shape: StateShape, form: Form) -> str:
+    layer = f"{shape.hidden} tanh units and a linear part" if shape.hidden else "linear"
+    level = ", the same at every level of the outputs" if form.level_free else ""
+    return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights"
+
+
+def _provenance(records, found: Trial, trials: list[dict]) -> dict:
+    parts = " and ".join(f"{first:.0%} to {last:.0%}" for first, last in HELD_OUT)
+    return {
+        "kind": "state_network",
+        "trained_on": named(records),
+        "selected_on": f"{parts} of every training recording",
+        "seed": found.seed,
+        **found.form.told(),
+        "held_out_error": found.error,
+        "trials": trials,
+        "versions": {package: metadata.version(package) for package in ("numpy", "casadi")},
+    }

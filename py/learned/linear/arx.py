@@ -22,6 +22,8 @@ from .output_error import refined
 from .regressors import Rows, Sampled, Scales
 
 FACTORS = (1, 2, 4, 8, 16, 32)  # of the sampling period that are tried
+LONGER = 1.05  # times what a longer period leaves must be left by a shorter one, which sees more of the inputs
+LATEST = 40  # of the shortest period: a dead time is no longer because the period is
 MOST = 20_000  # samples over all recordings that are fitted on; longer ones are taken at a longer period
 LEAST = 30  # samples over all recordings
 SAMPLES = 40  # of the shortest recording that must be left at a longer period
@@ -114,14 +116,16 @@ def choose(
     """
     records, _ = both
     scales, best = Scales.of(records, inputs, outputs), None
-    for candidate in [period] if period else periods_of(records):
+    periods = [period] if period else periods_of(records)
+    for candidate in periods:
         rows = rows_at(both, candidate, inputs, outputs, scales, asked.reach)
-        searches = [Search(rows, j, asked) for j in range(len(outputs))]
+        latest = max(1, int(LATEST * periods[0] / candidate))
+        searches = [Search(rows, j, replace(asked, latest=min(asked.latest, latest))) for j in range(len(outputs))]
         errors = [s.run() for s in searches]
         if not np.isfinite(errors).all():
             continue
         score = float(np.mean(np.log(np.maximum(errors, 1e-24))))
-        if best is None or score < best[0]:
+        if best is None or score < best[0] - 2 * np.log(LONGER):
             best = score, candidate, rows, searches
     if best is None:
         raise DataError(

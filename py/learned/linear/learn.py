@@ -24,8 +24,8 @@ from .state_space_block import LINEAR, state_space_arrays, state_space_states
 from .whole_runs import Fitted, Way, WholeRuns
 
 MOST = 8_000  # samples over all recordings that runs are fitted on; longer ones are taken at a longer period
-NEAR = (0.12, 2.1)  # of the period of the ARX equations: those that are tried
-FINALISTS = 4  # candidates that are refined before one is chosen
+NEAR = (0.24, 2.1)  # of the period of the ARX equations: those that are tried
+FINALISTS = 3  # candidates that are refined before one is chosen
 ITERATIONS = (15, 40)  # of a refinement: to choose, and the last
 TOLERANCE = 1e-7  # of an output's range: deployed free run against the fit's own
 

@@ -40,12 +40,13 @@ class Order:
 
 @dataclass(frozen=True)
 class Asked:
-    """What of an order is not chosen: None is."""
+    """What of an order is not chosen: None is. latest : the longest delay that is tried."""
 
     rate: bool | None = None
     past: int | None = None
     count: int | None = None
     delay: int | None = None
+    latest: int = DELAYS[-1]
 
     @property
     def reach(self) -> int:
@@ -61,7 +62,7 @@ class Asked:
     @property
     def delays(self) -> Sequence[int]:
         """Delays to try."""
-        return DELAYS if self.delay is None else (self.delay,)
+        return [d for d in DELAYS if d <= self.latest] if self.delay is None else (self.delay,)
 
     @property
     def counts(self) -> Sequence[int]:
@@ -235,7 +236,7 @@ class Search:
         for i, (delay, count) in enumerate(order.windows):
             for d, n in ((delay + 1, count - 1), (delay, count - 1), (delay - 1, count + 1), (delay, count + 1)):
                 fixed = asked.delay not in (None, d) or asked.count not in (None, n)
-                if d >= 0 and n >= 1 and not fixed:
+                if 0 <= d <= max(asked.latest, delay) and n >= 1 and not fixed:
                     yield replace(order, windows=(*order.windows[:i], (d, n), *order.windows[i + 1 :]))
 
 

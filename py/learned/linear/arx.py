@@ -17,12 +17,12 @@ from hydrotwin.simulation import simulate
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..training_data import checked_recordings, named, training_box, usable
 from .arx_block import ARX, arx_states
-from .orders import SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
+from .orders import NOTHING, SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
 from .output_error import refined
 from .regressors import Rows, Sampled, Scales
 
 FACTORS = (1, 2, 4, 8, 16, 32)  # of the sampling period that are tried
-LONGER = 1.05  # times what a longer period leaves must be left by a shorter one, which sees more of the inputs
+LONGER = 1.05  # times what a longer period leaves must be left by a shorter one, where only one part judges
 LATEST = 40  # of the shortest period: a dead time is no longer because the period is
 MOST = 20_000  # samples over all recordings that are fitted on; longer ones are taken at a longer period
 LEAST = 30  # samples over all recordings
@@ -121,12 +121,12 @@ def choose(
         rows = rows_at(both, candidate, inputs, outputs, scales, asked.reach)
         latest = max(1, int(LATEST * periods[0] / candidate))
         searches = [Search(rows, j, replace(asked, latest=min(asked.latest, latest))) for j in range(len(outputs))]
-        errors = [s.run() for s in searches]
+        errors = np.array([s.by_fold(s.run()) for s in searches])
         if not np.isfinite(errors).all():
             continue
-        score = float(np.mean(np.log(np.maximum(errors, 1e-24))))
-        if best is None or score < best[0] - 2 * np.log(LONGER):
-            best = score, candidate, rows, searches
+        errors = np.log(np.maximum(errors, NOTHING))
+        if best is None or _surely_less(errors, best[0]):
+            best = errors, candidate, rows, searches
     if best is None:
         raise DataError(
             "learn_arx: no stable equation runs over what was held out "
@@ -136,6 +136,17 @@ def choose(
     found = [_equation(s, finalists) for s in searches]
     errors = np.sqrt([e for _, e in found]) * scales.output_scale
     return Chosen(period, rows, [eq for eq, _ in found], errors)
+
+
+def _surely_less(errors: np.ndarray, before: np.ndarray) -> bool:
+    """Whether logarithms of errors (outputs, folds) are less by more than one standard error over the folds.
+
+    A longer period sees less of the inputs, and of many that are tried one is best by chance.
+    Source: L. Breiman and others, Classification and Regression Trees (1984), section 3.4.3.
+    """
+    gain = (before - errors).mean(axis=0)
+    error = gain.std(ddof=1) / np.sqrt(len(gain)) if len(gain) > 1 else 2 * np.log(LONGER)
+    return bool(gain.mean() > error)
 
 
 def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0) -> Rows:

@@ -182,10 +182,15 @@ class Search:
         equations = [fitted(rows, factor, self.output, order) for factor in rows.factors]
         return held_out_error(rows, self.output, equations)
 
-    def run(self) -> float:
-        """The error of the best order of either form."""
+    def run(self) -> Order:
+        """The best order of either form."""
         forms = (False, True) if self.asked.rate is None else (self.asked.rate,)
-        return min(self.error(self._best(rate)) for rate in forms)
+        return min((self._best(rate) for rate in forms), key=self.error)
+
+    def by_fold(self, order: Order) -> np.ndarray:
+        """Mean squares of the free runs over every fold that is held out, (folds,)."""
+        equations = [fitted(self.rows, factor, self.output, order) for factor in self.rows.factors]
+        return held_out_errors(self.rows, self.output, equations)
 
     def _best(self, rate: bool) -> Order:
         """The best order of a form: its parts are moved one after the other until none helps."""
@@ -242,14 +247,36 @@ class Search:
 
 def held_out_error(rows: Rows, output: int, equations: Sequence[Equation]) -> float:
     """Mean square of free runs, each held fold by the equation without it; infinite where one is not stable."""
-    if not all(e.stable for e in equations):
+    squares = _squares(rows, output, equations)
+    if squares is None:
         return np.inf
-    misses = []
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = float(np.mean(np.concatenate([s for _, s in squares])))
+    return error if np.isfinite(error) else np.inf
+
+
+def held_out_errors(rows: Rows, output: int, equations: Sequence[Equation]) -> np.ndarray:
+    """The same by fold, (folds,); infinite for all where an equation is not stable."""
+    squares = _squares(rows, output, equations)
+    if squares is None:
+        return np.full(len(rows.held), np.inf)
+    fold, square = (np.concatenate(part) for part in zip(*squares, strict=True))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.array([square[fold == k].mean() if (fold == k).any() else np.inf for k in rows.held])
+
+
+def _squares(rows: Rows, output: int, equations: Sequence[Equation]) -> list[tuple[np.ndarray, np.ndarray]] | None:
+    """By recording, the fold of every recorded time and the square missed there; None where one is not stable."""
+    if not all(e.stable for e in equations):
+        return None
+    found = []
     for k, (part, cuts) in enumerate(zip(rows.parts, rows.cuts, strict=True)):
         pieces = [(eq, *cuts[fold : fold + 2]) for fold, eq in zip(rows.held, equations, strict=True)]
         runs = [free_run_of(rows, k, output, eq, a, b) for eq, a, b in pieces if a < b]
         if runs:
-            misses.append(part.miss(np.concatenate([part.y[:1, output], *runs]), output))
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.mean(np.concatenate(misses) ** 2))
-    return error if np.isfinite(error) else np.inf
+            miss = part.miss(np.concatenate([part.y[:1, output], *runs]), output)
+            begins = np.append(part.time, np.inf)[cuts[1:-1]]
+            fold = np.searchsorted(begins, part.own_time[: len(miss)], side="right")
+            with np.errstate(over="ignore", invalid="ignore"):
+                found.append((fold, miss**2))
+    return found

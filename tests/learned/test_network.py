@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydrotwin.learned import domain_share, read_block, train_network, write_block
 from hydrotwin.learned.network import free_run as training
+from hydrotwin.learned.network.form import Form
 from hydrotwin.learned.network.learn import certify
 from hydrotwin.learned.network.narx import NarxShape
+from hydrotwin.learned.network.series import series
+from hydrotwin.learned.network.training import Problem
+from hydrotwin.learned.training_data import as_signals
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -300,3 +305,17 @@ def test_what_only_changes_with_its_input_is_found_to_integrate_and_late_inputs_
     form = block.provenance["form"]
     assert form["delay"] in (5, 8) and form["input_lags"] > 8
     assert rmse(simulate(block, record), record, "y") < 0.05 * np.std(y)
+
+
+def test_a_linear_model_whose_free_run_grows_is_not_taken():
+    """A pole of 1.0001 outlives any held-out part, and no longer run; where the output integrates it is 1."""
+    form = Form(0.1, 1, 2)
+    u = np.random.default_rng(0).normal(size=(300, 1))
+    y = np.concatenate([[0.0], np.cumsum(0.1 * u[:-1, 0])])
+    record = Record(0.1 * np.arange(300), {"u": u[:, 0], "y": y}, {"u": "V", "y": "m"}, "rod")
+    inputs, outputs = (as_signals([n], record, "signals") for n in "uy")
+    for integrates, change, grows in ((False, 1e-4, True), (False, -1e-4, False), (True, 0.0, False)):
+        problem = Problem.of(replace(form, integrates=integrates), series([record], [], inputs, outputs, 0.1))
+        weights = np.zeros(problem.shape.size)
+        training.weight_arrays(weights, problem.shape)[3][0, 0] = change / problem.scales.increment[0]
+        assert problem.grows(weights) is grows

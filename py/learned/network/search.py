@@ -110,7 +110,7 @@ class Search:
                     ends += self._on(problem, found, weights)
         except Ended:
             pass
-        return found, min(ends, key=lambda w: problem.judge(w, problem.series.pieces))
+        return found, min(ends, key=lambda w: (problem.grows(w), problem.judge(w, problem.series.pieces)))
 
     def _on(self, problem: Problem, found: Candidate, weights: np.ndarray) -> list[np.ndarray]:
         """Weights that were trained without a part, trained on with all of them."""
@@ -259,7 +259,8 @@ class Search:
             self._fall_back(problem, first, held, around, seed)
             ends = [first, *problem.path(first, centre, fit, stages, decay, self.meter, seed)]
             found = [squares(w, held, problem.shape, problem.scales) for w in ends]
-            totals, count = totals + [total.sum() for total, _ in found], count + found[0][1]
+            bad = np.where([problem.grows(w) for w in ends], np.inf, 0.0)
+            totals, count = totals + bad + [total.sum() for total, _ in found], count + found[0][1]
             kept.append(ends)
         errors = np.sqrt(totals / max(count * len(self.outputs), 1))
         errors = np.where(np.isfinite(errors), errors, np.inf)

@@ -217,8 +217,8 @@ def test_a_hybrid_on_a_model_in_python_runs_by_its_own_name_and_starts_no_code(i
     assert again.corrected == ("piston_force",)
 
 
-def test_the_commands_take_such_a_hybrid_by_that_name(in_python, lopsided, tmp_path, monkeypatch):
-    _, written = in_python
+@pytest.mark.usefixtures("in_python")
+def test_the_commands_take_such_a_hybrid_by_that_name(lopsided, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     write_record(lopsided[1].window(0, 1.0), tmp_path / "run.csv")
     (tmp_path / "scenario.toml").write_text('models = ["arm.toml", "cehA"]\nvalidate = ["run.csv"]\n')

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydrotwin.learned import domain_share, read_block, train_network, write_block
 from hydrotwin.learned.network import free_run as training
+from hydrotwin.learned.network.form import Form
 from hydrotwin.learned.network.learn import certify
 from hydrotwin.learned.network.narx import NarxShape
+from hydrotwin.learned.network.series import series
+from hydrotwin.learned.network.training import Problem
+from hydrotwin.learned.training_data import as_signals
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
 from tests.learned.toy_machine import ANGLE, COMMAND, NOISE, PERIOD, SPEED, toy_record, untrained_block
 
-QUICK = {"period": PERIOD, "hidden": 6, "starts": 1, "lags": (2, 4), "effort": 0.5}
+QUICK = {"period": PERIOD, "hidden": 6, "starts": 1, "lags": (2, 4), "effort": 0.4}
 BRIEF = QUICK | {"effort": 0.1}
 
 
@@ -267,3 +273,49 @@ def test_a_network_without_past_increments_steps_like_any():
     block = untrained_block(outputs=(ANGLE,), output_lags=0)
     x, y = block.step(np.zeros(len(block.states)), 0.5, [])
     assert x.shape == (len(block.states), 1) and y.shape == (1, 1)
+
+
+def tank(samples: int = 400, period: float = 4.0) -> Record:
+    """A level behind two lags, sampled so slowly that a few hundred samples are all there is."""
+    rng = np.random.default_rng(2)
+    u = np.repeat(rng.uniform(1, 5, samples), rng.integers(5, 30, samples))[:samples]
+    upper, lower = np.zeros(samples), np.zeros(samples)
+    for k in range(samples - 1):
+        upper[k + 1] = upper[k] + 0.1 * (u[k] - upper[k])
+        lower[k + 1] = lower[k] + 0.1 * (upper[k] - lower[k])
+    level = lower + 0.01 * rng.normal(size=samples)
+    return Record(period * np.arange(samples), {"pump": u, "level": level}, {"pump": "V", "level": "V"}, "tank")
+
+
+def test_few_slow_samples_get_a_small_model_and_no_refusal():
+    whole = tank()
+    block = train_network([whole.window(0, 1200.0)], ["pump"], ["level"], starts=1, effort=0.3)
+    assert block.provenance["stopped"] == "finished" and block.provenance["form"]["integrates"] is False
+    assert rmse(simulate(block, whole), whole, "level") < 0.05 * np.std(whole["level"])
+
+
+def test_what_only_changes_with_its_input_is_found_to_integrate_and_late_inputs_are_found():
+    """A counter of a late input: held-out free runs find that it integrates, and by how much it is late."""
+    rng = np.random.default_rng(4)
+    u = np.repeat(rng.uniform(-1, 1, 200), rng.integers(6, 30, 200))[:1500]
+    late = np.concatenate([np.full(8, u[0]), u[:-8]])
+    y = np.concatenate([[0.0], np.cumsum(0.05 * np.tanh(late[:-1]))]) + 1e-3 * rng.normal(size=1500)
+    record = Record(0.1 * np.arange(1500), {"u": u, "y": y}, {"u": "V", "y": "m"}, "counter")
+    block = train_network([record], ["u"], ["y"], period=0.1, hidden=0)
+    form = block.provenance["form"]
+    assert form["delay"] in (5, 8) and form["input_lags"] > 8
+    assert rmse(simulate(block, record), record, "y") < 0.05 * np.std(y)
+
+
+def test_a_linear_model_whose_free_run_grows_is_not_taken():
+    """A pole of 1.0001 outlives any held-out part, and no longer run; where the output integrates it is 1."""
+    form = Form(0.1, 1, 2)
+    u = np.random.default_rng(0).normal(size=(300, 1))
+    y = np.concatenate([[0.0], np.cumsum(0.1 * u[:-1, 0])])
+    record = Record(0.1 * np.arange(300), {"u": u[:, 0], "y": y}, {"u": "V", "y": "m"}, "rod")
+    inputs, outputs = (as_signals([n], record, "signals") for n in "uy")
+    for integrates, change, grows in ((False, 1e-4, True), (False, -1e-4, False), (True, 0.0, False)):
+        problem = Problem.of(replace(form, integrates=integrates), series([record], [], inputs, outputs, 0.1))
+        weights = np.zeros(problem.shape.size)
+        training.weight_arrays(weights, problem.shape)[3][0, 0] = change / problem.scales.increment[0]
+        assert problem.grows(weights) is grows

@@ -214,9 +214,10 @@ def normal_equations(weights, shape: NarxShape, scales: Scales, s: Stretches, ev
     run = free_run(weights, shape, scales, s)
     P = len(trained)
     JJ, Je, ee, count = np.zeros((P, P)), np.zeros(P), 0.0, 0
-    for part, J in derivatives(weights, shape, scales, s, run, trained):
-        kept = slice((every - 1 - part.start) % every, None, every)
-        rows = J[kept].reshape(-1, P)
-        e = (run.outputs[part] - s.target[part])[kept].reshape(-1)
-        JJ, Je, ee, count = JJ + rows.T @ rows, Je + rows.T @ e, ee + float(e @ e), count + len(e)
+    with np.errstate(over="ignore", invalid="ignore"):  # who trains looks whether they are finite
+        for part, J in derivatives(weights, shape, scales, s, run, trained):
+            kept = slice((every - 1 - part.start) % every, None, every)
+            rows = J[kept].reshape(-1, P)
+            e = (run.outputs[part] - s.target[part])[kept].reshape(-1)
+            JJ, Je, ee, count = JJ + rows.T @ rows, Je + rows.T @ e, ee + float(e @ e), count + len(e)
     return JJ, Je, ee, count

@@ -110,7 +110,7 @@ class Search:
                     ends += self._on(problem, found, weights)
         except Ended:
             pass
-        return found, min(ends, key=lambda w: problem.judge(w, problem.series.pieces))
+        return found, min(ends, key=lambda w: (problem.grows(w), problem.judge(w, problem.series.pieces)))
 
     def _on(self, problem: Problem, found: Candidate, weights: np.ndarray) -> list[np.ndarray]:
         """Weights that were trained without a part, trained on with all of them."""
@@ -182,6 +182,7 @@ class Search:
     # -- networks ------------------------------------------------------------------------------------------------------
     def _networks(self, linear: Sequence[Candidate]) -> None:
         """Networks around the best linear forms, one choice after the other, then several seeds of the best."""
+        alone = self.best  # of all linear ones
         near = [c for c in _first_of_periods(linear) if c.error <= NEAR * linear[0].error][:PERIODS]
         tried = [self._short(c, h, DECAYS[0], True) for c in near for h in self._sizes(c)[:1]]
         if not tried:
@@ -194,8 +195,8 @@ class Search:
         for seed in range(self.asked.seed, self.asked.seed + self.asked.starts):
             ends.append(self._network(best.around, best.form.hidden, best.decay, best.form.places, FULL, seed))
             self.seeds.append({"seed": seed, "held_out_error": ends[-1].error})
-        helps = float(np.median([c.error for c in ends])) < GAIN * linear[0].error
-        self.best = min(ends, key=lambda c: c.error) if helps or self.asked.hidden else linear[0]
+        helps = float(np.median([c.error for c in ends])) < GAIN * alone.error
+        self.best = min(ends, key=lambda c: c.error) if helps or self.asked.hidden else alone
 
     def _of_other_lags(self, best: Candidate, linear: Sequence[Candidate]):
         """Around the other linear candidates of that period: what suits a linear model may not suit a network."""
@@ -228,8 +229,8 @@ class Search:
         return sorted(sizes, key=lambda h: h != HIDDEN[1])
 
     def _short(self, linear: Candidate, hidden: int, decay: float, places: bool) -> Candidate:
-        """The better of two seeds after a short training: one alone may end badly."""
-        seeds = range(self.asked.seed, self.asked.seed + 2)
+        """The better of two seeds after a short training, where several are asked for: one alone may end badly."""
+        seeds = range(self.asked.seed, self.asked.seed + min(2, self.asked.starts))
         return min((self._network(linear, hidden, decay, places, SHORT, k) for k in seeds), key=lambda c: c.error)
 
     def _network(self, linear: Candidate, hidden: int, decay: float, places: bool, stages, seed: int):
@@ -258,7 +259,8 @@ class Search:
             self._fall_back(problem, first, held, around, seed)
             ends = [first, *problem.path(first, centre, fit, stages, decay, self.meter, seed)]
             found = [squares(w, held, problem.shape, problem.scales) for w in ends]
-            totals, count = totals + [total.sum() for total, _ in found], count + found[0][1]
+            bad = np.where([problem.grows(w) for w in ends], np.inf, 0.0)
+            totals, count = totals + bad + [total.sum() for total, _ in found], count + found[0][1]
             kept.append(ends)
         errors = np.sqrt(totals / max(count * len(self.outputs), 1))
         errors = np.where(np.isfinite(errors), errors, np.inf)

@@ -22,6 +22,7 @@ from .narx import NarxShape
 from .series import Piece, Series, one_step, squares, stretches
 
 SETTLED = 3e-3  # of the cost: an iteration that gains less ends a stage
+GROWS = 1e-9  # beyond 1: magnitude of a pole from which on a linear model is unstable; one that integrates has 1
 RAISE, TRIES = 6.0, 8  # of the damping, until a step lowers the cost
 
 
@@ -100,6 +101,16 @@ class Problem:
         total, count = squares(weights, pieces, self.shape, self.scales)
         error = float(np.sqrt(total.sum() / max(count * self.shape.outputs, 1))) if count else np.inf
         return error if np.isfinite(error) else np.inf
+
+    def grows(self, weights: np.ndarray) -> bool:
+        """Whether a linear free run grows without bound: such a model may fit every part and leave any longer run."""
+        if self.shape.hidden:
+            return False
+        ny, fed_back = self.shape.outputs, self.shape.fed_back
+        own, gain = np.eye(fed_back), weight_arrays(weights, self.shape)[3][:, :fed_back]
+        following = np.vstack([own[:ny] + self.scales.increment[:, None] * gain, gain, own[ny : fed_back - ny]])
+        poles = np.linalg.eigvals(following[:fed_back])
+        return bool(np.abs(poles).max() > 1 + GROWS)
 
     def least_squares(self, pieces: Sequence[Piece]) -> np.ndarray:
         """Linear weights by least squares one step ahead: of measured or of smoothed outputs, what runs better."""

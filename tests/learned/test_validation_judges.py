@@ -1,0 +1,53 @@
+"""Recordings to validate with judge and do nothing else: another one gives the same block, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.records import Record
+from tests.learned.test_bad_input import MODEL, PERIOD, recording
+
+INPUTS, OUTPUTS = ["current"], ["position"]
+KINDS = {  # options that keep a training short, and what it needs
+    "nn": ({"hidden": 2, "starts": 1, "effort": 0.1, "lags": (1, 2), "period": PERIOD}, None),
+    "nn paper": ({"fit": "paper", "iterations": 20, "starts": 2}, "torch"),
+    "gp": ({"points": 60, "samples": 300, "compress": 10, "lags": 2}, "gpytorch"),
+    "dual_gp": ({"points": 60, "samples": 300, "compress": 10, "knots": 8, "lags": 2}, "gpytorch"),
+    "piecewise": ({"starts": 1, "dead_time": 0.0}, None),
+    "grey_box": ({"starts": 1, "effort": 0.2, "knots": 5}, None),
+    "symbolic": ({"starts": 1, "generations": 3, "population": 40, "lags": (0, 1), "period": PERIOD}, "pyoperon"),
+    "hybrid": ({"starts": 1, "hidden": 0, "effort": 0.1, "period": PERIOD, "features": ["velocity"]}, None),
+}
+
+
+def answers(seed: int) -> Record:
+    """A recording to validate with, whose position follows nothing that was trained on."""
+    record = recording(8.0, strength=0.8)
+    walk = np.cumsum(np.random.default_rng(seed).normal(size=len(record)))
+    return record.with_signals({"position": 0.05 * walk / np.ptp(walk)})
+
+
+def learned(kind: str, validate: list[Record]):
+    options, needs = KINDS[kind]
+    if needs:
+        pytest.importorskip(needs)
+    kind = kind.split()[0]
+    more = {"model": ht.load(MODEL)} if kind == "hybrid" else {}
+    inputs = () if kind == "hybrid" else INPUTS
+    return ht.learn(kind, [recording()], inputs, OUTPUTS, validate=validate, **options, **more)
+
+
+def content(block) -> dict[str, bytes]:
+    """All numbers of a block, and those of a hybrid's residual."""
+    block = getattr(block, "residual", block)
+    return {} if block is None else {name: array.tobytes() for name, array in block.arrays.items()}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_another_recording_to_validate_with_gives_the_same_block_bit_for_bit(kind):
+    none, other = (learned(kind, validate) for validate in ([], [answers(1)]))
+    assert content(none) == content(other)
+    runs = [ht.simulate(block, recording(4.0))["position"] for block in (none, other)]
+    assert runs[0].tobytes() == runs[1].tobytes()

@@ -26,6 +26,7 @@ from .kernel_block import BYTES_OF_CONSTANT, LARGEST_C
 JITTER = 1e-10  # of the prior variance, on the diagonal of K_ZZ
 MEAN_POINTS = (100, 150, 200, 300, 400, 800)  # tried in turn
 SD_POINTS = (100, 150, 200)
+UNSEEN = 1e-3  # of the noise variance: what the rows' variance may grow by for a smaller factor
 NEGLIGIBLE = 1e-8  # of the prior variance: a direction the data say less about is dropped from the deviation
 
 
@@ -105,7 +106,8 @@ def compressed(
     """
     X, at = exact.features / exact.lengths, places / exact.lengths
     fixed, small_enough = compress not in (None, "auto"), X.size * BYTES_OF_CONSTANT < 0.7 * LARGEST_C
-    for Z in _growing(X, (compress,) if fixed else SD_POINTS, exact.kernel):
+    most = min(compress, SD_POINTS[-1]) if fixed else SD_POINTS[-1]
+    for Z in _growing(X, (*(count for count in SD_POINTS if count < most), most), exact.kernel):
         small = SmallPosterior(Z, np.zeros(len(Z)), Z, _factor(exact, X, Z), exact.constant, exact.prior_variance)
         if np.abs(small.at(at, exact.kernel)[1] - known[1]).max() <= bound:
             break
@@ -148,7 +150,16 @@ def _factor(exact: Posterior, X: np.ndarray, Z: np.ndarray) -> np.ndarray:
     told = np.maximum(1.0 - 1.0 / scale, 0.0)
     kept = told > min(NEGLIGIBLE, told.max() / 2)
     R = solve_triangular(L, V[:, kept] * np.sqrt(told[kept]), lower=True, trans="T").T
-    return np.triu(qr(exact.prior_variance * R, mode="economic")[1])
+    return np.triu(qr(_seen(exact, exact.prior_variance * R, X, Z), mode="economic")[1])
+
+
+def _seen(exact: Posterior, R: np.ndarray, X: np.ndarray, Z: np.ndarray) -> np.ndarray:
+    """The fewest directions of ``R`` (rank, M) without which no row's variance grows by more than `UNSEEN` noise."""
+    shown = R @ correlation(Z, X, exact.kernel)
+    V = eigh(shown @ shown.T)[1][:, ::-1]
+    left = np.cumsum(((V.T @ shown) ** 2)[::-1], axis=0)[::-1].max(axis=1)  # without this direction and all after it
+    kept = max(int(np.sum(left > UNSEEN * exact.noise_variance)), 1)
+    return V[:, :kept].T @ R
 
 
 def uncertain(exact: Posterior, Z: np.ndarray) -> np.ndarray:

@@ -62,7 +62,7 @@ def learn_state_network(
     starts: int = 3,
     effort: float = 1.0,
     budget: float | None = None,
-    name: str = "state_network",
+    name: str = "state_nn",
     commands: Sequence[str] | None = None,
     progress: Callable | None = None,
 ) -> LearnedBlock:

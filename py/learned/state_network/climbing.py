@@ -178,8 +178,10 @@ class Climb:
         return float(error) if np.isfinite(error) else np.inf
 
     def through(self, stages: Sequence[Stage]) -> Climb:
-        """Each stage in turn, from where the last one ended."""
+        """Each stage in turn, from the best so far: short sections may lead away from what runs well for long."""
         for stage in stages:
+            if self.judges:
+                self.net = self.best.net
             self._stage(stage)
         return self
 
@@ -192,6 +194,8 @@ class Climb:
                 return
             sums = zip(*(normal_equations(self.net, s) for s in sections), strict=True)
             JJ, Je, ee = (sum(part) / count for part in sums)
+            if not np.isfinite(JJ).all():
+                return
             cost = ee + decay @ self.net.flat**2
             found = self._step(sections, JJ + np.diag(decay), Je + decay * self.net.flat, cost, damping)
             if found is None:

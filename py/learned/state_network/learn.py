@@ -30,7 +30,7 @@ ORDERS = (1, 2, 3)  # hidden states that are tried
 PAST = 6  # samples that the encoder looks back
 SAMPLES_PER_UNIT, UNITS = 100, (2, 8)  # one tanh unit for so many samples; fewest and most
 DECAYS = (1e-4, 1e-3, 1e-5)  # of the squared weights: the first for every form, the others for the best
-LENGTHS = (64, 256, 1024)  # samples of the sections, each as far as the recordings go
+SHARES, SHORTEST = (24, 6, 3), 16  # of the longest recording are the sections; samples of the shortest
 TRIAL_SAMPLES = 8000  # simulated in one iteration of a trial
 CHECKED = 5000  # random steps of the certificate
 
@@ -62,7 +62,7 @@ def learn_state_network(
     starts: int = 3,
     effort: float = 1.0,
     budget: float | None = None,
-    name: str = "state_network",
+    name: str = "state_nn",
     commands: Sequence[str] | None = None,
     progress: Callable | None = None,
 ) -> LearnedBlock:
@@ -224,9 +224,8 @@ def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
 
 
 def _plan(longest: int, effort: float) -> Plan:
-    """Lengths that fit into the recordings, the longest of them together with whole recordings."""
-    fitting = zip(LENGTHS, (16, 8, 4), strict=True)
-    short, middle, long = (min(length, max(longest // parts, 16)) for length, parts in fitting)
+    """Sections that grow, the longer ones together with whole recordings."""
+    short, middle, long = (max(longest // share, SHORTEST) for share in SHARES)
 
     def stage(horizon: int, iterations: int, whole: bool) -> Stage:
         return Stage(horizon, max(1, round(effort * iterations)), whole)

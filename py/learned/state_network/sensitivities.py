@@ -119,7 +119,7 @@ def normal_equations(net: Network, s: Sections) -> tuple[np.ndarray, np.ndarray,
         inside = (net.lower < following) & (following < net.upper)
         A, D = (d * inside[..., None] for d in (A, D)) if not inside.all() else (A, D)
         J = np.empty((len(A), count, ny, shape.size))
-        for k in range(len(A)):
+        for k in range(len(A)):  # of an unstable network they grow beyond all numbers, which who asks finds in JJ
             S = np.matmul(A[k], S)
             S[..., : D.shape[-1]] += D[k]
             J[k] = S[:, :ny]
@@ -127,7 +127,8 @@ def normal_equations(net: Network, s: Sections) -> tuple[np.ndarray, np.ndarray,
         J *= weight[..., None]
         e = ((following[..., :ny] - s.targets[part]) * weight).ravel()
         J = J.reshape(-1, shape.size)
-        JJ, Je, ee = JJ + J.T @ J, Je + J.T @ e, ee + float(e @ e)
+        with np.errstate(all="ignore"):
+            JJ, Je, ee = JJ + J.T @ J, Je + J.T @ e, ee + float(e @ e)
     return JJ, Je, ee
 
 

@@ -91,6 +91,8 @@ def learn(
     Raises: as the trainer of that kind, and `DeclarationError` for a kind that is not known.
     """
     train = trainer(kind, fit)
+    if options.get("select") and not takes(kind, "select"):
+        raise DeclarationError(f"learn {kind}: nothing is chosen by recordings here. Leave --select out.")
     if (kind == "hybrid") != (model is not None):
         raise DeclarationError(
             f"learn {kind}: a model goes with hybrid (got {model}). Give learn('hybrid', model=...)."

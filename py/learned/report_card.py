@@ -18,6 +18,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
 
+from .bands import RUNS, band_of
 from .grey_box.data import block_period
 from .held_out import Split
 from .left_over import LeftOver, left_over
@@ -31,6 +32,7 @@ BEYOND = 0.4  # of the range seen in training: a free run further outside it has
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
 FREE, ONE_STEP = "free_run", "one_step"
+OWN = "own"  # source of a band that the block brings; others are made of what was held out
 Run = Callable[[Record], Record]
 
 
@@ -38,6 +40,8 @@ Run = Callable[[Record], Record]
 class Row:
     """One output: RMS error of the free run and of each yardstick, SI; range in the recordings; where it diverged.
 
+    errors : further errors of the free run by name, SI (mae, maximum, bias) and percent (fit_percent). band : how the
+    95 % band holds in free run, see `bands.band_of`.
     one_step : RMS error from measured sample to sample, None where no state is the output. left : of the free run, and
     of one step.
     """
@@ -49,6 +53,8 @@ class Row:
     diverged: str = ""
     one_step: float | None = None
     left: Mapping[str, LeftOver] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
+    band: Mapping[str, object] = field(default_factory=dict)
 
     @property
     def no_better_than(self) -> list[str]:
@@ -60,12 +66,20 @@ class Row:
         answer = {"unit": self.output.unit, "range": self.range, "yardsticks": dict(self.yardsticks)}
         answer["no_better_than"] = self.no_better_than
         if np.isfinite(self.rmse):
-            answer |= {"rmse": self.rmse, "percent_of_range": 100 * self.rmse / self.range}
+            answer |= {"rmse": self.rmse, "percent_of_range": 100 * self.rmse / self.range, **self.errors}
         if self.one_step is not None:
             answer["one_step"] = {"rmse": self.one_step}
         if self.left:
             answer["left"] = {of: part.told() for of, part in self.left.items()}
+        answer |= {"band": dict(self.band)} if self.band else {}
         return answer | ({"diverged": self.diverged} if self.diverged else {})
+
+    def band_said(self) -> str:
+        """A band of the block's own that does not hold, in a sentence; else empty."""
+        if self.band.get("source") != OWN or self.band.get("trustworthy") or "coverage" not in self.band:
+            return ""
+        inside = 100 * self.band["coverage"]
+        return f"The 95 % band of {self.output.name} holds {inside:.3g} % of what was held out: do not rely on it."
 
     def said(self) -> str:
         """In the unit that a person reads."""
@@ -73,6 +87,18 @@ class Row:
         own = f"{shown(self.rmse, self.output.unit)}, {100 * self.rmse / self.range:.2g} % of its range"
         own += f", one step ahead {shown(self.one_step, self.output.unit)}" if self.one_step is not None else ""
         return f"{self.output.name} {own} ({apart})"
+
+
+def further(measured: np.ndarray, miss: np.ndarray) -> dict[str, float]:
+    """Errors of a run beside its RMS, (n,) SI."""
+    swing = float(np.linalg.norm(measured - measured.mean()))
+    fit = {"fit_percent": 100 * (1 - float(np.linalg.norm(miss)) / swing)} if swing > 0 else {}
+    return {
+        "mae": float(np.abs(miss).mean()),
+        "maximum": float(np.abs(miss).max()),
+        "bias": float(miss.mean()),
+        **fit,
+    }
 
 
 @dataclass(frozen=True)
@@ -101,6 +127,7 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
     bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
     good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
     notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
+    notes += [row.band_said() for row in rows]
     return {
         "held_out": split.told(),
         "outputs": {row.output.name: row.told() for row in rows},
@@ -124,6 +151,7 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
     apart = {name: _misses(run, split.held_out, outputs) for name, run in yardsticks.items()}
     found, diverged = _runs(block, split.held_out)
     ahead = _one_step(block, split.held_out) if not diverged else {}
+    bands = {} if diverged else {name: _band(told) for name, told in band_of(block, split.held_out).items()}
     rows = []
     for signal in (s for s in block.outputs if s.name in outputs):
         name, values = signal.name, np.concatenate([r[signal.name] for r in seen])
@@ -134,8 +162,17 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
         errors = {yardstick: per[name] for yardstick, per in apart.items() if name in per}
         one_step = _rms(ahead[name]) if name in ahead else None
         left = {} if far else _all_left(block, split.held_out, misses, ahead.get(name))
-        rows.append(Row(signal, rmse, range_, errors, far, one_step, left))
+        measured = np.concatenate([r[name] for r in split.held_out])
+        more = {} if diverged else further(measured, np.concatenate(misses))
+        rows.append(Row(signal, rmse, range_, errors, far, one_step, left, more, bands.get(name, {})))
     return rows
+
+
+def _band(told: Mapping) -> dict:
+    """What the card keeps of a band: its source, coverage and half width (SI), free run and one step."""
+    modes = {mode: {key: told[mode][key] for key in ("coverage", "half_width")} for mode in RUNS if mode in told}
+    free = modes.get("free_run", {})
+    return {"source": told["source"], "trustworthy": told["trustworthy"], **free, **modes}
 
 
 def yardsticks(kind: str, split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:

@@ -125,7 +125,7 @@ def learn_symbolic(
         options = {"tolerance": tolerance, "until": until, "seed": seed, "progress": progress}
         selection = selecting.Selection(data, names, **options)
         found = [archive.front() if static else archive.all() for archive in archives]
-        formula = selection.choose([[f.formula for f in kept] for kept in found])
+        formula = selection.choose([[f.formula for f in sorted(kept, key=lambda f: f.error)] for kept in found])
         stopped = stopped or selection.stopped
     formula = printing.simplified(formula, data.shape.features)
     block = _block(formula, data, records, inputs, outputs, period, name)

@@ -70,7 +70,7 @@ class Selection:
         self.chosen: list[Candidate] = []
 
     def choose(self, found: Sequence[Sequence[Formula]]) -> Formula:
-        """The expressions of all outputs, from the formulas ``found`` for each and linear ones beside them.
+        """The expressions of all outputs, from the formulas ``found`` for each, the best first, and linear ones.
 
         Of those that are worse than the best by no more than the tolerance, or than the folds tell, the shortest is
         chosen, each output with the others as measured; then all constants are refitted together.
@@ -152,13 +152,13 @@ class Selection:
 
 
 def distinct(formulas: Sequence[Formula], data: Prepared) -> list[Formula]:
-    """The formulas simplified, without those of the same form; the shortest first."""
+    """The formulas simplified, without those of the same form, in their order."""
     forms: dict[tuple, Formula] = {}
     for formula in formulas:
         short = simplified(formula, data.shape.features)
         if np.all(np.isfinite(short.constants)):
             forms.setdefault(short.tokens, short)
-    return sorted(forms.values(), key=lambda f: (len(f.tokens), f.tokens))
+    return list(forms.values())
 
 
 def _with_one_zero(formula: Formula, data: Prepared) -> list[Formula]:

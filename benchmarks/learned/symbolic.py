@@ -1,26 +1,33 @@
-"""The experiment of the C-EHA paper on the rig: learn a formula from five recordings, judge it by free runs on three.
+"""Formulas: three static problems with a known law, and the experiment of the C-EHA paper on the rig.
 
-Both fits of `learn_symbolic`, with and without the measured motor speed: the error of the free runs, the formula,
+The problems, by ours, the old operators, operon and gplearn in the same processor time: `symbolic_problems`.
+The experiment: learn a formula from five recordings, judge it by free runs on three. Both fits of `learn_symbolic`,
+with and without the measured motor speed, and plain operon on the same increments: error of the free runs, formula,
 evaluations per processor second, and the time of a refit of all constants on all recordings.
-``python benchmarks/learned/symbolic.py [SECONDS]``: length of a recording, 80 s as in the paper unless said.
+``python benchmarks/learned/symbolic.py [SECONDS [SEEDS]]``: length of a recording, 80 s as in the paper unless said;
+seeds of the problems, 5 unless said.
 """
 
 from __future__ import annotations
 
 import sys
 import time
+from dataclasses import fields
 
 import numpy as np
 
-from hydrotwin.learned.symbolic.block import Formula
+from benchmarks.learned.symbolic_problems import OPERON, SAMPLES, best_found, problems
+from hydrotwin.learned.block_file import assemble
+from hydrotwin.learned.symbolic.block import SYMBOLIC, Formula
 from hydrotwin.learned.symbolic.data import prepare
 from hydrotwin.learned.symbolic.learn import learn_symbolic
 from hydrotwin.learned.symbolic.refit import FreeRun, laid_out
 from hydrotwin.records import Record
-from hydrotwin.simulation import simulate
+from hydrotwin.simulation import Block, simulate
 from tests import rig
 
 UNITS = {"command": "V", "motor_speed": "rad/s", "arm_angle": "rad"}
+CPU_SECONDS = 5.0  # of every contender on a problem
 NOISE = {"arm_angle": 2e-4, "motor_speed": 0.5}
 
 
@@ -33,7 +40,8 @@ def recording(seed: int, seconds: float, rate: float = 1000.0) -> Record:
     return Record(columns["time"], {n: columns[n] for n in UNITS}, UNITS, f"run_{seed}")
 
 
-def main(seconds: float = 80.0) -> None:
+def main(seconds: float = 80.0, seeds: float = 5) -> None:
+    problems(CPU_SECONDS, int(seeds))
     train = [recording(seed, seconds) for seed in range(5)]
     judge = [recording(seed, seconds) for seed in (500, 501, 503)]  # 502 has no command that stays in reach
     print(
@@ -58,6 +66,27 @@ def main(seconds: float = 80.0) -> None:
             print(
                 f"  refit of all constants, each 5 % off, on all recordings: {_refit_seconds(block, train):.1f} CPU-s"
             )
+
+    _plain_operon(train, judge)
+
+
+def _plain_operon(train, judge) -> None:
+    """The formula with the best one-step error that plain operon finds on the same features, run freely."""
+    for inputs in (["command"], ["command", "motor_speed"]):
+        block = learn_symbolic(train, inputs, ["arm_angle"], starts=1, generations=1, population=20)
+        lags = block.structure["output_lags"], block.structure["input_lags"]
+        data = prepare(train, [], block.inputs, block.outputs, block.period, lags, False)
+        z, d = data.pairs(data.fit)
+        chosen = np.sort(np.random.default_rng(0).permutation(len(z))[:SAMPLES])
+        began = time.process_time()
+        best = best_found(OPERON, z[chosen], d[chosen, 0], 0, CPU_SECONDS)
+        arrays = {"tokens": np.array(best.tokens, float), "constants": np.array(best.constants)}
+        counts = {"tokens": len(best.tokens), "constants": len(best.constants)}
+        frame = {f.name: getattr(block, f.name) for f in fields(Block) if f.name not in ("step", "start")}
+        plain = assemble(SYMBOLIC, data.scales | arrays, dict(block.structure) | counts, **frame)
+        errors = [_error(plain, record) for record in judge]
+        print(f"\nplain operon, {', '.join(inputs)}: {', '.join(f'{e:.3f}' for e in errors)}; "
+              f"mean {np.mean(errors):.3f} ({time.process_time() - began:.1f} CPU-s)")  # fmt: skip
 
 
 def _refit_seconds(block, train) -> float:

@@ -19,7 +19,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from tests.learned.toy_machine import ANGLE, COMMAND, PERIOD, SPEED, toy_record
 
-QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 40}
+QUICK = {"period": PERIOD, "lags": (1, 3), "starts": 1, "generations": 15}
 BRIEF = QUICK | {"generations": 10, "population": 100}
 
 

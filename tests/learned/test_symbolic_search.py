@@ -120,7 +120,7 @@ def test_the_refit_finds_the_constants_that_made_the_recording(recordings):
     made = [r.with_signals({"arm_angle": simulate(truth, r)["arm_angle"]}) for r in recordings[:2]]
     data = prepare(made, [], (COMMAND,), (ANGLE,), PERIOD, (1, 3), False)
     scales = data.scales | {name: truth.arrays[name] for name in data.scales}
-    data = type(data)(data.shape, scales, data.series, data.fit, data.judged)
+    data = type(data)(data.shape, scales, data.series, data.fit, data.folds)
     columns = [((r["arm_angle"] - 0.4) / 0.2).reshape(-1, 1) for r in made]
     u = [(r["command"] - 0.1) / 0.7 for r in made]
     z = [np.column_stack([y, 0 * y, *(np.r_[[v[0]] * k, v[: len(v) - k]] for k in range(3))]) for y, v in

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,18 +20,27 @@ from .static_block import StaticShape
 LEAST_SAMPLES = 50
 CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signal, so that single precision suffices
 PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
+FOLDS = 5  # parts of every recording, each of which judges constants fitted on the others
 HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Series with the pieces to fit and to judge on, the scales of the block, and the lags (static: none)."""
+    """Series with the pieces to fit, the scales of the block, and the lags (static: none).
+
+    folds : pairs of pieces, those on which constants are fitted and those on which they are judged.
+    """
 
     shape: NarxShape | StaticShape
     scales: dict[str, np.ndarray]
     series: list[Series]
     fit: list[Piece]
-    judged: list[Piece]
+    folds: list[tuple[list[Piece], list[Piece]]]
+
+    @property
+    def judged(self) -> list[Piece]:
+        """What some fold judges on."""
+        return [piece for _, pieces in self.folds for piece in pieces]
 
     @property
     def static(self) -> bool:
@@ -55,16 +64,16 @@ class Prepared:
         lower, upper = ((s[f"output_{side}"] - s["output_centre"]) / s["output_scale"] for side in ("lower", "upper"))
         return Bounds(s["increment_scale"] / s["output_scale"], s["increment_limit"], lower, upper)
 
-    def pairs(self) -> tuple[np.ndarray, np.ndarray]:
-        """Features (n, nf) and targets (n, ny) of the fitted part.
+    def pairs(self, pieces: Sequence[Piece]) -> tuple[np.ndarray, np.ndarray]:
+        """Features (n, nf) and targets (n, ny) of some pieces.
 
         Targets: increments to the next sample, over the increment scale; of static outputs these themselves.
         """
         if self.static:
-            parts = [(self.series[p.series], slice(p.first, p.last)) for p in self.fit]
+            parts = [(self.series[p.series], slice(p.first, p.last)) for p in pieces]
             return tuple(np.concatenate([getattr(s, name)[k] for s, k in parts]) for name in ("z", "y"))
         ratio, y = self.bounds.ratio, range(self.shape.outputs)
-        z = [self.series[p.series].z[p.first : p.last] for p in self.fit]
+        z = [self.series[p.series].z[p.first : p.last] for p in pieces]
         return np.concatenate([v[:-1] for v in z]), np.concatenate([np.diff(v[:, y], axis=0) for v in z]) / ratio
 
 
@@ -79,7 +88,7 @@ def prepare(
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
-    select : recordings to judge on; none: the end of every training recording, and these as a whole.
+    select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples) and increments.
     """
@@ -95,18 +104,28 @@ def prepare(
     ratio = scales["increment_scale"] / scales["output_scale"]
     all_runs = [*zip(u, y, strict=True), *judged]
     series = [_series(normal("input", a), normal("output", b), shape, ratio, next_value) for a, b in all_runs]
-    return Prepared(shape, scales, series, *_pieces(series, len(u)))
-
-
-def _pieces(series: Sequence[Series], training: int) -> tuple[list[Piece], list[Piece]]:
-    """Pieces to fit and to judge on; the first ``training`` series are training recordings."""
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    if len(series) > training:
-        return whole[:training], whole[training:]
-    cuts = [round((1 - HELD_OUT) * p.last) for p in whole]
-    fit = [Piece(p.series, 0, k, True) for p, k in zip(whole, cuts, strict=True)]
-    tails = [Piece(p.series, k, p.last, False) for p, k in zip(whole, cuts, strict=True)]
-    return fit, [*tails, *whole]
+    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value))
+
+
+def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Piece], list]:
+    """Pieces to fit, and folds, from the training recordings and those to select on.
+
+    ends : without ``select``, only the end of every recording is held out and judges together with the whole.
+    """
+    if select:
+        return fit, [(fit, select)]
+    if ends:
+        cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
+        begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
+        return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
+    parts = [[_part(p, k) for p in fit] for k in range(FOLDS)]
+    return fit, [([p for j, part in enumerate(parts) if j != k for p in part], parts[k]) for k in range(FOLDS)]
+
+
+def _part(piece: Piece, k: int) -> Piece:
+    cuts = np.linspace(0, piece.last, FOLDS + 1).astype(int)
+    return Piece(piece.series, int(cuts[k]), int(cuts[k + 1]), k == 0)
 
 
 def prepare_static(
@@ -130,7 +149,7 @@ def prepare_static(
 
     series = [Series(normal("input", a), normal("output", b)) for a, b in parts]
     pieces = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    return Prepared(StaticShape(len(inputs), len(outputs)), scales, series, pieces[:1], pieces[1:])
+    return Prepared(StaticShape(len(inputs), len(outputs)), scales, series, pieces[:1], [(pieces[:1], pieces[1:])])
 
 
 def is_static(records: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal]) -> bool:

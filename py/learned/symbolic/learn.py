@@ -18,7 +18,7 @@ from ..interruption import INTERRUPTED
 from ..needs import needed_to_train
 from ..network.narx import network_states
 from ..steady import steady_where_it_integrates
-from ..training_data import HELD_OUT, checked_recordings, choose_period, named, training_box, usable
+from ..training_data import checked_recordings, choose_period, named, training_box, usable
 from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula
 from .certify import certify
 from .data import Prepared, is_static, prepare, prepare_static
@@ -26,6 +26,8 @@ from .static_block import SCALES, STATIC
 
 FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
+SELECTED_ON = "parts of every training recording, each with constants fitted on the others"
+FEWEST_NODES, SAMPLES_PER_NODE = 5, 20  # few samples get short formulas
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
 
@@ -58,8 +60,10 @@ def learn_symbolic(
     - ``"default"``: the increment of each output, from smoothed features; of static data the outputs themselves.
       pyoperon breeds, with least squares on the constants of every formula (`Rules`). The best of every length, over
       all generations and seeds, and linear formulas beside them, are refitted in short free runs, the best of these in
-      whole ones; of the formulas whose free-run error on ``select`` (or on the last fifth of every recording) is within
-      ``tolerance`` of the smallest, the shortest is kept. One whose free run diverges there is not.
+      whole ones; of the formulas whose free-run error on ``select`` is within ``tolerance`` of the smallest, the
+      shortest is kept. Without ``select``, every fifth of the recordings judges constants that were fitted on the
+      others, and what the fifths cannot tell from the best is as good. A formula whose free run diverges where it is
+      judged is not kept.
     - ``"paper"``: the operators of the C-EHA paper (`PAPER`), the next value from the present ones at the recorded
       period, sum of squared errors, no scaling, no refit, one seed: the formula with the smallest one-step error. It
       is the baseline, not the advice.
@@ -72,7 +76,7 @@ def learn_symbolic(
         validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.
         lags: past increments of the outputs, samples of the inputs (None: chosen, `choose_input_lags`).
         functions: of add, sub, mul, div, sin, cos, tanh, exp, log (of the absolute value), sqrt (as well), square.
-        nodes: at most in a formula of the search; None: 20, 40 of static data.
+        nodes: at most in a formula of the search; None: 20, 40 of static data, fewer of few samples.
         starts: searches, with the seeds ``seed ... seed + starts - 1``. population, generations: of each; None: 250,
             of the paper 1000.
         tolerance: what simplicity may cost, as a share of the free-run error.
@@ -106,7 +110,10 @@ def learn_symbolic(
         data = prepare(records, select, inputs, outputs, period, (0, 1) if paper else lags, paper)
     started = time.monotonic()
     end = started + (np.inf if budget is None else budget)
-    rules = _rules(searching, paper, functions, counts | {"nodes": nodes or NODES[static]})
+    samples = sum(p.last - p.first for p in data.folds[0][0])
+    if nodes is None and not paper:
+        counts["nodes"] = max(FEWEST_NODES, min(NODES[static], samples // SAMPLES_PER_NODE))
+    rules = _rules(searching, paper, functions, counts)
     names = [s.name for s in outputs]
     seeds = range(seed, seed + (1 if paper else starts))
     archives, stopped = _search(searching, data, rules, seeds, names, (started + end) / 2, progress)
@@ -118,11 +125,11 @@ def learn_symbolic(
         options = {"tolerance": tolerance, "until": until, "seed": seed, "progress": progress}
         selection = selecting.Selection(data, names, **options)
         found = [archive.front() if static else archive.all() for archive in archives]
-        formula = selection.choose([[f.formula for f in kept] for kept in found])
+        formula = selection.choose([[f.formula for f in sorted(kept, key=lambda f: f.error)] for kept in found])
         stopped = stopped or selection.stopped
     formula = printing.simplified(formula, data.shape.features)
     block = _block(formula, data, records, inputs, outputs, period, name)
-    told = _report(archives, stopped) | _judged(selecting, data, formula)
+    told = _report(archives, stopped) | _judged(selecting, selection, data, formula)
     told |= {"functions": list(rules.functions), "static": static}
     if selection:
         told["front"] = _front(printing, selection, data, inputs, outputs)
@@ -152,14 +159,17 @@ def _rules(searching, paper: bool, functions, counts):
 
 
 def _search(searching, data: Prepared, rules, seeds, names, until: float, progress):
-    """An archive per output, and what ended the searches before their time, empty when nothing did."""
-    z, d = data.pairs()
-    chosen = np.sort(np.random.default_rng(seeds[0]).permutation(len(z))[: rules.rows])
-    z, d = z[chosen], d[chosen]
+    """An archive per output, and what ended the searches before their time, empty when nothing did.
+
+    Every seed leaves out what another fold judges, so that some judgement of every form is of samples it never saw.
+    """
     archives = [searching.Archive() for _ in names]
     options = {"rules": rules, "until": until, "progress": progress}
     try:
         for turn, own in enumerate(seeds):
+            z, d = data.pairs(data.folds[-1 - turn % len(data.folds)][0])
+            chosen = np.sort(np.random.default_rng(seeds[0]).permutation(len(z))[: rules.rows])
+            z, d = z[chosen], d[chosen]
             for i, archive in enumerate(archives):
                 if archive.stopped == "good enough":
                     continue
@@ -192,10 +202,12 @@ def _report(archives, stopped: str) -> dict:
     }
 
 
-def _judged(selecting, data: Prepared, formula: Formula) -> dict:
+def _judged(selecting, selection, data: Prepared, formula: Formula) -> dict:
     """The error of the chosen formula where formulas were judged, in output scales, and whether it diverges there."""
+    alone = selection and len(selection.chosen) == 1
     error, rms = selecting.judged_errors(data, formula)
-    return {"held_out_error": rms} | ({} if np.isfinite(error) else {"diverges": True})
+    told = {"held_out_error": selection.chosen[0].rms if alone else rms}
+    return told | ({} if np.isfinite(error) else {"diverges": True})
 
 
 def _front(printing, selection, data: Prepared, inputs, outputs) -> list[dict]:
@@ -260,7 +272,7 @@ def _provenance(fit: str, records, select, seed: int, found: dict) -> dict:
         "kind": "symbolic",
         "fit": fit,
         "trained_on": named(records),
-        "selected_on": named(select) or f"last {HELD_OUT:.0%} of every training recording",
+        "selected_on": named(select) or SELECTED_ON,
         "seed": seed,
         **found,
         "versions": {package: metadata.version(package) for package in ("pyoperon", "sympy", "numpy", "casadi")},

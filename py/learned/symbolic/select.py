@@ -26,11 +26,13 @@ class Candidate:
     """A formula of one output with its error where it was judged (RMS in output scales).
 
     error : infinite where the run diverges; a diverging formula is chosen only where all do. rms : the error as it is.
+    folds : the RMS on every fold, where there are several.
     """
 
     formula: Formula
     error: float
     rms: float
+    folds: tuple[float, ...] = ()
 
     @property
     def size(self) -> int:
@@ -68,16 +70,20 @@ class Selection:
         self.chosen: list[Candidate] = []
 
     def choose(self, found: Sequence[Sequence[Formula]]) -> Formula:
-        """The expressions of all outputs, from the formulas ``found`` for each and linear ones beside them.
+        """The expressions of all outputs, from the formulas ``found`` for each, the best first, and linear ones.
 
-        Every output is chosen with the others as measured; then all constants are refitted together.
+        Of those that are worse than the best by no more than the tolerance, or than the folds tell, the shortest is
+        chosen, each output with the others as measured; then all constants are refitted together.
         """
         whole = Formula((), ())
         for i, formulas in enumerate(found):
             judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
             judged = [c for c in judged if np.isfinite(c.error)] or [replace(c, error=c.rms) for c in judged]
-            bound = (1 + self.tolerance) * min(c.error for c in judged)
-            shortest = min((c for c in judged if c.error <= bound), key=lambda c: (c.size, c.rank))
+            best = min(judged, key=lambda c: c.rank)
+            bound = (1 + self.tolerance) * best.error
+            good = [c for c in judged if c.error <= bound or _as_good(c, best)]
+            shortest = min(good, key=lambda c: (c.size, c.rank))
+            bound = max(bound, shortest.error)
             chosen = self._pruned(shortest, i, bound)
             self.chosen.append(chosen)
             self.fronts.append(pareto([*judged, chosen]))
@@ -101,15 +107,12 @@ class Selection:
                     break
                 short.append(self._candidate(formula, i, brief=True))
                 self._tell(i, len(short), len(formulas) + FINALISTS, short)
-            best = _finalists(sorted(short, key=lambda c: c.rank))
-            for candidate in best:
+            finalists = _finalists(short)
+            for candidate in finalists:
                 if self._late():
                     break
                 final.append(self._candidate(candidate.formula, i, brief=False))
-                self._tell(i, len(formulas) + len(final), len(formulas) + FINALISTS, final)
-            if not self.stopped:
-                others = [c.formula for c in pareto(short) if c not in best]
-                final += [Candidate(f, *judged_errors(self.data, f, [i])) for f in others]
+                self._tell(i, len(formulas) + len(final), len(formulas) + len(finalists), final)
         except KeyboardInterrupt:
             self.stopped = INTERRUPTED
         return final or short or [Candidate(formulas[0], np.inf, np.inf)]  # short ones are judged on less
@@ -130,10 +133,12 @@ class Selection:
         return candidate
 
     def _candidate(self, formula: Formula, i: int, brief: bool) -> Candidate:
-        """The formula before or after the refit, whichever runs better where it is judged."""
-        data = self.brief if brief else self.data
-        after = _refit(data, formula, [i], SHORT if brief else LONG)
-        pair = [Candidate(f, *judged_errors(data, f, [i])) for f in (after, formula)]
+        """The formula after a refit; on stretches the one before where it runs better."""
+        if not brief:
+            return Candidate(_refit(self.data, formula, [i], LONG), *_judged_apart(self.data, formula, i))
+        pair = [
+            Candidate(f, *judged_errors(self.brief, f, [i])) for f in (_refit(self.brief, formula, [i], SHORT), formula)
+        ]
         return min(pair, key=lambda c: c.rank)
 
     def _late(self) -> bool:
@@ -147,13 +152,13 @@ class Selection:
 
 
 def distinct(formulas: Sequence[Formula], data: Prepared) -> list[Formula]:
-    """The formulas simplified, without those of the same form; the shortest first."""
+    """The formulas simplified, without those of the same form, in their order."""
     forms: dict[tuple, Formula] = {}
     for formula in formulas:
         short = simplified(formula, data.shape.features)
         if np.all(np.isfinite(short.constants)):
             forms.setdefault(short.tokens, short)
-    return sorted(forms.values(), key=lambda f: (len(f.tokens), f.tokens))
+    return list(forms.values())
 
 
 def _with_one_zero(formula: Formula, data: Prepared) -> list[Formula]:
@@ -165,13 +170,14 @@ def _with_one_zero(formula: Formula, data: Prepared) -> list[Formula]:
     return [f for f in distinct(left, data) if len(f.tokens) < len(formula.tokens)]
 
 
-def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
-    """The best, and among them for every size only the best two."""
+def _finalists(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """The best, among them for every size only the best two, and of the front those of other sizes."""
     kept: list[Candidate] = []
-    for c in ranked:
+    for c in sorted(candidates, key=lambda c: c.rank):
         if sum(k.size == c.size for k in kept) < 2:
             kept.append(c)
-    return kept[:FINALISTS]
+    best = kept[:FINALISTS]
+    return best + [c for c in pareto(candidates) if c not in best]
 
 
 def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -185,7 +191,7 @@ def pareto(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def linear_formulas(data: Prepared, i: int, terms: int = 4) -> list[Formula]:
     """Linear formulas of the increment of output ``i`` with one to ``terms`` features, added greedily, and a shift."""
-    z, d = data.pairs()
+    z, d = data.pairs(data.fit)
     chosen: list[int] = []
     answer = []
     for _ in range(min(terms, z.shape[1])):
@@ -207,11 +213,35 @@ def _brief(data: Prepared, seed: int) -> Prepared:
     drawn = np.sort(np.random.default_rng(seed).permutation(len(stretches))[:FEW_STRETCHES])
     each = max(FEW_SAMPLES // len(data.judged), STRETCH)
     begun = [replace(p, last=min(p.last, p.first + each)) for p in data.judged]
-    return replace(data, fit=[stretches[k] for k in drawn], judged=begun)
+    few = [stretches[k] for k in drawn]
+    return replace(data, fit=few, folds=[(few, begun)])
 
 
 def _refit(data: Prepared, formula: Formula, own: Sequence[int], evaluations: int) -> Formula:
     return data.run(formula, own).refit(data.laid_out(data.fit, own), evaluations)
+
+
+def _judged_apart(data: Prepared, formula: Formula, i: int) -> tuple[float, float, tuple]:
+    """Error, RMS, and RMS by fold of a formula whose constants are fitted without what judges them."""
+    run, errors = data.run(formula, [i]), []
+    for fit, judged in data.folds:
+        runs = data.laid_out(judged, [i])
+        fitted = run.refit(data.laid_out(fit, [i]), LONG)
+        errors.append((*run.errors(fitted.constants, runs), runs.inside.sum()))
+    error, rms, samples = np.array(errors).T
+    whole = (float(np.sqrt(np.average(e**2, weights=samples))) for e in (error, rms))
+    return *whole, tuple(rms.tolist())
+
+
+def _as_good(candidate: Candidate, best: Candidate) -> bool:
+    """Whether the folds do not tell a candidate from the best: its squared errors are larger by a standard error.
+
+    Source: Breiman et al., Classification and Regression Trees (1984), section 3.4.3, here of paired differences.
+    """
+    if len(candidate.folds) < 2 or len(best.folds) < 2 or not np.isfinite(candidate.error):
+        return False
+    apart = np.square(candidate.folds) - np.square(best.folds)
+    return bool(np.mean(apart) <= np.std(apart, ddof=1) / np.sqrt(len(apart)))
 
 
 def judged_errors(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> tuple[float, float]:

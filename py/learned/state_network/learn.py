@@ -30,7 +30,7 @@ ORDERS = (1, 2, 3)  # hidden states that are tried
 PAST = 6  # samples that the encoder looks back
 SAMPLES_PER_UNIT, UNITS = 100, (2, 8)  # one tanh unit for so many samples; fewest and most
 DECAYS = (1e-4, 1e-3, 1e-5)  # of the squared weights: the first for every form, the others for the best
-SHARES, SHORTEST = (24, 6, 3), 16  # of the longest recording are the sections; samples of the shortest
+SHARES, SHORTEST = (16, 8, 4), 16  # of the longest recording are the sections; samples of the shortest
 TRIAL_SAMPLES = 8000  # simulated in one iteration of a trial
 CHECKED = 5000  # random steps of the certificate
 

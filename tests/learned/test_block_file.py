@@ -86,7 +86,7 @@ def test_a_block_runs_where_torch_cannot_be_imported(written):
         for heavy in ("torch", "gpytorch", "pyoperon"):
             sys.modules[heavy] = None
         import numpy as np
-        from hydrotwin.learned import read_block, train_network
+        from hydrotwin.learned import learn_gaussian_process, read_block
         from hydrotwin.models.language.errors import DeclarationError
         from hydrotwin.records import Record
         block = read_block({str(written[0])!r})
@@ -94,7 +94,7 @@ def test_a_block_runs_where_torch_cannot_be_imported(written):
         t = 0.02 * np.arange(400)
         record = Record(t, {{"u": np.sin(t), "y": np.cos(t)}}, {{"u": "V", "y": "rad"}})
         try:
-            train_network([record], ["u"], ["y"])
+            learn_gaussian_process([record], ["u"], ["y"])
         except DeclarationError as error:
             print(error)
     """

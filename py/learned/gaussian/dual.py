@@ -90,7 +90,7 @@ def learn_dual_gp(
     lead = _lead(rows, fit) if lead is None else lead
     check_size(VERB, len(rows), rows.features.shape[1], 1, compress)
     judged = [delayed_rows(r, period, inputs, both, lags) for r in validate]
-    grid = certification_grid([rows, *judged], len(inputs), lags, rng)
+    grid = certification_grid([rows], len(inputs), lags, rng)
     options = {"fit": fit, "points": points, "compress": compress}
     with CtrlC() as ctrl_c:
         shared = {**options, "bound": SHARE_OF_ONE * bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}

@@ -79,7 +79,7 @@ def learn_gaussian_process(
         bound: of the deployed mean against the exact one, over the output's spread; certified. The certificate also
             states how far the deviation is off.
         period: s between steps; None: see `even_period`.
-        validate: recordings for the certificate and for ``provenance["validation"]``; nothing is selected on them.
+        validate: recordings for ``provenance["validation"]``; nothing is chosen on them.
         progress: called with a `GaussianProcessProgress` after every evaluation of the likelihood.
 
     The same seed and data give the same block. Ctrl-C ends the fits with the best hyper-parameters so far (of
@@ -101,8 +101,7 @@ def learn_gaussian_process(
     check_size("learn_gaussian_process", len(rows), rows.features.shape[1], len(outputs), compress)
     targets = rows.slopes if rate else rows.levels
     scales = input_scales(rows.features, len(inputs))
-    judged = [delayed_rows(r, period, inputs, outputs, lags) for r in validate]
-    grid = certification_grid([rows, *judged], len(inputs), lags, rng)
+    grid = certification_grid([rows], len(inputs), lags, rng)
     options = {"kernel": kernel, "fit": fit, "points": points, "compress": compress}
     with CtrlC() as ctrl_c:
         shared = {**options, "bound": bound, "rng": rng, "progress": progress, "ctrl_c": ctrl_c}

@@ -177,7 +177,6 @@ COMMANDS = {
         "moves it",
     ],
     "learn nn no_move.csv --input command --output motor_speed --out block.toml": ["'command' never changes", "moves"],
-    "learn nn speed.csv --out block.toml": ["too few samples for", "Record longer"],
     "learn nn speed.csv --out block.npz": ["block.npz: not a name this command can write to", "block.toml"],
     # compare
     "compare --out report": ["give either a scenario file, or --model and --validate"],

@@ -32,11 +32,11 @@ METRICS: Mapping[str, str] = {
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
 _WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
-_BOUND = re.compile(rf"{_WHERE}(?P<what>[^\s<>]+)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
+_BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
 _RANGE = re.compile(
-    rf"{_WHERE}(?P<what>\S+)\s+in\s*\[\s*(?P<low>{NUMBER})\s*,\s*(?P<high>{NUMBER})\s*\]\s*(?P<unit>\S.*?)?\s*$"
+    rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*,\s*(?P<high>{NUMBER})\s*\]\s*(?P<unit>\S.*?)?\s*$"
 )
-_THAN = re.compile(rf"{_WHERE}(?P<what>\S+)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$")
+_THAN = re.compile(rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$")
 
 
 @dataclass(frozen=True)

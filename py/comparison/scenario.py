@@ -78,7 +78,7 @@ def read_scenario(path: str | Path) -> Scenario:
         missing = "keep"                          # empty cells: error, drop rows or keep
         import.rate = 1000                        # and all that an import.toml may say, see `read_record`
         interpolation = {force = "linear"}        # between samples, in place of what the recordings show
-        tags = "load{load}_stroke{stroke}"        # conditions in the names of the recordings
+        tags = "load{load}_stroke{stroke}"        # conditions in the names of the recordings; a star is anything
         accept = ["arm_angle.rmse < 0.2 deg", "load=2: arm_angle.fit > 90 %"]   # see `criteria`
         judge = "fitted.toml"                     # the model that is judged; by default the first
         against = "last/compare.json"             # an earlier comparison

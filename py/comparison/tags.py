@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.records import Record
+from hydrotwin.records import SUFFIXES, Record
 
 _NAME = re.compile(r"\{(\w+)\}")
 
@@ -17,7 +18,8 @@ _NAME = re.compile(r"\{(\w+)\}")
 class Tags:
     """What is said of conditions.
 
-    pattern : of file names without suffix, such as ``load{load}_stroke{stroke}``; it may match a part of a name.
+    pattern : of whole file names without suffix, such as ``load{load}_stroke{stroke}_*``; a star is anything, a value
+    has no ``_``. So no value is cut without a word.
     by_file : tags by file, over those of the pattern.
     """
 
@@ -38,14 +40,24 @@ class Tags:
                 f"tags: '{self.pattern}' names no tag, or one twice. Write for example 'load{{load}}_stroke{{stroke}}'."
             )
         parts = _NAME.split(self.pattern)
-        expression = "".join(f"(?P<{p}>[^_]+?)" if k % 2 else re.escape(p) for k, p in enumerate(parts))
-        found = re.search(rf"(?:^|(?<=_)){expression}(?=_|$)", path.name.split(".")[0])
+        fixed = [".*".join(map(re.escape, p.split("*"))) for p in parts[::2]]
+        values = [f"(?P<{p}>[^_]+)" for p in parts[1::2]]
+        expression = "".join(itertools.chain(*itertools.zip_longest(fixed, values, fillvalue="")))
+        found = re.fullmatch(expression, _bare(path))
         if not found:
             raise DeclarationError(
                 f"tags: '{self.pattern}' does not fit '{path.name}'. Mend the pattern, or give its tags beside it: "
                 f"{{file = '{path.name}', tags = {{{names[0]} = ...}}}}."
             )
         return found.groupdict()
+
+
+def _bare(path: Path) -> str:
+    """The name of a file without the suffixes of its format; a point before them may be a decimal one."""
+    name = path.name
+    for suffix in (".gz", *SUFFIXES):
+        name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
+    return name
 
 
 def groups(records: Sequence[Record]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from .grey_box.learn import learn_grey_box
 from .hybrid.block import hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .importance import idle, importance
+from .interruption import INTERRUPTED
 from .linear.arx import learn_arx
 from .linear.learn import learn_linear
 from .network.learn import train_network
@@ -39,6 +40,7 @@ KINDS: Mapping[str, Callable] = {
     "hybrid": learn_hybrid,
     "state_nn": learn_state_network,
 }
+FINISHED = "finished"  # what the provenance says of a training that nothing cut
 ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
 ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
 LEARNED = {True: "its rate is learned", False: "its level is learned", None: "its change from step to step is learned"}
@@ -139,6 +141,7 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
+    bad += _of_ending(block)
     notes += _of_drift(block)
     if not split.held_out:
         return card(split, [], Words(bad, notes))
@@ -150,6 +153,14 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
     return card(split, rows, Words(bad, notes)) | ({"inputs": worth} if worth else {})
+
+
+def _of_ending(block: Block) -> list[str]:
+    """What ended the training before it was done; Ctrl-C is the user's own."""
+    stopped = block.provenance.get("stopped", FINISHED)
+    if stopped in (FINISHED, INTERRUPTED):
+        return []
+    return [f"Training was not done ({stopped}): this is the best so far. Give it longer, or no --budget."]
 
 
 def _of_form(block: Block) -> tuple[list[str], list[str]]:

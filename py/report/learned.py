@@ -11,11 +11,13 @@ from pathlib import Path
 
 from hydrotwin.comparison import HoldLast, as_contender, compare
 from hydrotwin.learned.learning import held_out_of
+from hydrotwin.learned.symbolic.front import front_rows
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from .format import NONE, number_text
+from .figure import PALETTE, Figure, layout, line
+from .format import NONE, number_text, pretty_unit
 from .page import Section
 from .tables import Cell, Column, Table, counts, numbers, table, texts
 from .write import write_report
@@ -66,6 +68,7 @@ def learned_sections(block) -> tuple[Section, ...]:
         _section("inputs", "What each input is worth", INPUTS, _inputs(provenance.get("free_run", {}))),
         _section("kinds", "Kinds that were tried", KINDS, _ranking(provenance.get("ranking", ()))),
         _section("seeds", "Spread over seeds", SEEDS, _seeds(provenance.get("seeds", ()))),
+        _front(front_rows(block)),
     )
     return tuple(section for section in made if section.parts)
 
@@ -73,6 +76,7 @@ def learned_sections(block) -> tuple[Section, ...]:
 YARDSTICKS = "Free run on what was held out. A block that is no better than a yardstick is not worth its parameters."
 INPUTS = "Free run on what was held out, with one input at its mean: what the block loses without it."
 KINDS = "All were trained on the same recordings. The best was chosen on what was held out, so its figure flatters it."
+FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
 
 
@@ -122,6 +126,31 @@ def _ranking(rows: Sequence[Mapping]) -> Table | None:
     columns.append(numbers("seconds", "Training", [row["seconds"] for row in rows], "s", common=False))
     columns.append(texts("why", "", [row.get("failed", "") for row in rows]))
     return table("kinds", "", columns)
+
+
+def _front(rows: Sequence[Mapping]) -> Section:
+    """Error against size of the formulas than which no other is both shorter and better, by output."""
+    groups: dict[str, list[Mapping]] = {}
+    for row in rows:
+        groups.setdefault(row["output"], []).append(row)
+    parts = []
+    for output, own in groups.items():
+        unit = own[0]["unit"]
+        title = f"error [{pretty_unit(unit)}]" if unit != "1" else "error"
+        spec = {
+            "data": [line([r["size"] for r in own], [r["error"] for r in own], output, PALETTE[0])],
+            "layout": layout("size (operators, variables, constants)", [title], height=320),
+        }
+        spec["data"][0]["mode"] = "lines+markers"
+        parts.append(Figure(f"front-{output}", output, spec))
+        columns = [
+            texts("chosen", "", ["chosen" if r["chosen"] else "" for r in own]),
+            counts("size", "Size", [r["size"] for r in own]),
+            numbers("error", "Error where formulas were judged", [r["error"] for r in own], unit, unit, common=False),
+            texts("equation", "Formula", [r["equation"] for r in own]),
+        ]
+        parts.append(table(f"front_{output}", output, columns))
+    return Section("front", "Shorter and longer formulas", tuple(parts), FRONT if parts else "")
 
 
 def _seeds(rows: Sequence[Mapping]) -> Table | None:

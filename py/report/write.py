@@ -48,7 +48,7 @@ def write_report(
 
     fits : Fit objects whose parameters and residuals get a section each.
     sections : further sections, put before the provenance.
-    accepted : whether it is good enough, said first. says : sentences before the answer.
+    accepted : whether it is good enough, said first. says : sentences in place of which model is best.
     command : as printed under provenance; by default the running command.
     """
     page = comparison_page(
@@ -89,7 +89,7 @@ def comparison_page(
     return Page(
         title=comparison.title,
         eyebrow=_eyebrow(comparison, date),
-        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *says, answer(comparison, shown)]),
+        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *(says or [answer(comparison, shown)])]),
         facts=facts(comparison, shown),
         notices=_notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),

@@ -137,7 +137,7 @@ def test_a_scenario_file_holds_tags_and_criteria(folder):
     path.write_text(
         'models = ["good"]\n'
         'validate = ["load1_*.csv", {file = "load2_stroke1.csv", tags = {oil = "cold", load = 20}}]\n'
-        'tags = "load{load}"\naccept = ["oil=cold: motor_speed.rmse < 3 rad/s"]\njudge = "good"\n'
+        'tags = "load{load}_*"\naccept = ["oil=cold: motor_speed.rmse < 3 rad/s"]\njudge = "good"\n'
     )
     asked = read_scenario(path)
     comparison = run_scenario(asked, MODELS.__getitem__, repeats=1)
@@ -148,7 +148,7 @@ def test_a_scenario_file_holds_tags_and_criteria(folder):
 @pytest.mark.parametrize(
     ("line", "says"),
     [
-        ('tags = "load{load}"\nvalidate = ["other.csv"]', "does not fit 'other.csv'"),
+        ('tags = "load{load}_*"\nvalidate = ["other.csv"]', "does not fit 'other.csv'"),
         ('tags = "load"\nvalidate = ["load1_stroke1.csv"]', "names no tag"),
         ('tags = 3\nvalidate = ["load1_stroke1.csv"]', "is no text"),
         ('validate = [{file = "load1_stroke1.csv", tag = {a = 1}}]', "unknown key 'tag'"),
@@ -162,3 +162,26 @@ def test_tags_that_do_not_fit_are_refused(folder, line, says):
     path.write_text(f'models = ["good"]\n{line}\n')
     with pytest.raises(DeclarationError, match=says):
         run_scenario(read_scenario(path), MODELS.__getitem__, repeats=1)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "tags"),
+    [
+        ("load{load}_*", "load1.5_validate_2.csv", {"load": "1.5"}),
+        ("load{load}_*", "load2_x.csv.gz", {"load": "2"}),
+        ("load{load}_*", "load2_x.parquet", {"load": "2"}),
+        ("*_{oil}oil_{temperature}", "run-3_coldoil_-20", {"oil": "cold", "temperature": "-20"}),
+        ("{date}_*_{machine}", "2026-11-28_a_b_press 2.csv", {"date": "2026-11-28", "machine": "press 2"}),
+    ],
+)
+def test_a_tag_is_the_whole_of_what_stands_in_a_name(pattern, name, tags):
+    assert Tags(pattern).put(recording(1), Path(name)).tags == tags
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name"),
+    [("load{load}", "load1_x.csv"), ("{oil}_x", "very_cold_x.csv"), ("load{load}_*", "overload2_x.csv")],
+)
+def test_no_tag_is_cut_without_a_word(pattern, name):
+    with pytest.raises(DeclarationError, match="does not fit"):
+        Tags(pattern).put(recording(1), Path(name))

@@ -9,7 +9,7 @@ from hydrotwin.comparison import criterion, judge
 from hydrotwin.models.language.errors import DeclarationError, UnitError
 from hydrotwin.models.language.flat import Signal
 
-OUTPUTS = (Signal("arm_angle", "rad"), Signal("pump.p", "Pa"), Signal("oil", "K"), Signal("ratio", "1"))
+OUTPUTS = (Signal("arm_angle", "rad"), Signal("pump.p", "Pa"), Signal("oil", "K"), Signal("ratio", "1"), Signal("Druck A", "Pa"))
 
 
 def understood(text):
@@ -23,6 +23,8 @@ def understood(text):
         ("arm_angle.rmse<=0.2deg", "arm_angle", "rmse", -np.inf, np.deg2rad(0.2)),
         ("pump.p.max < 2 bar", "pump.p", "max", -np.inf, 2e5),
         ("pump.p.mae < 3e5 Pa", "pump.p", "mae", -np.inf, 3e5),
+        ("Druck A.rmse < 1 bar", "Druck A", "rmse", -np.inf, 1e5),
+        ("Druck A.coverage in [0.9, 0.99]", "Druck A", "coverage", 0.9, 0.99),
         ("oil.bias < 1.5 degC", "oil", "bias", -np.inf, 1.5),
         ("ratio.rmse < 0.03", "ratio", "rmse", -np.inf, 0.03),
         ("arm_angle.fit > 90 %", "arm_angle", "fit", 0.9, np.inf),
@@ -40,6 +42,8 @@ def test_a_bound_is_read_in_its_unit(text, output, metric, low, high):
 def test_groups_and_other_models_are_read():
     one = understood("load=2: pump.p.rmse < 1 bar")
     assert (one.group, one.output, one.high) == ("load=2", "pump.p", 1e5)
+    one = understood("oil=very cold: Druck A not worse than hold last sample by 5 %")
+    assert (one.group, one.output, one.than, one.by) == ("oil=very cold", "Druck A", "hold last sample", 0.05)
     other = understood("arm_angle not worse than eq17 by 5 %")
     assert (other.metric, other.than, other.by) == ("rmse", "eq17", 0.05)
     assert understood("pump.p.mae not worse than last/compare.json").than == "last/compare.json"

@@ -36,7 +36,9 @@ _BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bou
 _RANGE = re.compile(
     rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*,\s*(?P<high>{NUMBER})\s*\]\s*(?P<unit>\S.*?)?\s*$"
 )
-_THAN = re.compile(rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$")
+_THAN = re.compile(
+    rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
+)
 
 
 @dataclass(frozen=True)

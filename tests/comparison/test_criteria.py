@@ -9,7 +9,10 @@ from hydrotwin.comparison import criterion, judge
 from hydrotwin.models.language.errors import DeclarationError, UnitError
 from hydrotwin.models.language.flat import Signal
 
-OUTPUTS = (Signal("arm_angle", "rad"), Signal("pump.p", "Pa"), Signal("oil", "K"), Signal("ratio", "1"), Signal("Druck A", "Pa"))
+OUTPUTS = tuple(
+    Signal(name, unit)
+    for name, unit in {"arm_angle": "rad", "pump.p": "Pa", "oil": "K", "ratio": "1", "Druck A": "Pa"}.items()
+)
 
 
 def understood(text):

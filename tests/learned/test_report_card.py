@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from hydrotwin.learned.held_out import split
 from hydrotwin.learned.report_card import yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
+from hydrotwin.report.learned import learned_sections
 from hydrotwin.simulation import predict_one_step
 from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
 
@@ -204,3 +207,22 @@ def test_an_input_that_is_still_in_what_is_left_is_said_with_its_lag():
     follows = told["outputs"]["y"]["left"]["free_run"]["follows"]["u"]
     assert 25 <= follows["samples"] <= 28 and follows["correlation"] > follows["bound"]
     assert f"What is left of y follows 'u' {follows['samples']} samples later" in told["says"]
+
+
+def test_what_a_budget_cut_is_said_first():
+    block = ht.learn("nn", [rod()], ["u"], ["y"], budget=0.05)
+    assert card(block)["says"].startswith("Training was not done (time limit of 0.05 s after ")
+    assert card(block)["bad"]
+
+
+def test_the_page_shows_shorter_and_longer_formulas(piecewise):
+    rows = [
+        {"output": "y", "size": 3, "error": 0.002, "equation": "c*u"},
+        {"output": "y", "size": 9, "error": 0.001, "equation": "c*u + tanh(u)", "chosen": True},
+    ]
+    sections = {s.id: s for s in learned_sections(replace(piecewise, provenance={"front": rows}))}
+    figure, shown = sections["front"].parts
+    assert figure.spec["data"][0]["mode"] == "lines+markers"
+    cells = {c.key: [cell.text for cell in c.cells] for c in shown.columns}
+    assert cells["size"] == ["3", "9"] and cells["equation"] == [r["equation"] for r in rows]
+    assert cells["chosen"] == ["", "chosen"] and cells["error"][1].startswith("1")

@@ -13,7 +13,7 @@ from .feedback import learn_feedback_gp
 from .single import learn_gaussian_process
 
 OF_DELAYED_INPUTS = ("rate", "fit", "compress", "bound")  # options that only that process has
-OF_FEEDBACK = ("evaluations",)
+OF_FEEDBACK = ("evaluations", "starts")
 
 
 def learn_gp(
@@ -31,6 +31,7 @@ def learn_gp(
     compress: int | str | None = None,
     bound: float | None = None,
     evaluations: int | None = None,
+    starts: int | None = None,
     period: float | None = None,
     validate: Sequence[Record] = (),
     seed: int = 0,
@@ -46,7 +47,8 @@ def learn_gp(
     Raises: as the one that is trained, and `DeclarationError` for an option that it does not have.
     """
     given = {"rate": rate, "kernel": kernel, "lags": lags, "fit": fit, "points": points, "samples": samples}
-    given |= {"compress": compress, "bound": bound, "evaluations": evaluations, "period": period}
+    given |= {"compress": compress, "bound": bound, "evaluations": evaluations, "starts": starts}
+    given |= {"period": period}
     given = {option: value for option, value in given.items() if value is not None}
     only_delayed = [o for o in OF_DELAYED_INPUTS if o in given] + (["lags"] if isinstance(lags, int) else [])
     feedback = not only_delayed if feedback is None else feedback

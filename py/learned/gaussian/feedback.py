@@ -23,6 +23,7 @@ from .kernels import parsed
 from .single import free_run_errors
 
 VERB = "learn gp"
+STARTS = 3  # seeds that the chosen form is trained from: its runs differ by them more than by its kernel
 TOLERANCE = 1e-9  # of the outputs' scale: deployed against trained; K_ZZ is nearly singular, rounding shows
 
 
@@ -39,6 +40,7 @@ def learn_feedback_gp(
     evaluations: int = 80,
     validate: Sequence[Record] = (),
     seed: int = 0,
+    starts: int = STARTS,
     name: str = "gaussian_process",
     progress: Callable | None = None,
 ) -> LearnedBlock:
@@ -58,6 +60,8 @@ def learn_feedback_gp(
         points: inducing points. samples: rows of the fit of the hyper-parameters; the weights take all rows.
         evaluations: of the likelihood's bound, at most.
         validate: recordings for ``provenance["validation"]``; nothing is chosen on them.
+        seed, starts: the chosen form is trained from the seeds ``seed ... seed + starts - 1``; the one whose free runs
+            over the parts held out are best is kept. ``provenance["seeds"]`` has what each comes to.
         progress: called with a `FeedbackProgress` for every form tried.
 
     The same seed and data give the same block.
@@ -66,24 +70,25 @@ def learn_feedback_gp(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
         SolveError: the likelihood was never finite.
     """
-    _check(points, samples, evaluations, period, lags)
+    _check(points, samples, evaluations, starts, period, lags)
     kernels = [parsed(text, VERB) for text in ([kernel] if kernel else KERNELS)]
     inputs, outputs, records, validate = checked_recordings(VERB, records, inputs, outputs, validate)
     task, effort = Task(records, inputs, outputs), Effort(points, samples, evaluations)
-    search = Search(folds(task), kernels, effort, seed, progress)
+    search = Search(folds(task), kernels, effort, range(seed, seed + starts), progress)
     chosen = search.chosen(periods_of(records, period), lags)
     judged = [(_block(t, f.fit, name, seed), f.held) for t, f in zip(chosen, search.folds, strict=True)]
-    block = calibrated(_block(_on_all(task, chosen, effort, seed), task, name, seed), judged)
-    told = {"tried": search.tried, "free_run_held_out": search.best}
+    block = calibrated(_block(_on_all(task, chosen, effort, search.seeds), task, name, seed), judged)
+    told = {"tried": search.tried, "free_run_held_out": search.best, "seeds": search.of_seeds}
     told |= {"validation": free_run_errors(block, validate, outputs)}
     return replace(block, provenance=block.provenance | told)
 
 
-def _on_all(task: Task, chosen: Sequence[Trained], effort: Effort, seed: int) -> Trained:
-    """The chosen form trained on all recordings; that of the last fold where it runs better on them all."""
+def _on_all(task: Task, chosen: Sequence[Trained], effort: Effort, seeds: Sequence[int]) -> Trained:
+    """The chosen form trained on all recordings from all seeds, and that of the last fold: what runs best over them."""
     form, data = chosen[-1].form, task.at(chosen[-1].form.period)
-    whole = [t for t in stages(data, replace(form, stages=0), effort, seed) if t.form.stages <= form.stages][-1]
-    return min((whole, chosen[-1]), key=lambda t: _error(t, data))
+    from_seeds = (stages(data, replace(form, stages=0, seed=seed), effort) for seed in seeds)
+    whole = [[t for t in reached if t.form.stages <= form.stages][-1] for reached in from_seeds]
+    return min((*whole, chosen[-1]), key=lambda t: _error(t, data))
 
 
 def _error(trained: Trained, data: Data) -> float:
@@ -174,8 +179,9 @@ def certify(block: LearnedBlock, trained: Trained, points: int = 2000) -> Certif
     return Certificate(float(apart), TOLERANCE, points, f"numpy {metadata.version('numpy')} float64")
 
 
-def _check(points, samples, evaluations, period, lags) -> None:
-    for option, value, least in (("points", points, 5), ("samples", samples, 50), ("evaluations", evaluations, 1)):
+def _check(points, samples, evaluations, starts, period, lags) -> None:
+    whole = (("points", points, 5), ("samples", samples, 50), ("evaluations", evaluations, 1), ("starts", starts, 1))
+    for option, value, least in whole:
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
             raise DeclarationError(f"{VERB}: {option} must be a whole number from {least} up (got {value}).")
     if period is not None and not (np.isfinite(period) and period > 0):

@@ -104,25 +104,31 @@ def _quiet(values: np.ndarray, share: float) -> int:
 class Search:
     """The forms tried, with their scores, and the processes of the best one, one for each fold."""
 
-    def __init__(self, folds_: Sequence[Fold], kernels: Sequence[Kernel], effort: Effort, seed: int,
+    def __init__(self, folds_: Sequence[Fold], kernels: Sequence[Kernel], effort: Effort, seeds: Sequence[int],
                  progress: Callable | None):  # fmt: skip
-        self.folds, self.kernels, self.effort, self.seed, self.progress = folds_, kernels, effort, seed, progress
-        self.best, self.tried, self._data = np.inf, [], {}
+        self.folds, self.kernels, self.effort, self.seeds, self.progress = folds_, kernels, effort, seeds, progress
+        self.best, self.tried, self.of_seeds, self._data = np.inf, [], [], {}
 
     def chosen(self, periods: Sequence[float], lags: tuple[int, int, int] | None) -> list[Trained]:
-        """Periods with usual lags, lags with the best periods, and the best of both fitted to free runs."""
+        """Periods with usual lags, lags with the best periods, the best of both fitted to free runs, from all seeds."""
         found = self.screened([self.form(p, part) for p in periods for part in ([lags] if lags else FIRST)])
         if not lags:
             best = list(dict.fromkeys(form.period for _, form in found))[:PERIODS_KEPT]
             found += self.screened([self.form(p, part) for p in best for part in LAGS])
         found = [f for _, f in sorted(found, key=lambda pair: pair[0])[:FORMS_KEPT]]
-        kept, self.best = None, np.inf
-        for form in [replace(f, kernel=k) for f in found for k in self.kernels]:
-            for trained in self.fitted(form, self.effort):
-                score = self.noted(trained, "fitted")
-                if score < self.best or kept is None:
-                    kept, self.best = trained, score
-        return kept
+        self.best = np.inf
+        best = min((self.best_stage(replace(f, kernel=k)) for f in found for k in self.kernels), key=_score)
+        form = replace(best[1][0].form, stages=0)
+        all_seeds = [best, *(self.best_stage(replace(form, seed=seed)) for seed in self.seeds[1:])]
+        self.of_seeds = [{"seed": trained[0].form.seed, "held_out_error": score} for score, trained in all_seeds]
+        return min(all_seeds, key=_score)[1]
+
+    def best_stage(self, form: Form) -> tuple[float, list[Trained]]:
+        """The processes of all folds after the stage of the fit that runs best, with their score."""
+        found = [(self.noted(trained, "fitted"), trained) for trained in self.fitted(form, self.effort)]
+        score, kept = min(found, key=_score)
+        self.best = min(self.best, score)
+        return score, kept
 
     def screened(self, forms: Sequence[Form]) -> list[tuple[float, Form]]:
         """Forms with the score of a quick fit, the best first."""
@@ -131,7 +137,7 @@ class Search:
 
     def fitted(self, form: Form, effort: Effort) -> Iterator[list[Trained]]:
         """The processes of all folds after every stage that all of them have."""
-        runs = [stages(self.at(n, form.period), form, effort, self.seed) for n in range(len(self.folds))]
+        runs = [stages(self.at(n, form.period), form, effort) for n in range(len(self.folds))]
         yield from (list(together) for together in zip(*runs, strict=False))
 
     def noted(self, trained: Sequence[Trained], how: str) -> float:
@@ -155,7 +161,11 @@ class Search:
     def form(self, period: float, lags: tuple[int, int, int]) -> Form:
         """A form with these lags and the first kernel."""
         task = self.folds[0].fit
-        return Form(period, Lags(len(task.inputs), len(task.outputs), *lags), self.kernels[0])
+        return Form(period, Lags(len(task.inputs), len(task.outputs), *lags), self.kernels[0], seed=self.seeds[0])
+
+
+def _score(scored: tuple[float, list[Trained]]) -> float:
+    return scored[0]
 
 
 def periods_of(records: Sequence[Record], period: float | None) -> list[float]:

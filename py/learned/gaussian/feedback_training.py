@@ -47,12 +47,16 @@ class Data:
 
 @dataclass(frozen=True)
 class Form:
-    """What was chosen: seconds between steps, what a step sees, runs that the weights were fitted to (0: one step)."""
+    """What was chosen: seconds between steps, what a step sees, runs that the weights were fitted to (0: one step).
+
+    seed : of the inducing points, and of the rows and runs that take part.
+    """
 
     period: float
     lags: Lags
     kernel: Kernel
     stages: int = 0
+    seed: int = 0
 
     def told(self) -> dict:
         """For the provenance."""
@@ -115,16 +119,16 @@ class Effort:
     evaluations: int
 
 
-def stages(data: Data, form: Form, effort: Effort, seed: int) -> Iterator[Trained]:
+def stages(data: Data, form: Form, effort: Effort) -> Iterator[Trained]:
     """The process after the one-step fit, then after the fit to runs of every length of `HORIZONS` in turn."""
-    trained = one_step(data, form, effort, seed)
+    trained = one_step(data, form, effort)
     yield trained
     least = np.maximum(LEAST_NOISE, data.floor / data.arrays["output_scale"]) ** 2
     longest = max(len(u) for u, _ in data.runs)
     for n, horizon in enumerate(HORIZONS, start=1):
         if longest > LONGEST if horizon is None else longest < 2 * horizon:
             continue
-        parts = _thinned(stretches(data.normal(data.runs), form.lags, data.step, horizon), seed)
+        parts = _thinned(stretches(data.normal(data.runs), form.lags, data.step, horizon), form.seed)
         found = refined(trained.model, trained.weights, parts, ITERATIONS, least_noise=least)
         trained = replace(
             trained, form=replace(form, stages=n), weights=found.weights, covariance=found.covariance, noise=found.noise
@@ -132,9 +136,9 @@ def stages(data: Data, form: Form, effort: Effort, seed: int) -> Iterator[Traine
         yield trained
 
 
-def one_step(data: Data, form: Form, effort: Effort, seed: int) -> Trained:
+def one_step(data: Data, form: Form, effort: Effort) -> Trained:
     """Hyper-parameters and weights from each sample to the next."""
-    lags, rng = form.lags, np.random.default_rng(seed)
+    lags, rng = form.lags, np.random.default_rng(form.seed)
     parts = stretches(data.normal(data.runs), lags, data.step, 1)
     X = _rows(parts, lags)
     T = np.concatenate([(s.target[0] - s.y) / data.step for s in parts])

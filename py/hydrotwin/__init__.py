@@ -31,6 +31,7 @@ _WHERE = {
     "discover": "discovery.discover",
     "effects": "models.effects",
     "export_fmu": "export",
+    "figures": "report",
     "from_control": "simulation.control_system",
     "identify": "identification",
     "learn": "learned",

@@ -28,6 +28,7 @@ _WHERE = {
     "candidates": "models.effects",
     "check_fmu": "export",
     "compare": "comparison",
+    "compare_schema": "report",
     "discover": "discovery.discover",
     "effects": "models.effects",
     "export_fmu": "export",

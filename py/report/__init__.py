@@ -8,6 +8,7 @@ from .gap import gap_page, write_gap_report
 from .gap_data import gap_data
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
+from .schema import compare_schema
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 from .write import comparison_page, display_units, write_report
 
@@ -26,6 +27,7 @@ __all__ = [
     "as_html",
     "as_json",
     "as_markdown",
+    "compare_schema",
     "comparison_page",
     "counts",
     "decimate",

@@ -20,6 +20,7 @@ from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
 from .regularity import check_solvable, loops_of
+from .summary_html import SmallTable, summary_html
 from .units import compatible
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
@@ -338,3 +339,17 @@ class Model:
             f"Model({self.name}: {len(flat.states)} states, {len(flat.inputs)} inputs, {len(flat.outputs)} outputs, "
             f"{len(flat.parameters)} parameters)"
         )
+
+    def _repr_html_(self) -> str:
+        flat = self.flat
+        free = [p.name for p in flat.parameters if p.free]
+        signals = [(s.name, "input", s.unit, s.description) for s in flat.inputs]
+        signals += [(s.name, "output", s.unit, s.description) for s in flat.outputs]
+        first = sorted(flat.parameters, key=lambda p: not p.free)
+        values = [(p.name, p.value, p.unit, p.source) for p in first]
+        tables = [
+            SmallTable("", ("signal", "", "unit", "what it is"), signals),
+            SmallTable("Parameters, SI, free ones first", ("parameter", "value", "unit", "source"), values),
+        ]
+        facts = {"states": len(flat.states), "parameters": len(flat.parameters), "free": len(free)}
+        return summary_html(f"Model {self.name}", "", facts | {"step [s]": self.step}, tables)

@@ -1,6 +1,6 @@
 """Comparison: every kind of model on the same recordings, scored alike."""
 
-from .acceptance import Acceptance, Change, Wanted, acceptance, junit
+from .acceptance import FORMAT, Acceptance, Change, Wanted, acceptance, junit
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -25,6 +25,7 @@ from .scenario import ModelEntry, Scenario, load_contenders, read_scenario, run_
 from .tags import Tags
 
 __all__ = [
+    "FORMAT",
     "FREE_RUN",
     "MEAN",
     "MODES",

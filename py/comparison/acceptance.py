@@ -20,6 +20,7 @@ from .tags import groups, of_group
 
 SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
 SUFFIX = ".json"  # of an earlier comparison that a criterion names
+FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
 COVERAGE = "coverage"
 SCORED = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias", "fit": "fit_percent"}
 
@@ -134,9 +135,10 @@ class Earlier:
 
 
 def earlier(path: Path) -> Earlier:
-    """Read an earlier compare.json. Raises DataError for a file that is none, with what to do."""
+    """Read an earlier compare.json. Raises DataError for a file that is none or of another format, with what to do."""
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
+        _check_format(path, told.get("format", FORMAT))  # a file without one is older, with the same means
         means = {(s["model"], s["output"], s["mode"]): s for s in told["means"]}
         if not all(isinstance(s["rmse"], float | int) for s in means.values()):
             raise ValueError("a mean without rmse")
@@ -144,11 +146,19 @@ def earlier(path: Path) -> Earlier:
         raise DataError(
             f"{path}: cannot be read ({error.strerror}). Name the compare.json of an earlier run."
         ) from None
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise DataError(
             f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
         ) from None
     return Earlier(path, means)
+
+
+def _check_format(path: Path, found: object) -> None:
+    if found != FORMAT:
+        raise DataError(
+            f"{path}: written in another format (got '{found}'), this version of hydrotwin reads '{FORMAT}'. Run the "
+            "earlier comparison again with this version, or compare with the version that wrote it."
+        )
 
 
 @dataclass(frozen=True)

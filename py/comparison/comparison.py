@@ -5,17 +5,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydrotwin.models.language.flat import ParameterValue, Signal
+from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 
 from .residual import Residual
 
+if TYPE_CHECKING:
+    import pyarrow
+
 FREE_RUN, ONE_STEP = "free run", "one step"
 MODES = (FREE_RUN, ONE_STEP)
 MEAN = "mean"
+_SHOWN = ("output", "model", "RMSE", "maximum", "unit", "fit [%]", "recordings")
 OUTSIDE = 1.0  # % of the samples outside of what a model was trained on, from which on it is told
 
 
@@ -168,6 +174,37 @@ class Comparison:
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)
         return f"Comparison '{self.title}': {', '.join(self.models)} on {on}; {len(self.scores)} scores"
+
+    def _repr_html_(self) -> str:
+        return summary_html(
+            self.title,
+            self._best(),
+            {"models": len(self.models), "recordings": len(self.records), "failures": len(self.failures)},
+            [SmallTable(f"{self.modes[0]}, means over the recordings, SI", _SHOWN, self._shown())],
+        )
+
+    def _best(self) -> str:
+        """Which model is best on each output in the first mode, in a sentence."""
+        rankings = {s.name: self.ranking(s.name, self.modes[0]) for s in self.outputs}
+        clauses = [f"{r[0].model} on {n} (RMSE {r[0].rmse:.4g} {r[0].unit})" for n, r in rankings.items() if r]
+        return f"Best in {self.modes[0]}: {', '.join(clauses)}." if clauses else "No model could be scored."
+
+    def _shown(self) -> list[tuple]:
+        ranked = [score for signal in self.outputs for score in self.ranking(signal.name, self.modes[0])]
+        return [(s.output, s.model, s.rmse, s.maximum, s.unit, s.fit_percent, s.recordings) for s in ranked]
+
+    def table(self, what: str = "scores") -> pyarrow.Table:
+        """The rows as an Arrow table, SI: ``.to_pandas()``, ``polars.from_arrow(...)``.
+
+        what : "scores" (each recording), "means" (over the recordings), "conditions" (over those that share a tag),
+        "timings" or "failures". ``unit`` is that of the metrics of its row; what does not exist is null.
+        Each tag of the recordings is a column of "scores" and "failures".
+
+        Raises DeclarationError for another name.
+        """
+        from .tabular import arrow_table
+
+        return arrow_table(self, what)
 
     @property
     def models(self) -> tuple[str, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.simulation.control import Accuracy
 
 SIZE = 1.1  # of the noise, squared: as much may be noise
@@ -182,3 +183,22 @@ class Fit:
             left = "noise only" if r.explained else f"{np.sqrt(r.chi2_per_sample):.2f} x noise, unexplained"
             lines.append(f"  {r.record} ({r.role}) {r.output}: RMSE {r.rmse:.4g} {r.unit} ({left})")
         return "\n".join(lines + [f"  {finding}" for finding in self.findings])
+
+    def _repr_html_(self) -> str:
+        units = {r.output: r.unit for r in self.residuals}
+        errors = [(role, n, rmse, units[n]) for role, by in self.rmse.items() for n, rmse in by.items()]
+        values = [(p.name, p.start, p.value, p.sigma, p.unit, "at bound" * p.at_bound) for p in self.parameters]
+        tables = [
+            SmallTable("Parameters, SI", ("parameter", "start", "value", "sigma", "unit", ""), values),
+            SmallTable("Errors, SI", ("recordings", "output", "RMSE", "unit"), errors),
+        ]
+        facts = {"chi2 per degree of freedom": self.chi2_per_dof, "ended": self.message}
+        return summary_html(f"Fit of {self.name}", self._verdict(), facts, tables, [str(f) for f in self.findings])
+
+    def _verdict(self) -> str:
+        """Whether more than noise is left in training, in a sentence."""
+        trained = [r for r in self.residuals if r.role == "train"]
+        left = dict.fromkeys(r.output for r in trained if not r.explained)
+        if left:
+            return f"More than noise is left on {', '.join(left)}."
+        return "Nothing but noise is left in training." if trained else ""

@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
+from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.models.language.units import si_unit
 
 from . import resampling
@@ -128,6 +129,13 @@ class Record:
         columns = ", ".join(f"{name} [{unit}]" for name, unit in self.units.items())
         return f"Record '{self.name}': {len(self)} samples in {self.duration:g} s; {columns}"
 
+    def _repr_html_(self) -> str:
+        facts = {"samples": len(self), "duration [s]": self.duration, "period [s]": self.period, **self.tags}
+        rows = [(n, self.units[n], *_extent(v), int(np.isnan(v).sum())) for n, v in self.signals.items()]
+        told = f"{len(self.gaps)} gaps in time, the first: {self.gaps[0]}." if self.gaps else ""
+        table = SmallTable("", ("signal", "unit", "smallest", "mean", "largest", "unknown"), rows)
+        return summary_html(f"Record '{self.name}'", told or self.understood, facts, [table])
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the signals, in order."""
@@ -217,6 +225,12 @@ class Record:
 
     def _at(self, time: np.ndarray, signals: Mapping[str, np.ndarray]) -> Record:
         return dataclasses.replace(self, time=time, signals=signals)
+
+
+def _extent(values: np.ndarray) -> tuple[float, float, float]:
+    """The smallest value, the mean and the largest of those that are known; NaN without any."""
+    known = values[np.isfinite(values)]
+    return (float(known.min()), float(known.mean()), float(known.max())) if len(known) else (np.nan,) * 3
 
 
 def _frozen_array(values, where: str) -> np.ndarray:

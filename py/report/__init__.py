@@ -7,6 +7,8 @@ from .format import number_text, pretty_unit, shown_unit
 from .gap import gap_page, write_gap_report
 from .gap_data import gap_data
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
+from .plotly_figures import figures
+from .schema import compare_schema
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 from .write import comparison_page, display_units, write_report
 
@@ -25,11 +27,13 @@ __all__ = [
     "as_html",
     "as_json",
     "as_markdown",
+    "compare_schema",
     "comparison_page",
     "counts",
     "decimate",
     "display_units",
     "error_bars",
+    "figures",
     "fit_section",
     "gap_data",
     "gap_page",

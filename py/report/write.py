@@ -7,7 +7,7 @@ from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
 
-from hydrotwin.comparison import FREE_RUN, Acceptance, Comparison
+from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
 from hydrotwin.identification.bands import SPREAD
 from hydrotwin.records.between import between
 
@@ -109,8 +109,9 @@ def display_units(comparison: Comparison) -> dict[str, str]:
 
 
 def comparison_data(comparison: Comparison, fits: Iterable, command: str, date: datetime) -> dict:
-    """What compare.json holds besides the tables: every number in SI at full precision."""
+    """What compare.json holds besides the tables, see `schema`: every number in SI at full precision."""
     return {
+        "format": FORMAT,
         "created": date.isoformat(timespec="seconds"),
         "command": command,
         "versions": versions(),
@@ -254,6 +255,7 @@ def _recording(record, role: str) -> dict:
     return {
         "name": record.name,
         "role": role,
+        "tags": dict(record.tags),
         "file": Path(str(record.source)).name if record.source else None,
         "sha256": record.digest,
         "seconds": record.duration,

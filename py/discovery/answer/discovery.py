@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydrotwin.models.language.model import Model
+from hydrotwin.models.language.summary_html import SmallTable, summary_html
 
 from .words import capitalised, said
 
@@ -271,3 +272,18 @@ class Discovery:
     def answer(self) -> str:
         """The result in a sentence."""
         return " ".join([said(self.verdict, self.steps, self.reason), *map(capitalised, self.assumptions)])
+
+    def _repr_html_(self) -> str:
+        found = [(s.title, s.site, 100 * s.probability, 100 * s.gap_closed) for s in self.steps]
+        rows = [(p.name, p.value, p.sigma, p.unit) for s in self.steps for p in s.parameters]
+        gaps = [(role, o.output, o.rmse_before, o.rmse_after, o.noise, o.unit) for role, o in self._gaps()]
+        tables = [
+            SmallTable("Missing effects", ("effect", "at", "probability [%]", "gap closed [%]"), found),
+            SmallTable("Their parameters, SI", ("parameter", "value", "sigma", "unit"), rows),
+            SmallTable("Errors, SI", ("recordings", "output", "RMSE before", "after", "noise", "unit"), gaps),
+        ]
+        facts = {"verdict": self.verdict, "looked at": self.screened, "fitted": self.fitted}
+        return summary_html(f"Discovery on {self.name}", self.answer, facts, tables, self.findings)
+
+    def _gaps(self) -> list[tuple[str, OutputGap]]:
+        return [(role, gap) for role, gaps in self.outputs.items() for gap in gaps]

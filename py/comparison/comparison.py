@@ -12,6 +12,7 @@ from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.records import Record
 
 from .residual import Residual
+from .starts import Started
 
 FREE_RUN, ONE_STEP = "free run", "one step"
 MODES = (FREE_RUN, ONE_STEP)
@@ -147,7 +148,7 @@ class Comparison:
     """Models against recordings.
 
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
-    models were made from.
+    models were made from. ``starts`` says how models start, where that was estimated.
     """
 
     title: str
@@ -164,6 +165,7 @@ class Comparison:
     unscored: tuple[Unscored, ...]
     domains: tuple[DomainShare, ...]
     residuals: tuple[Residual, ...]
+    starts: tuple[Started, ...] = ()
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)

@@ -22,6 +22,7 @@ from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare
 from .scenario import ModelEntry, Scenario, load_contenders, read_scenario, run_scenario
+from .starts import Started
 from .tags import Tags
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "Residual",
     "Scenario",
     "Score",
+    "Started",
     "Tags",
     "Timing",
     "Trajectory",

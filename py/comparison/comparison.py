@@ -14,6 +14,7 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 
 from .residual import Residual
+from .starts import Started
 
 if TYPE_CHECKING:
     import pyarrow
@@ -153,7 +154,7 @@ class Comparison:
     """Models against recordings.
 
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
-    models were made from.
+    models were made from. ``starts`` says how models start, where that was estimated.
     """
 
     title: str
@@ -170,6 +171,7 @@ class Comparison:
     unscored: tuple[Unscored, ...]
     domains: tuple[DomainShare, ...]
     residuals: tuple[Residual, ...]
+    starts: tuple[Started, ...] = ()
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)

@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from hydrotwin.identification.bands import SPREAD, Spread, deviations
+from hydrotwin.identification.beginning import StartEstimate, estimate_start
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -58,6 +59,7 @@ class PhysicalContender:
         self.name, self.kind = name or self.flat.name, kind
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
+        self.estimated: dict[str, dict[str, float]] = {}  # by recording
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> PhysicalContender:
@@ -65,6 +67,16 @@ class PhysicalContender:
         other = copy.copy(self)
         other.flat = self.flat.with_inputs(changes)
         other.inputs = other.flat.inputs
+        return other
+
+    def estimate_start(self, record: Record, how: str) -> StartEstimate:
+        """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
+        return estimate_start(self.flat, record, how, self._start_of(record))
+
+    def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
+        """The same that starts, on the recordings of ``estimates``, as they say."""
+        other = copy.copy(self)
+        other.estimated = {e.record: e.values for e in estimates}
         return other
 
     def free_run(self, record: Record) -> Record:
@@ -82,7 +94,9 @@ class PhysicalContender:
 
     def _start_of(self, record: Record) -> Mapping[str, float] | None:
         by_record = any(isinstance(value, Mapping) for value in (self.start or {}).values())
-        return self.start.get(record.name) if by_record else self.start
+        given = self.start.get(record.name) if by_record else self.start
+        estimated = self.estimated.get(record.name)
+        return {**(given or {}), **estimated} if estimated else given
 
 
 class BlockContender:
@@ -157,6 +171,10 @@ class _Renamed:
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> _Renamed:
         return _Renamed(self._contender.with_inputs(changes), self.name)
+
+    def with_starts(self, estimates: Sequence[StartEstimate]) -> _Renamed:
+        estimating = hasattr(self._contender, "with_starts")
+        return _Renamed(self._contender.with_starts(estimates), self.name) if estimating else self
 
     def __getattr__(self, attribute: str):
         return getattr(self._contender, attribute)

@@ -33,6 +33,7 @@ from .domain import domain_shares
 from .metrics import errors_of
 from .rates import rate_signal, with_rates
 from .residual import Residual, explain
+from .starts import with_starts
 
 SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
@@ -50,6 +51,7 @@ def compare(
     repeats: int = 3,
     progress: Callable[[int, int, str], None] | None = None,
     interpolation: Mapping[str, str] | None = None,
+    initial_states: str = "measured",
 ) -> Comparison:
     """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
 
@@ -60,6 +62,9 @@ def compare(
     repeats : timed runs per model and recording; fewer when they take longer than TIMING_BUDGET together.
     progress : called with (runs done, runs in all, what is next).
     interpolation : "hold" or "linear" by input, in place of what the models say or the recordings show.
+    initial_states : "measured": first samples count as exact, and models find the rest of their start; "auto" and
+        "free": physical models have it estimated from the first part of each recording, see `estimate_start`. All
+        samples are scored, the first part too.
 
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known, DataError when there is nothing to compare.
@@ -67,6 +72,7 @@ def compare(
     contenders, records = list(contenders), distinct(records)[0]
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
+    contenders, starts = with_starts(contenders, records, initial_states)
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
     noise = {r.name: noise_floor(r) for r in records}
@@ -98,6 +104,7 @@ def compare(
         unscored=tuple(dict.fromkeys(found.unscored)),
         domains=domain_shares(contenders, records, train_records, found.trajectories),
         residuals=tuple(found.residuals),
+        starts=starts,
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from hydrotwin.identification.beginning import MEASURED, check_initial_states
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.records import Reading, Record, import_from, read_record, reading_of
 
@@ -19,7 +20,7 @@ from .run import compare
 from .tags import Tags
 
 HOLD_LAST = "hold_last"
-OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "loop")
+OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "initial_states", "loop")
 JUDGING = ("tags", "accept", "judge", "against")
 KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING)
 _FILES = (".toml", ".fmu", ".npz")
@@ -42,9 +43,9 @@ class Scenario:
     """Shared inputs, starts and metrics on which models are compared.
 
     ``validate`` and ``train`` are paths of recordings, ``reading`` says how they are read, ``interpolation`` "hold" or
-    "linear" by input, ``base`` the folder that relative paths start from. With ``loop`` every model runs under the same
-    controller and follows the recorded reference. ``tags`` says of which condition each recording is, ``wanted`` what
-    is asked of the result.
+    "linear" by input, ``initial_states`` where models start (see `compare`), ``base`` the folder that relative paths
+    start from. With ``loop`` every model runs under the same controller and follows the recorded reference. ``tags``
+    says of which condition each recording is, ``wanted`` what is asked of the result.
     """
 
     title: str
@@ -56,6 +57,7 @@ class Scenario:
     rates: tuple[str, ...] = ()
     reading: Reading = field(default_factory=Reading)
     interpolation: Mapping[str, str] = field(default_factory=dict)
+    initial_states: str = MEASURED
     base: Path = Path(".")
     loop: Loop | None = None
     tags: Tags = field(default_factory=Tags)
@@ -78,6 +80,7 @@ def read_scenario(path: str | Path) -> Scenario:
         missing = "keep"                          # empty cells: error, drop rows or keep
         import.rate = 1000                        # and all that an import.toml may say, see `read_record`
         interpolation = {force = "linear"}        # between samples, in place of what the recordings show
+        initial_states = "auto"                   # start states from the first part: measured (default), auto or free
         tags = "load{load}_stroke{stroke}"        # conditions in the names of the recordings; a star is anything
         accept = ["arm_angle.rmse < 0.2 deg", "load=2: arm_angle.fit > 90 %"]   # see `criteria`
         judge = "fitted.toml"                     # the model that is judged; by default the first
@@ -121,6 +124,7 @@ def read_scenario(path: str | Path) -> Scenario:
         rates=_strings(table, "rates", where),
         reading=_reading(table, path),
         interpolation=_texts(table, "interpolation", where, "force = 'linear'"),
+        initial_states=check_initial_states(_text(table, "initial_states", where) or MEASURED, where),
         base=path.parent,
         loop=read_loop(table["loop"], where) if "loop" in table else None,
         tags=tags,
@@ -156,6 +160,7 @@ def run_scenario(
         repeats=repeats,
         progress=progress,
         interpolation=scenario.interpolation,
+        initial_states=scenario.initial_states,
     )
 
 

@@ -1,6 +1,7 @@
 """Identification: the parameters of a physical model from recordings, how sure they are, what cannot be told."""
 
 from .bands import Spread, deviations
+from .beginning import StartEstimate, StartState, estimate_start
 from .constant_speed import FrictionFit, fit_stribeck, friction_test, stribeck
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identify import identify
@@ -13,7 +14,10 @@ __all__ = [
     "OutputResidual",
     "RecordFit",
     "Spread",
+    "StartEstimate",
+    "StartState",
     "deviations",
+    "estimate_start",
     "fit_stribeck",
     "friction_test",
     "identify",

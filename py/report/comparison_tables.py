@@ -10,10 +10,11 @@ from hydrotwin.comparison import FREE_RUN, Comparison, Residual, Score
 from hydrotwin.learned.bands import GOOD
 
 from .figure import Style
-from .format import NONE, common_decimals, difference_to_shown, number_text
+from .format import NONE, common_decimals, difference_to_shown, number_text, shown_unit, to_shown
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 
 HEADLINE_OUTPUTS = 4
+FOLDED = 20  # rows
 
 
 def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> Table:
@@ -174,6 +175,33 @@ def residual_tables(comparison: Comparison, look: Mapping[str, Style]) -> list[T
         ]
         found.append(table(f"residuals_{signal.name}", f"{signal.name} in detail", columns, folded=True))
     return found
+
+
+def start_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """Estimated start states by model and recording, or None."""
+    rows = [(s.model, s.estimate, state) for s in comparison.starts for state in s.estimate.states]
+    if not rows:
+        return None
+    states = [s for _, _, s in rows]
+    units = [shown_unit(s.unit, peak=abs(s.value)) for s in states]
+
+    def shown(values: Sequence[float], digits: int, change=to_shown) -> list[str]:
+        changed = [float(change(v, s.unit, u)) for v, s, u in zip(values, states, units, strict=True)]
+        return [number_text(v, digits) for v in changed]
+
+    columns = [
+        _models([model for model, _, _ in rows], look),
+        texts("record", "Recording", [e.record for _, e, _ in rows]),
+        texts("state", "State", [s.name for s in states]),
+        texts("value", "Estimated", shown([s.value for s in states], 5)),
+        texts("sigma", "±", shown([s.sigma for s in states], 2, difference_to_shown)),
+        texts("assumed", "Without an estimate", shown([s.assumed for s in states], 5)),
+        texts("unit", "Unit", units),
+        numbers("from", "From", [e.seconds[0] for _, e, _ in rows], "s"),
+        numbers("until", "to", [e.seconds[1] for _, e, _ in rows], "s"),
+        counts("samples", "Samples", [e.samples for _, e, _ in rows]),
+    ]
+    return table("starts", "", columns, folded=len(rows) > FOLDED)
 
 
 def failure_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:

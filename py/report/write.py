@@ -22,6 +22,7 @@ from .comparison_tables import (
     residual_tables,
     run_times,
     score_tables,
+    start_table,
     unscored_table,
 )
 from .conditions import conditions_section
@@ -29,7 +30,7 @@ from .copies import copies
 from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
-from .page import Page, Section, write_page
+from .page import Note, Page, Section, write_page
 from .provenance import command_line, provenance_section, used, versions
 
 
@@ -78,6 +79,7 @@ def comparison_page(
         _plots(comparison, shown, look),
         _error_bars(comparison, shown, look),
         *(_scores(comparison, shown, look, mode) for mode in comparison.modes),
+        _starts(comparison, look),
         _left(comparison, look),
         *(fit_section(f, id="fit" if k == 0 else f"fit-{k + 1}") for k, f in enumerate(fits)),
         Section("run-time", "Run time", (run_times(comparison, look),)),
@@ -126,6 +128,7 @@ def comparison_data(comparison: Comparison, fits: Iterable, command: str, date: 
         "unscored": [asdict(u) for u in comparison.unscored],
         "domain": [asdict(d) for d in comparison.domains],
         "residuals": [asdict(r) for r in comparison.residuals],
+        "starts": [{"model": s.model, **asdict(s.estimate)} for s in comparison.starts],
         "fits": [_fit(f) for f in fits],
     }
 
@@ -160,6 +163,18 @@ def _scores(comparison: Comparison, shown: Mapping[str, str], look, mode: str) -
     lead += " MAE is what Eq. 18 of the C-EHA paper calls RMSE. Fit is 100 (1 − ‖e‖ / ‖y − mean y‖)\u00a0%."
     tables = tuple(score_tables(comparison, shown, look, mode))
     return Section(f"scores-{mode.replace(' ', '-')}", f"Scores, {mode}", tables, lead)
+
+
+def _starts(comparison: Comparison, look) -> Section:
+    found = start_table(comparison, look)
+    lead = (
+        "Start states of physical models, estimated from the first part of each recording and from nothing after it. "
+        "The first part is among the scored samples. ± is one standard deviation, as far as nothing is missing in a "
+        "model. One step ahead the runs start there, too."
+    )
+    others = tuple(str(s) for s in comparison.starts if not s.estimate.states)
+    parts = (*((found,) if found else ()), *((Note(others),) if others else ()))
+    return Section("starts", "Where the runs start", parts, lead)
 
 
 def _left(comparison: Comparison, look) -> Section:

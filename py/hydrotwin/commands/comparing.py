@@ -16,6 +16,7 @@ from ..loading import is_fmu, load, origin
 from .exporting import equations_told
 from .recordings import read_all, reads, told_in
 from .shared import (
+    InitialStatesOption,
     InterpolationOption,
     JsonOption,
     ValidateOption,
@@ -60,6 +61,7 @@ def compare(
     modes: Annotated[list[str] | None, typer.Option("--mode", help="'free run' or 'one step'; both by default")] = None,
     title: Annotated[str | None, typer.Option(help="title of the report")] = None,
     interpolation: InterpolationOption = None,
+    initial_states: InitialStatesOption = "measured",
     accept: Annotated[
         list[str] | None,
         typer.Option("--accept", metavar="CRITERION", help="'arm_angle.rmse < 0.2 deg'; exit 1 where it does not hold"),
@@ -85,6 +87,7 @@ def compare(
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
     from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, acceptance, junit, read_scenario, run_scenario
     from hydrotwin.export.fmu_settings import AT_REST
+    from hydrotwin.identification.beginning import MEASURED, check_initial_states
     from hydrotwin.report import write_report
 
     check_folder(output)
@@ -97,7 +100,7 @@ def compare(
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
-    said |= {"--interpolation": interpolation, "--tags": tags}
+    said |= {"--interpolation": interpolation, "--tags": tags, "--initial-states": initial_states != MEASURED}
     doubled = [option for option, value in {**said, "--title": title}.items() if value]
     doubled += told_in(reading)
     if scenario is not None and doubled:
@@ -120,6 +123,7 @@ def compare(
             rates=tuple(rates or ()),
             reading=reading or Reading(),
             interpolation=interpolation_from(interpolation),
+            initial_states=check_initial_states(initial_states, "compare"),
             tags=Tags(tags),
             wanted=asked,
         )
@@ -136,6 +140,8 @@ def compare(
     for entrant in comparison.entrants:
         if at_rest := entrant.provenance.get(AT_REST):
             mark(err, "note", f"{entrant.name}: {at_rest}")
+    for started in comparison.starts:
+        mark(err, "note", str(started))
     if not comparison.scores:
         refuse_unscored(comparison)
     accepted = acceptance(comparison, described.wanted)

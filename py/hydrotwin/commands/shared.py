@@ -29,6 +29,13 @@ RecordsArgument = Annotated[list[Path], typer.Argument(metavar="REC...", help="r
 ValidateOption = Annotated[
     list[Path] | None, typer.Option("--validate", metavar="REC...", help="recordings to judge by, not to fit to")
 ]
+InitialStatesOption = Annotated[
+    str,
+    typer.Option(
+        help="start of physical models: measured (first samples count); or, from the first tenth of a recording, auto "
+        "(states with a noisy sensor and, where it tells, with none) or free (all)"
+    ),
+]
 InterpolationOption = Annotated[
     list[str] | None,
     typer.Option(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from hydrotwin.records.between import between, settled
 from ..loading import load
 from .recordings import constants_among, read_all, reads, tell_ignored
 from .shared import (
+    InitialStatesOption,
     InterpolationOption,
     JsonOption,
     ModelArgument,
@@ -66,6 +68,7 @@ def simulate(
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
     method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
     interpolation: InterpolationOption = None,
+    initial_states: InitialStatesOption = "measured",
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
@@ -87,13 +90,16 @@ def simulate(
         settings = {}
     else:
         settings = settings_from(changes, "--set", {p.name: p.unit for p in _parameters_of(thing)})
-    notes = getattr(thing, "notes", ())
+    notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
+    begun = _started(thing, record, initial_states, settings)
+    notes += (str(begun),) if begun else ()
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(_parameters_of(thing), settings)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InaccurateWarning)  # told below
-            result = simulate(thing, record, parameters=settings, step=step, method=method)
+            start = begun.estimate.values if begun else None
+            result = simulate(thing, record, parameters=settings, start=start, step=step, method=method)
     else:
         result = as_contender(thing).free_run(record)
     accuracy = getattr(result, "accuracy", None)
@@ -122,6 +128,7 @@ def simulate(
         outputs = [dict(zip(keys, row, strict=True)) for row in rows]
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
         answer |= {"notes": [*notes, *beyond]} if notes or beyond else {}
+        answer |= {"start": asdict(begun.estimate)} if begun else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)
@@ -129,6 +136,19 @@ def simulate(
         mark(out, "note" if accuracy.reached else "warning", str(accuracy))
     if output:
         out.print(f"written: {output}")
+
+
+def _started(thing, record, initial_states: str, settings: Mapping[str, float]):
+    """Where a model starts and from what that is known; None where nothing is estimated. Raises as `estimate_start`."""
+    from hydrotwin.comparison.starts import Started, not_estimated
+    from hydrotwin.identification.beginning import FREE, MEASURED, check_initial_states, estimate_start
+
+    how = check_initial_states(initial_states, "simulate")
+    if how == MEASURED:
+        return None
+    if not hasattr(thing, "flat"):
+        return Started(thing.name, not_estimated(record.name)) if how == FREE else None
+    return Started(thing.name, estimate_start(thing.flat.with_parameters(settings), record, how))
 
 
 def _parameters_of(thing) -> Sequence:

@@ -1,0 +1,85 @@
+"""Start states from the first part of a recording, against a motion whose start is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import PhysicalContender, compare
+from hydrotwin.identification.beginning import estimate_start
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.records import Record
+from tests.comparison.toys import Toy, recording
+from tests.identification.drive import drive
+
+NOISE, SPEED, POSITION, GAIN, LAG, DISPLACEMENT = 0.002, 5.0, 1.5, 10.0, 0.1, 0.2
+
+
+def moved(seed: int = 0, duration: float = 10.0) -> Record:
+    """The drive under a constant command from a known speed and position; only its position is measured, with noise.
+
+    s(t) = k u + (s0 - k u) e^(-t/T),  x(t) = x0 + c (k u t + T (s0 - k u) (1 - e^(-t/T)))
+    """
+    time = np.arange(0.0, duration, 0.02)
+    u, decayed = 0.1, 1 - np.exp(-time / LAG)
+    position = POSITION + DISPLACEMENT * (GAIN * u * time + LAG * (SPEED - GAIN * u) * decayed)
+    noise = NOISE * np.random.default_rng(seed).standard_normal(len(time))
+    signals = {"command": np.full_like(time, u), "position": position + noise}
+    return Record(time, signals, {"command": "V", "position": "m"}, f"moved_{seed}")
+
+
+@pytest.mark.parametrize("how", ["auto", "free"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_start_is_within_its_confidence(how, seed):
+    found = {s.name: s for s in estimate_start(drive(), moved(seed), how).states}
+    assert set(found) == {"motor.speed", "piston.position"}
+    for name, truth in (("motor.speed", SPEED), ("piston.position", POSITION)):
+        assert found[name].value == pytest.approx(truth, abs=3.5 * found[name].sigma)
+        assert 0 < found[name].sigma < 0.1 * truth
+    assert found["motor.speed"].assumed == 0.0
+
+
+def test_the_score_falls_to_the_noise_and_says_from_what():
+    record, how = moved(), {}
+    for name in ("measured", "auto", "free"):
+        how[name] = compare([PhysicalContender(drive())], [record], modes=["free run"], repeats=1, initial_states=name)
+    assert how["measured"].scores[0].rmse > 20 * NOISE and not how["measured"].starts
+    assert how["auto"].scores[0].rmse == pytest.approx(NOISE, rel=0.1)
+    assert how["free"].scores[0].rmse == pytest.approx(NOISE, rel=0.1)
+    assert how["auto"].scores[0].samples == len(record.time)
+    (started,) = how["auto"].starts
+    assert started.estimate.samples == 50 and started.estimate.seconds == (0.0, pytest.approx(0.98))
+    assert "0 s to 0.98 s" in str(started) and "scored too" in str(started)
+
+
+def test_nothing_after_the_first_part_is_looked_at():
+    record = moved()
+    late = record["position"].copy()
+    late[50:] += 3.0
+    spoilt = record.with_signals({"position": late})
+    assert estimate_start(drive(), spoilt).values == estimate_start(drive(), record).values
+
+
+def test_a_start_that_is_right_is_not_freed_without_a_reason():
+    time = np.arange(0.0, 10.0, 0.02)
+    x = POSITION + NOISE * np.random.default_rng(3).standard_normal(len(time))
+    rest = Record(time, {"command": 0 * time, "position": x}, {"command": "V", "position": "m"}, "rest")
+    assert set(estimate_start(drive(), rest, "auto").values) == {"piston.position"}
+
+
+def test_a_start_that_is_given_stays():
+    known = estimate_start(drive(), moved(), "free", {"motor.speed": SPEED})
+    assert set(known.values) == {"piston.position"}
+
+
+def test_what_cannot_be_estimated_says_so_and_is_scored_as_before():
+    short = moved(duration=0.5)
+    with pytest.raises(DataError, match="too short"):
+        estimate_start(drive(), short)
+    with pytest.raises(DeclarationError, match=r"no initial_states 'fre'\. Did you mean 'free'"):
+        compare([PhysicalContender(drive())], [short], initial_states="fre")
+    told = compare([PhysicalContender(drive())], [short], modes=["free run"], repeats=1, initial_states="auto")
+    assert "too short" in str(told.starts[0]) and told.scores
+    toys = compare([Toy("toy")], [recording()], modes=["free run"], repeats=1, initial_states="free")
+    assert "only the start states of a model with equations" in str(toys.starts[0]) and toys.scores
+    assert not compare([Toy("toy")], [recording()], modes=["free run"], repeats=1, initial_states="auto").starts

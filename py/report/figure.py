@@ -28,6 +28,20 @@ class Figure:
     caption: str = ""
     row: str = ""
 
+    @property
+    def heading(self) -> str:
+        """Its tab with the row of tabs it is in."""
+        return ", ".join(filter(None, (self.row, self.label)))
+
+    @property
+    def text(self) -> str:
+        """What a screen reader says in place of the plot: its axes and its curves."""
+        plan = self.spec["layout"]
+        over, values = (_titles(plan, axis) for axis in ("xaxis", "yaxis"))
+        names = dict.fromkeys(t["name"] for t in self.spec["data"] if t.get("name") and t.get("showlegend", True))
+        what = f"Plot of {', '.join(values) or 'values'}" + (f" over {', '.join(over)}" if over else "")
+        return f"{what}: {', '.join(names)}." if names else f"{what}."
+
 
 @dataclass(frozen=True)
 class FigureGroup:
@@ -240,6 +254,13 @@ def _axis(title: str) -> dict:
         "tickcolor": "#c3c9cf",
         "automargin": True,
     }
+
+
+def _titles(plan: dict, axis: str) -> list[str]:
+    """Titles of all x or y axes of a layout that have one."""
+    titles = (of.get("title") or {} for key, of in plan.items() if key.startswith(axis))
+    texts = (title if isinstance(title, str) else title.get("text", "") for title in titles)
+    return list(dict.fromkeys(filter(None, texts)))
 
 
 def _faded(colour: str, share: float = 0.38) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -79,8 +81,8 @@ def write_page(
 
 
 def as_html(page: Page) -> str:
-    """The page as one HTML file that needs nothing else: style, script and Plotly are inside."""
-    return _environment().get_template("page.html.j2").render(page=page, plotly=_plotly())
+    """The page as one HTML file that needs nothing else: style, script and Plotly (packed) are inside."""
+    return _environment().get_template("page.html.j2").render(page=page, plotly=_plotly(), licence=_licence())
 
 
 def as_markdown(page: Page) -> str:
@@ -124,7 +126,7 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.filters["data"] = _script_data
+    environment.filters["packed"] = _spec_data
     environment.tests["table"] = lambda part: isinstance(part, Table)
     environment.tests["figure"] = lambda part: isinstance(part, Figure)
     environment.tests["group"] = lambda part: isinstance(part, FigureGroup)
@@ -132,14 +134,30 @@ def _environment() -> jinja2.Environment:
     return environment
 
 
-def _script_data(value) -> Markup:
-    """A specification inside <script type="application/json">: nothing in it can end the script."""
-    text = json.dumps(json_values(value), separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-    return Markup(text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"))
+def _spec_data(spec: dict) -> Markup:
+    """A specification of Plotly as a packed script."""
+    return _packed("spec", json.dumps(json_values(spec), separators=(",", ":"), ensure_ascii=False, allow_nan=False))
+
+
+def _packed(name: str, text: str) -> Markup:
+    """A script element of this class that holds text packed: base64 of raw deflate, unpacked by inflate.js."""
+    whole = text.encode("utf-8")
+    packing = zlib.compressobj(9, wbits=-zlib.MAX_WBITS)
+    packed = base64.b64encode(packing.compress(whole) + packing.flush()).decode("ascii")
+    return Markup(f'<script type="text/plain" class="{name}" data-size="{len(whole)}">{packed}</script>')
 
 
 @cache
 def _plotly() -> Markup:
     from plotly.offline import get_plotlyjs
 
-    return Markup(get_plotlyjs())
+    return _packed("library", get_plotlyjs())
+
+
+@cache
+def _licence() -> str:
+    """What plotly.js says of itself in its first comment."""
+    from plotly.offline import get_plotlyjs
+
+    comment = get_plotlyjs().partition("*/")[0]
+    return "\n".join(line.strip(" /*") for line in comment.splitlines() if line.strip(" /*"))

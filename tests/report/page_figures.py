@@ -6,8 +6,10 @@ that writes pages is used.
 
 from __future__ import annotations
 
+import base64
 import math
 import re
+import zlib
 from itertools import pairwise
 
 import numpy as np
@@ -19,6 +21,14 @@ FACTOR = {  # one SI unit in the unit shown; any other unit is SI itself
     "mL/(min·bar)": 6e12, "%": 1.0, "rad/s": 1.0, "Hz": 1.0, "N": 1.0, "kg": 1.0, "V": 1.0,
 }  # fmt: skip
 PERCENT = ("share", "gap_closed", "probability", "change", "explained")  # columns of shares, printed as percent
+
+
+def unpacked(page: str, name: str) -> list[str]:
+    """The texts of a page's packed scripts of this class, by zlib."""
+    found = re.findall(rf'<script type="text/plain" class="{name}" data-size="(\d+)">(.*?)</script>', page)
+    texts = [zlib.decompress(base64.b64decode(packed), wbits=-15) for _, packed in found]
+    assert [len(text) for text in texts] == [int(size) for size, _ in found]
+    return [text.decode("utf-8") for text in texts]
 
 
 def number(text: str) -> float:

@@ -116,6 +116,16 @@ def test_a_narrow_screen_does_not_scroll_sideways(opened):
 def test_printing_opens_every_table(opened):
     opened.execute_script("window.dispatchEvent(new Event('beforeprint'))")
     assert opened.execute_script("return Array.from(document.querySelectorAll('details')).every(d => d.open)")
+    opened.execute_script("window.dispatchEvent(new Event('afterprint'))")
+
+
+def test_printing_draws_every_plot_at_once_and_shows_every_tab(opened):
+    opened.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    count = "document.querySelectorAll('.plot').length"
+    assert opened.execute_script(f"return document.querySelectorAll('.plot .main-svg').length >= {count}")
+    widths = opened.execute_script("return Array.from(document.querySelectorAll('.plot')).map(p => p.offsetWidth)")
+    assert all(0 < width <= 700 for width in widths)
+    opened.execute_script("window.dispatchEvent(new Event('afterprint'))")
 
 
 def test_no_script_error_and_no_request_leaves_the_page(opened):

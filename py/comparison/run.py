@@ -55,6 +55,7 @@ def compare(
 ) -> Comparison:
     """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
 
+    contenders : models, blocks and FMUs, as they are or by `as_contender`.
     modes : "free run" (inputs and start only) and "one step" (each sample from the measurement before it).
     outputs : names to score; by default every output that some contender gives and some recording holds.
     rates : names of outputs whose slope is scored too, in free run, as output ``<name>.rate``.
@@ -69,7 +70,7 @@ def compare(
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known, DataError when there is nothing to compare.
     """
-    contenders, records = list(contenders), distinct(records)[0]
+    contenders, records = [as_contender(c) for c in contenders], distinct(records)[0]
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
     contenders, starts = with_starts(contenders, records, initial_states)

@@ -7,6 +7,7 @@ import pytest
 
 from hydrotwin.comparison import BlockContender, Contender, PhysicalContender, as_contender, compare
 from hydrotwin.models import cehA
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import lower, simulate
 
@@ -30,6 +31,13 @@ def test_a_model_reproduces_its_own_simulation(record):
     assert not comparison.failures
     for score in comparison.scores:
         assert score.rmse <= 1e-6 * np.abs(record[score.output]).max(), score
+
+
+def test_a_model_takes_part_as_it_is(record):
+    comparison = compare([MODEL], [record], modes=["free run"], repeats=1)
+    assert {s.model for s in comparison.scores} == {"cehA"} and not comparison.failures
+    with pytest.raises(DeclarationError, match="a str cannot take part"):
+        compare(["cehA"], [record])
 
 
 def test_a_start_may_belong_to_one_recording(record):

@@ -48,7 +48,7 @@ class FieldMetrics:
 
 @dataclass(frozen=True)
 class Predicted:
-    """One output as predicted: values (n,) at the times of the recording, and a standard deviation (n,) if it has one."""
+    """One output as predicted: values (n,) at the times of the recording, standard deviation (n,) if it has one."""
 
     output: str
     values: np.ndarray

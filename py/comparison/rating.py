@@ -1,7 +1,7 @@
 """The objective rating of ISO/TS 18571: corridor, phase, magnitude and slope of one curve against another.
 
-Source: ISO/TS 18571:2014, Road vehicles - Objective rating metric for non-ambiguous signals. The standard is written for
-10 kHz; here the samples are those of the recording, at most LONGEST of them.
+Source: ISO/TS 18571:2014, Road vehicles - Objective rating metric for non-ambiguous signals. The
+standard is written for 10 kHz; here the samples are those of the recording, at most LONGEST of them.
 """
 
 from __future__ import annotations

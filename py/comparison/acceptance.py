@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from .comparison import MEAN, Comparison, Score
+from .comparison import MEAN, Comparison, Score, mean_known
 from .criteria import Criterion, Judged, criterion, judge
 from .tags import groups, of_group
 
@@ -23,6 +23,8 @@ SUFFIX = ".json"  # of an earlier comparison that a criterion names
 FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
 COVERAGE = "coverage"
 SCORED = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias", "fit": "fit_percent"}
+SCORED |= {name: name for name in ("r2", "theil", "iso18571", "lag", "steady", "vv20")}
+BEST = ("r2", "iso18571")  # the larger the better, as fit is
 
 
 @dataclass(frozen=True)
@@ -182,8 +184,7 @@ class _Values:
         if metric not in SCORED:
             raise DeclarationError(f"accept: '{self.criterion.text}': {name} has no band to take {metric} of.")
         values = [getattr(s, SCORED[metric]) for s in rows]
-        value = float(max(values) if metric == "max" else np.mean(values))
-        return value / 100 if metric == "fit" else value
+        return _over_recordings(metric, values)
 
     def _rows(self, group: str, output: str, model: str) -> list[Score]:
         """Scores of a model on the recordings of a group; a recording that failed leaves no number to judge by."""
@@ -214,12 +215,24 @@ class _Values:
                 f"accept: '{self.criterion.text}': {path.name} has no {output} of '{self.model}'. It has: "
                 f"{', '.join(known)}."
             )
-        return float(means[key][SCORED[metric]])
+        found = means[key].get(SCORED[metric])  # None where it was not defined, or not yet scored
+        return float("nan") if found is None else float(found)
+
+
+def _over_recordings(metric: str, values: Sequence[float]) -> float:
+    """The largest maximum, the mean size of lags and of errors at rest (where something rests), else the mean."""
+    if metric == "max":
+        return float(max(values))
+    if metric == "steady":
+        return mean_known(np.abs(values))
+    value = float(np.mean(np.abs(values) if metric == "lag" else values))
+    return value / 100 if metric == "fit" else value
 
 
 def _failed(model: str, output: str) -> Score:
     inf = float("inf")
-    return Score(model, MEAN, output, "", inf, inf, inf, -inf, "1", bias=inf)
+    field = {name: -inf if name in BEST else inf for name in ("r2", "theil", "iso18571", "lag", "steady", "vv20")}
+    return Score(model, MEAN, output, "", inf, inf, inf, -inf, "1", bias=inf, **field)
 
 
 def _model(comparison: Comparison, name: str) -> str:
@@ -248,7 +261,7 @@ def junit(found: Acceptance, title: str) -> str:
     for one in found.judged:
         case = ElementTree.SubElement(suite, "testcase", classname=found.model, name=one.criterion.text)
         if not one.passed:
-            words = f"found {one.value:.6g}, allowed {one.low:.6g} to {one.high:.6g} (SI)"
+            words = one.undefined or f"found {one.value:.6g}, allowed {one.low:.6g} to {one.high:.6g} (SI)"
             ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
     root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
     root.append(suite)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 
+from .field import FieldMetrics
 from .residual import Residual
 from .starts import Started
 
@@ -27,8 +28,8 @@ OUTSIDE = 1.0  # % of the samples outside of what a model was trained on, from w
 
 
 @dataclass(frozen=True)
-class Score:
-    """`Errors` of one model on one output of one recording, see there for the metrics.
+class Score(FieldMetrics):
+    """`Errors` and `FieldMetrics` of one model on one output of one recording, see there for the metrics.
 
     ``record`` is MEAN for the mean over the recordings; ``recordings`` counts those that went in.
     ``noise`` is the white noise of the measurement by itself (see `noise_floor`; nan for means and slopes).
@@ -250,6 +251,8 @@ class Comparison:
 def mean_scores(scores: tuple[Score, ...]) -> tuple[Score, ...]:
     """Mean over the recordings of each metric, per model, output and mode; the maximum and the range are the widest.
 
+    ``steady`` is the mean over those recordings in which something rests.
+
     ``relative`` compares only models scored on as many recordings as the most complete one (NaN for the others).
     """
     groups: dict[tuple, list[Score]] = {}
@@ -262,6 +265,12 @@ def mean_scores(scores: tuple[Score, ...]) -> tuple[Score, ...]:
 def relative_scores(scores: list[Score]) -> tuple[Score, ...]:
     """The same scores with ``relative`` filled in."""
     return tuple(_with_relative(scores))
+
+
+def mean_known(values: Sequence[float]) -> float:
+    """Mean of those that are numbers; NaN where none is."""
+    known = [v for v in values if not np.isnan(v)]
+    return float(np.mean(known)) if known else float("nan")
 
 
 def _mean(group: list[Score]) -> Score:
@@ -282,6 +291,8 @@ def _mean(group: list[Score]) -> Score:
         coverage=average("coverage"),
         nlpd=average("nlpd"),
         crps=average("crps"),
+        **{f.name: average(f.name) for f in dataclasses.fields(FieldMetrics) if f.name != "steady"},
+        steady=mean_known([s.steady for s in group]),
         model=first.model,
         record=MEAN,
         output=first.output,

@@ -19,7 +19,7 @@ from hydrotwin.models.language.errors import DeclarationError, UnitError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible, convert, display_units
 
-OF_OUTPUT, SHARE = "output", "share"  # what a metric is measured in; a share may be written in percent
+OF_OUTPUT, SHARE, TIME, PLAIN = "output", "share", "time", "number"  # what a metric is measured in
 METRICS: Mapping[str, str] = {
     "rmse": OF_OUTPUT,
     "mae": OF_OUTPUT,
@@ -28,6 +28,24 @@ METRICS: Mapping[str, str] = {
     "nrmse": SHARE,  # of the range of the measurement
     "fit": SHARE,  # the NRMSE fit
     "coverage": SHARE,  # of the measurements, inside the 95 % band
+    "r2": SHARE,  # the coefficient of determination
+    "theil": SHARE,  # Theil's inequality coefficient
+    "iso18571": SHARE,  # the overall rating of ISO/TS 18571
+    "lag": TIME,  # its size: how late or early the prediction is
+    "steady": OF_OUTPUT,  # its size: the mean error where inputs and measurement rest
+    "vv20": PLAIN,  # RMSE over the validation uncertainty of ASME V&V 20
+}
+SIZED = ("bias", "lag", "steady")  # judged by their size, whatever their sign
+ERRORS = ("rmse", "mae", "max", "bias", "nrmse", "theil", "lag", "steady", "vv20")  # the smaller the better
+UNDEFINED: Mapping[str, str] = {
+    "r2": "the measurement does not move",
+    "fit": "the measurement does not move",
+    "nrmse": "the measurement does not move",
+    "theil": "the measurement does not move",
+    "iso18571": "a curve does not move or is too short, or the mode is not free run",
+    "lag": "a curve does not move, or they do not correlate best within a fifth of the recording",
+    "steady": "inputs and measurement never rest together",
+    "vv20": "the model has no band",
 }
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
@@ -77,6 +95,14 @@ class Judged:
         return bool(self.low <= self.value <= self.high)
 
     @property
+    def undefined(self) -> str:
+        """Why there is no number to judge, in a sentence; empty where there is one."""
+        if not np.isnan(self.value):
+            one = self.criterion
+            return f"{one.than} has no {one.metric} to compare with" if np.isnan(self.high) else ""
+        return f"not defined: {UNDEFINED.get(self.criterion.metric, 'nothing was found to judge')}"
+
+    @property
     def margin(self) -> float:
         sides = [(self.value - self.low, self.low), (self.high - self.value, self.high)]
         found = [room / (abs(bound) or 1.0) for room, bound in sides if np.isfinite(bound)]
@@ -99,7 +125,7 @@ def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
 def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judged:
     """Whether it holds. value : what was found for (group, output, metric, model), model "" the one that is judged."""
     found = value(one.group, one.output, one.metric, "")
-    found = abs(found) if one.metric == "bias" else found
+    found = abs(found) if one.metric in SIZED else found
     if not one.than:
         return Judged(one, found, one.low, one.high)
     other = value(one.group, one.output, one.metric, one.than)
@@ -123,8 +149,8 @@ def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crit
 
 def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
     output, metric = (found["what"], SIZE) if found["what"] in signals else _named(text, found["what"], signals)
-    if METRICS[metric] == SHARE and metric != "nrmse":
-        raise DeclarationError(f"accept: '{text}' compares no error. Compare rmse, mae, max, bias or nrmse.")
+    if metric not in ERRORS:
+        raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
     by = float(found["by"] or 0.0) / 100
     return Criterion(text, output, metric, found["group"] or "", than=found["than"].strip(), by=by)
 
@@ -148,13 +174,21 @@ def _si(text: str, value: float, unit: str | None, signal: Signal, metric: str) 
         if unit not in (None, "%") or (unit is None and abs(value) > 1):
             raise UnitError(f"accept: '{text}': {metric} is a share. Write it as 5 % or as 0.05.")
         return value / 100 if unit else value
+    if METRICS[metric] == PLAIN and unit:
+        raise UnitError(f"accept: '{text}': {metric} is a number. Write {value:g} without a unit.")
     if value < 0:
         raise DeclarationError(f"accept: '{text}': {metric} is never negative. Give the size that it may have.")
-    if not unit and signal.unit == "1":
+    of = {TIME: "s", PLAIN: "1"}.get(METRICS[metric], signal.unit)
+    if not unit and of == "1":
         return value
-    usual = display_units(signal.unit)[0]
-    if not unit or not compatible(unit, signal.unit):
+    return _converted(text, value, unit, signal.name if of == signal.unit else metric, of)
+
+
+def _converted(text: str, value: float, unit: str | None, what: str, of: str) -> float:
+    """A difference in SI, of what is measured in ``of``."""
+    usual = "ms" if of == "s" else display_units(of)[0]
+    if not unit or not compatible(unit, of):
         got = f"'{unit}' does not fit" if unit else "a unit is missing"
         share = " A share of the range is nrmse." if unit == "%" else ""
-        raise UnitError(f"accept: '{text}': {got}. {signal.name} is in {usual}. Write {value:g} {usual}.{share}")
-    return convert(value, unit, signal.unit) - convert(0.0, unit, signal.unit)
+        raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {value:g} {usual}.{share}")
+    return convert(value, unit, of) - convert(0.0, unit, of)

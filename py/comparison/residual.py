@@ -54,7 +54,7 @@ def explain(record: Record, output: str, predicted: np.ndarray, *, model: str, n
     """
     time, measured = record.time, record[output]
     known = np.isfinite(measured) & np.isfinite(predicted)
-    grid, period = _uniform(time[known])
+    grid, period = uniform(time[known])
     e = np.interp(grid, time[known], (predicted - measured)[known])
     variance = float(np.var(measured[known]))
     explained = 100.0 * (1.0 - float(np.var((predicted - measured)[known])) / variance) if variance > 0 else np.nan
@@ -79,8 +79,9 @@ def explain(record: Record, output: str, predicted: np.ndarray, *, model: str, n
     )
 
 
-def _uniform(time: np.ndarray) -> tuple[np.ndarray, float]:
-    count = max(2, min(len(time), MAX_SAMPLES))
+def uniform(time: np.ndarray, most: int = MAX_SAMPLES) -> tuple[np.ndarray, float]:
+    """A uniform grid of as many samples as ``time`` (n,), at most ``most``, and its period, s."""
+    count = max(2, min(len(time), most))
     grid = np.linspace(time[0], time[-1], count)
     return grid, float(grid[1] - grid[0])
 

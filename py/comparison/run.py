@@ -30,6 +30,7 @@ from .comparison import (
 )
 from .contender import Contender, as_contender
 from .domain import domain_shares
+from .field import Predicted, field_metrics
 from .metrics import errors_of
 from .rates import rate_signal, with_rates
 from .residual import Residual, explain
@@ -183,8 +184,12 @@ def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan
         labels = (contender.name, record.name, name, mode)
         floor = plan.noise[record.name].get(name)
         white = floor.white if floor else np.nan
-        band = _band(record[name], prediction[name], found.trajectories[-1].deviation.get(name))
-        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **dataclasses.asdict(errors), **band))
+        deviation = found.trajectories[-1].deviation.get(name)
+        band = _band(record[name], prediction[name], deviation)
+        predicted, inputs = Predicted(name, prediction[name], deviation), [s.name for s in contender.inputs]
+        field = field_metrics(record, predicted, inputs, plan.noise[record.name], rated=mode == FREE_RUN)
+        told = dataclasses.asdict(errors) | dataclasses.asdict(field) | band
+        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **told))
         if mode == FREE_RUN and floor:
             found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=floor.sigma))
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hydrotwin.comparison import Acceptance, Change, Judged
+from hydrotwin.comparison.criteria import METRICS, PLAIN, SHARE, TIME
 from hydrotwin.models.language.units import si_unit
 
 from .format import NONE, difference_to_shown, number_text, with_unit
@@ -27,7 +28,8 @@ def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
         return (f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest)}.",)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
-    told = "; ".join(f"“{one.criterion.text}”: found {found_told(one, shown)}" for one in missed[:3])
+    words = [one.undefined or f"found {found_told(one, shown)}" for one in missed[:3]]
+    told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
     return (f"FAIL: {accepted.model} misses {many}: {told}.",)
 
 
@@ -92,6 +94,8 @@ def found_told(one: Judged, shown: Mapping[str, str]) -> str:
 
 def margin_told(one: Judged) -> str:
     """How far inside or outside of its bound."""
+    if one.undefined:
+        return one.undefined
     if not math.isfinite(one.margin):
         return "no number" if not one.passed else "any margin"
     return f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
@@ -102,6 +106,10 @@ def _told(value: float, one: Judged, shown: Mapping[str, str]) -> str:
         return NONE
     if one.criterion.metric in SHARES:
         return f"{number_text(100 * value, 3)}\u00a0%"
+    if METRICS[one.criterion.metric] == TIME:
+        return with_unit(number_text(1000 * value, 3), "ms")
+    if METRICS[one.criterion.metric] in (SHARE, PLAIN):
+        return number_text(value, 4)
     unit = shown.get(one.criterion.output, "1")
     return with_unit(number_text(float(difference_to_shown(value, si_unit(unit), unit)), 3), unit)
 

@@ -27,6 +27,7 @@ from .comparison_tables import (
 )
 from .conditions import conditions_section
 from .copies import copies
+from .field_tables import field_section
 from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
@@ -80,6 +81,7 @@ def comparison_page(
         _error_bars(comparison, shown, look),
         *(_scores(comparison, shown, look, mode) for mode in comparison.modes),
         _starts(comparison, look),
+        field_section(comparison, shown, look),
         _left(comparison, look),
         *(fit_section(f, id="fit" if k == 0 else f"fit-{k + 1}") for k, f in enumerate(fits)),
         Section("run-time", "Run time", (run_times(comparison, look),)),

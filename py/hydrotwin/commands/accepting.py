@@ -11,6 +11,7 @@ from hydrotwin.records import Record
 from .shared import mark, out
 
 CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metric -> field of the card, SI
+JUDGED = (*CARD, "nrmse", "fit", "coverage")
 
 
 def criteria(texts: Sequence[str] | None, records: Sequence[Record], outputs: Sequence[Signal | str], model) -> list:
@@ -22,6 +23,10 @@ def criteria(texts: Sequence[str] | None, records: Sequence[Record], outputs: Se
         names = [s.name for s in getattr(model, "flat", model).outputs if all(s.name in r for r in records)]
     found = [criterion(text, [Signal(n, records[0].units[n]) for n in names]) for text in texts or ()]
     for one in found:
+        if one.metric not in JUDGED:
+            raise DeclarationError(
+                f"accept: '{one.text}': learn judges {', '.join(JUDGED)}. Judge {one.metric} with compare."
+            )
         if one.group:
             raise DeclarationError(
                 f"accept: '{one.text}': learn judges all that was held out. Write it without '{one.group}:'; compare "

@@ -1,0 +1,124 @@
+"""The objective rating of ISO/TS 18571: corridor, phase, magnitude and slope of one curve against another.
+
+Source: ISO/TS 18571:2014, Road vehicles - Objective rating metric for non-ambiguous signals. The
+standard is written for 10 kHz; here the samples are those of the recording, at most LONGEST of them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .shift import correlations, first_best
+
+LONGEST = 1000  # samples; longer recordings are rated on so many uniform ones
+SHORTEST = 20  # samples
+INNER, OUTER = 0.05, 0.5  # half widths of the corridors, of the largest measurement in size
+SHIFT = 0.2  # of the recording: the largest shift that is tried
+WINDOW = 0.1  # of the samples: how far time is warped
+MOST_MAGNITUDE, MOST_SLOPE = 0.5, 2.0  # relative errors from which on the rating is 0
+MEANS = (1, 3, 5, 7, 9)  # samples that a slope is a mean of, from the ends inwards
+FIRST, SECOND, BOTH = 0, 1, 2  # what moved one sample on; of equal ways the first is taken
+
+
+@dataclass(frozen=True)
+class Rating:
+    """Corridor Z, phase EP, magnitude EM and slope ES, each 0 to 1, and the overall rating R of them."""
+
+    corridor: float
+    phase: float
+    magnitude: float
+    slope: float
+
+    @property
+    def overall(self) -> float:
+        """R = 0.4 Z + 0.2 EP + 0.2 EM + 0.2 ES: above 0.94 excellent, 0.8 good, 0.58 fair."""
+        return 0.4 * self.corridor + 0.2 * (self.phase + self.magnitude + self.slope)
+
+
+def rating(measured: np.ndarray, predicted: np.ndarray) -> Rating:
+    """Rating of ``predicted`` against ``measured``, (n,) on one uniform grid, finite. NaN where one does not move.
+
+    >>> rating(np.sin(np.arange(50)), np.sin(np.arange(50))).overall
+    1.0
+    """
+    measured, predicted = np.asarray(measured, float), np.asarray(predicted, float)
+    if len(measured) < SHORTEST or not np.ptp(measured) or not np.ptp(predicted):
+        return Rating(*[float("nan")] * 4)
+    most = SHIFT * len(measured)
+    late = first_best(correlations(measured, predicted, int(most)))
+    reference, curve = _shifted(measured, predicted, late)
+    return Rating(
+        corridor=_corridor(measured, predicted),
+        phase=max(0.0, 1.0 - abs(late) / most),
+        magnitude=_magnitude(reference, curve),
+        slope=max(0.0, 1.0 - _relative(_slopes(curve), _slopes(reference)) / MOST_SLOPE),
+    )
+
+
+def _shifted(measured: np.ndarray, predicted: np.ndarray, late: int) -> tuple[np.ndarray, np.ndarray]:
+    """Both where they overlap once the prediction is moved by ``late`` samples."""
+    n = len(measured) - abs(late)
+    return (measured[:n], predicted[late:]) if late >= 0 else (measured[-n:], predicted[:n])
+
+
+def _corridor(measured: np.ndarray, predicted: np.ndarray) -> float:
+    off = np.abs(predicted - measured) / np.abs(measured).max()
+    return float(np.mean(np.clip((OUTER - off) / (OUTER - INNER), 0.0, 1.0) ** 2))
+
+
+def _magnitude(reference: np.ndarray, curve: np.ndarray) -> float:
+    first, second = warped(curve, reference, int(np.ceil(WINDOW * len(curve))) - 1)
+    return max(0.0, 1.0 - _relative(curve[first], reference[second]) / MOST_MAGNITUDE)
+
+
+def _relative(curve: np.ndarray, reference: np.ndarray) -> float:
+    size = float(np.abs(reference).sum())
+    return float(np.abs(curve - reference).sum()) / size if size else float("inf")
+
+
+def _slopes(values: np.ndarray) -> np.ndarray:
+    """Central differences, each a mean over nine; over fewer towards the ends."""
+    slopes, half = np.gradient(values), len(MEANS) - 1
+    means = np.empty_like(slopes)
+    means[half:-half] = np.convolve(slopes, np.full(MEANS[-1], 1.0 / MEANS[-1]), mode="valid")
+    for k, n in enumerate(MEANS[:-1]):
+        means[k], means[-1 - k] = slopes[:n].mean(), slopes[-n:].mean()
+    return means
+
+
+def warped(first: np.ndarray, second: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Indices into both curves (n,) along the path of least summed squares, at most ``reach`` samples apart.
+
+    Dynamic time warping with steps of one sample in one curve or both, all of weight 1, one antidiagonal after the
+    other. Source: Sakoe, Chiba, IEEE Trans. ASSP 26 (1978) 43-49.
+    """
+    n, lows, steps = len(first), [], []
+    before, last = np.full(n + 3, np.inf), np.full(n + 3, np.inf)  # sums, one place after the index in ``first``
+    turned = second[::-1]
+    for d in range(2 * n - 1):
+        low, high = max(0, d - n + 1, (d - reach + 1) // 2), min(n - 1, d, (d + reach) // 2)
+        cost = (first[low : high + 1] - turned[n - 1 - d + low : n - d + high]) ** 2
+        ways = np.stack((last[low : high + 1], last[low + 1 : high + 2], before[low : high + 1]))
+        if d == 0:
+            ways[BOTH] = 0.0
+        step = ways.argmin(axis=0)
+        now = before  # its sums are used
+        now[low], now[high + 2] = np.inf, np.inf
+        now[low + 1 : high + 2] = cost + ways.min(axis=0)
+        before, last = last, now
+        lows.append(low)
+        steps.append(step)
+    return _path(lows, steps, n)
+
+
+def _path(lows: list[int], steps: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray]:
+    i = j = n - 1
+    path = [(i, j)]
+    while i or j:
+        way = steps[i + j][i - lows[i + j]]
+        i, j = i - (way != SECOND), j - (way != FIRST)
+        path.append((i, j))
+    first, second = np.array(path[::-1]).T
+    return first, second

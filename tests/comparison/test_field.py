@@ -1,0 +1,104 @@
+"""Metrics of the field against closed forms, in a comparison and in criteria."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import Wanted, acceptance, compare, criterion, judge, junit
+from hydrotwin.comparison.field import Predicted, field_metrics
+from hydrotwin.models.language.errors import DeclarationError, UnitError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record, noise_floor
+from hydrotwin.report.acceptance import verdict
+from tests.comparison.toys import Toy, recording
+
+ANGLE = (Signal("arm_angle", "rad"),)
+TIME = np.arange(0.0, 10.0, 0.01)
+STEPS = np.where(TIME < 4, 0.0, np.where(TIME < 6, (TIME - 4) / 2, 1.0))
+
+
+def metrics_of(measured, predicted, deviation=None, **more):
+    record = Record(TIME, {"u": STEPS, "y": measured}, {"u": "V", "y": "rad"}, "steps")
+    return field_metrics(record, Predicted("y", predicted, deviation), ["u"], noise_floor(record), **more)
+
+
+def test_sizes_and_shares_are_those_of_paper():
+    y = np.sin(2 * np.pi * TIME)
+    found = metrics_of(y, 0.5 * y, np.full(len(TIME), 0.2))
+    assert found.r2 == pytest.approx(0.75) and found.theil == pytest.approx(1 / 3)
+    assert found.u_val == pytest.approx(0.2) and found.vv20 == pytest.approx(np.sqrt(1 / 8) / 0.2)
+    assert found.lag == pytest.approx(0.0, abs=1e-6)
+
+
+def test_at_rest_counts_what_rests_and_not_the_motion_between():
+    moving = (TIME >= 4) & (TIME < 6)
+    found = metrics_of(STEPS, STEPS + np.where(moving, 5.0, np.where(TIME < 5, 0.1, 0.3)))
+    assert found.steady == pytest.approx(0.2, abs=1e-3)
+    assert np.isnan(metrics_of(np.sin(2 * np.pi * TIME), STEPS).steady)
+
+
+def test_what_is_not_defined_is_nan():
+    found = metrics_of(np.ones(len(TIME)), STEPS)
+    assert np.isnan([found.r2, found.theil, found.lag, found.iso18571, found.vv20, found.u_val]).all()
+    assert np.isnan(metrics_of(STEPS, STEPS + 0.1, rated=False).iso18571)
+
+
+def test_samples_that_were_not_measured_are_left_out():
+    holes = STEPS.copy()
+    holes[100:110] = np.nan
+    assert metrics_of(holes, STEPS).r2 == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("arm_angle.r2 > 0.99", 0.99, np.inf),
+        ("arm_angle.iso18571 > 0.9", 0.9, np.inf),
+        ("arm_angle.theil < 5 %", -np.inf, 0.05),
+        ("arm_angle.lag < 20 ms", -np.inf, 0.02),
+        ("arm_angle.steady < 1 deg", -np.inf, np.deg2rad(1)),
+        ("arm_angle.vv20 < 2", -np.inf, 2.0),
+    ],
+)
+def test_each_is_read_in_its_unit(text, low, high):
+    one = criterion(text, ANGLE)
+    assert (one.low, one.high) == pytest.approx((low, high))
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("arm_angle.lag < 20", "lag is in ms. Write 20 ms"),
+        ("arm_angle.lag < 20 deg", "'deg' does not fit"),
+        ("arm_angle.vv20 < 2 s", "is a number"),
+        ("arm_angle.iso18517 > 0.9", "Did you mean 'iso18571'"),
+        ("arm_angle.r2 not worse than eq17", "compares no error"),
+        ("arm_angle.r2 > 99", "is a share"),
+    ],
+)
+def test_what_is_no_criterion_is_refused_with_the_way_out(text, says):
+    with pytest.raises((DeclarationError, UnitError), match=says):
+        criterion(text, ANGLE)
+
+
+def test_a_lag_is_judged_by_its_size_and_nothing_found_fails_with_a_sentence():
+    early = judge(criterion("arm_angle.lag < 20 ms", ANGLE), lambda *_: -0.03)
+    assert not early.passed and early.value == 0.03 and not early.undefined
+    lost = judge(criterion("arm_angle.r2 > 0.99", ANGLE), lambda *_: float("nan"))
+    assert not lost.passed and "does not move" in lost.undefined
+    other = judge(criterion("arm_angle.lag not worse than b", ANGLE), lambda *a: float("nan") if a[3] else 0.01)
+    assert not other.passed and "b has no lag" in other.undefined
+
+
+def test_a_comparison_is_judged_by_them_in_free_run():
+    comparison = compare([Toy("good"), Toy("bad", gain=150.0)], [recording(1), recording(2)], repeats=1)
+    asked = ("arm_angle.r2 > 0.99", "arm_angle.iso18571 > 0.9", "arm_angle.theil < 0.01", "arm_angle.lag < 20 ms")
+    assert acceptance(comparison, Wanted(asked)).passed
+    assert not acceptance(comparison, Wanted(asked, "bad")).passed
+    found = acceptance(comparison, Wanted(("arm_angle.vv20 < 2",)))
+    assert "the model has no band" in verdict(found, {"arm_angle": "deg"})[0] and "has no band" in junit(found, "toys")
+    of = {(s.record, s.mode): s for s in comparison.scores if (s.model, s.output) == ("good", "arm_angle")}
+    assert np.isfinite(of["validation_1", "free run"].iso18571) and np.isnan(of["validation_1", "one step"].iso18571)
+    mean = next(s for s in comparison.means if (s.model, s.output, s.mode) == ("good", "arm_angle", "free run"))
+    assert mean.r2 == pytest.approx(np.mean([of[f"validation_{k}", "free run"].r2 for k in (1, 2)]))

@@ -137,6 +137,7 @@ def compare_figures(data: dict) -> dict[str, list[dict]]:
             tables[f"scores_{mode.replace(' ', '_')}_{output}"] = ranked
             rows = [s for s in data["scores"] if (s["mode"], s["output"]) == (mode, output)]
             tables[f"recordings_{mode.replace(' ', '_')}_{output}"] = _relative(rows)
+    tables["field"] = _field(data["scores"], yardsticks)
     first = {}
     for t in data["run_time"]:
         first.setdefault(t["model"], 1 / t["seconds_per_simulated_second"])
@@ -167,6 +168,22 @@ def compare_figures(data: dict) -> dict[str, list[dict]]:
         tables[f"{name}_residuals"] = [r | {"ratio": r["rmse"] / r["noise"]} for r in fit["residuals"]]
     tables["recordings"] = [r | {"record": r["name"], "duration": r["seconds"]} for r in data["recordings"]]
     return tables
+
+
+def _field(scores: list[dict], yardsticks: set[str]) -> list[dict]:
+    """Means over the recordings of the metrics of the field, free run, and the rating from its parts."""
+    groups: dict[tuple, list[dict]] = {}
+    for s in scores:
+        if s["mode"] == "free run" and s["model"] not in yardsticks:
+            groups.setdefault((s["output"], s["model"]), []).append(s)
+    rows, keys = [], ("r2", "theil", "lag", "corridor", "phase", "magnitude", "slope")
+    for (output, model), of in groups.items():
+        mean = {k: float(np.mean([s[k] for s in of])) for k in keys}
+        whole = 0.4 * mean["corridor"] + 0.2 * (mean["phase"] + mean["magnitude"] + mean["slope"])
+        rested = [s["steady"] for s in of if s["steady"] is not None]
+        mean["steady"] = float(np.mean(rested)) if rested else None
+        rows.append({"output": output, "model": model, "iso18571": whole, **mean})
+    return rows
 
 
 def _of(means: list[dict], model: str, output: str) -> dict:

@@ -72,6 +72,11 @@ def unit_of(column: dict, row: dict) -> str:
     return pretty or (row["unit"]["shown"] if "unit" in row and column["key"] not in PERCENT else "")
 
 
+def without_unit(text: str) -> tuple[str, str]:
+    """The number and the unit of a cell that says both."""
+    return re.match(r"([−\d.\u202fe]+)\s?(.*)", text).groups()
+
+
 def check_tables(data: dict, figures: dict[str, list[dict]]) -> int:
     """Hold every number of every table against its figure; how many there were."""
     seen = 0
@@ -88,7 +93,7 @@ def check_tables(data: dict, figures: dict[str, list[dict]]) -> int:
                 if text == "only noise":
                     continue
                 assert key in own, f"nobody computes {key} of {name}"
-                unit = unit_of(column, row)
+                text, unit = without_unit(text) if key == "steady" else (text, unit_of(column, row))
                 dimensionless = key in ("sigmas", "shift", "ratio", "lag_one", "samples", "times_noise")
                 factor = 1.0 if dimensionless else FACTOR.get(unit, 1.0)
                 assert shows(text, own[key], factor), f"{name}, row {k}, {key}: {text} for {own[key]} [{unit}]"

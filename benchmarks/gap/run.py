@@ -17,7 +17,7 @@ from pathlib import Path
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 BATCH = 40  # cases after which fresh processes take over
-METHODS = ("discover", "plain", "sindy", "gp")
+METHODS = ("discover", "narrow", "plain", "sindy", "gp")
 LIMIT = 300.0  # s of a search
 QUICK = {"seconds": 20.0, "severities": (5.0, 30.0)}
 
@@ -53,6 +53,8 @@ def _judged(made, methods, with_oracle, memory, settings) -> list[dict]:
         except Exception as error:
             rows.append({"case": made.case.name, "method": "oracle", "failed": f"{type(error).__name__}: {error}"})
     for method in methods:
+        if method == "narrow" and made.case.kind not in ("single", "pairs"):
+            continue  # nothing is hidden that a catalogue could be narrowed to
         try:
             answer = _answer(method, made, bench, memory, settings)
             rows.append(row_of(made, answer, method=method, oracle=best, lacking=lacking))
@@ -62,10 +64,12 @@ def _judged(made, methods, with_oracle, memory, settings) -> list[dict]:
 
 
 def _answer(method, made, bench, memory, settings):
-    if method == "discover":
+    if method in ("discover", "narrow"):
         from benchmarks.gap.score import answer_of
         from hydrotwin.discovery.discover import discover
 
+        if method == "narrow":
+            settings = {**settings, "effects": [name for name, _ in made.hidden]}
         found = discover(made.model, made.fit, validate=made.held_out, executor="here", **settings)
         return answer_of(found, settings)
     if method == "plain":

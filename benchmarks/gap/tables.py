@@ -12,6 +12,7 @@ from hydrotwin.models.effects import CATALOGUE
 from . import calibration
 from .score import VISIBLE
 
+AS_WELL = 1.01  # times the RMSE of a search among the hidden effects alone, of every output: as well as that
 LEAST = 0.01  # probability, in the log loss, of what is so improbable that it is not told
 
 
@@ -202,9 +203,27 @@ def markdown(rows: Sequence[Mapping]) -> str:
         parts += calibration.markdown(own, method)
         wrong = misses(own)
         parts += [f"### {method}: {len(wrong)} misses", "", *(f"- {line}" for line in wrong), ""]
+    parts += _wide_against_narrow(rows)
     beyond = [r for r in rows if "unreachable" in r]
     parts += [f"## Left out: {len(beyond)} cells that cannot reach their severity", ""]
     return "\n".join([*parts, *(f"- {r['case']}: {r['unreachable']}" for r in beyond), ""])
+
+
+def _wide_against_narrow(rows) -> list[str]:
+    """What the whole catalogue leaves of the recordings to learn from, over what the hidden effects alone do."""
+    both = {m: {r["case"]: r for r in rows if r.get("method") == m and "verdict" in r} for m in ("discover", "narrow")}
+    lines = []
+    for case in (c for c in both["narrow"] if c in both["discover"]):
+        wide, narrow = (both[m][case] for m in ("discover", "narrow"))
+        least = narrow["notes"]["rmse_fit"]
+        worst = max(wide["notes"]["rmse_fit"][name] / value for name, value in least.items())
+        lines.append((worst, f"| {case} | {worst:.3f} | {wide['verdict']} | {narrow['verdict']} |"))
+    if not lines:
+        return []
+    as_well = sum(worst <= AS_WELL for worst, _ in lines)
+    head = f"## Whole catalogue against the hidden effects alone: as well in {as_well} of {len(lines)}"
+    columns = ["| case | RMSE of the fit, whole / alone, worst output | whole | alone |", "|---|---|---|---|"]
+    return [head, "", *columns, *(line for _, line in sorted(lines, reverse=True)), ""]
 
 
 def _table(rows) -> list[str]:

@@ -59,7 +59,8 @@ def as_it_stands(search: Search, data: Split, model: Model) -> Discovery:
     def run(function, jobs, _) -> list:
         return search.run(function, jobs, STAGE)
 
-    found = answer(dataclasses.replace(search, table=table, run=run, pause=None), data, model)
+    soon = dataclasses.replace(search.effort, iterations=1)  # of a last fit: the search itself goes on with these
+    found = answer(dataclasses.replace(search, table=table, run=run, pause=None, effort=soon), data, model)
     counted = _counted(search)
     told = f"gap: the search goes on: {counted}. The answer is the best of those, and may change."
     reason = found.reason

@@ -73,7 +73,7 @@ def glance(job: Job) -> Look | str:
     """
     began = time.perf_counter()
     try:
-        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW), ROUGHLY)
+        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW), ROUGHLY, few_runs=True)
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
@@ -94,11 +94,11 @@ def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
     return settled(*_first(job), job.iterations, job.seconds)
 
 
-def _first(job: Job, rules: Mapping[str, float] = FIRST) -> tuple[Task, Minimum]:
+def _first(job: Job, rules: Mapping[str, float] = FIRST, few_runs: bool = False) -> tuple[Task, Minimum]:
     """The task and its first minimum from the cheapest start."""
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
-    task = task_of(job, job.starts[0], size, moving_starts(job))
+    task = task_of(job, job.starts[0], size, moving_starts(job), few_runs)
     shooting, z = whole_runs(task)
     z = given(shooting, z, job.states)
     start, at = _cheapest(task, job, shooting, z)

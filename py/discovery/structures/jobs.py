@@ -100,6 +100,11 @@ class Jobs:
         starts = [seen.values, *seen.trail, *self.starts(entry)]
         return self.of(entry, starts, size=seen.size, states=seen.states)
 
+    def further(self, entry: Entry) -> Job:
+        """The fit that goes on from where it stopped."""
+        known = entry.fitted
+        return self.of(entry, [known.values], states=known.states, size=known.rmse)
+
     def anew(self, entry: Entry) -> Job:
         """The fit from its own start through windows: looks at whole recordings begin where the base was bent to."""
         return dataclasses.replace(self.of(entry, self.starts(entry)), question=self.windows)

@@ -137,19 +137,31 @@ class Search:
             base.look = None  # it begins anew with those
         self._lead(base, len(lengths))
         base.look = base.look or seen
-        starts = different(self.jobs.whole(base).starts if base.look else ({},))
-        size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        for some in (starts[:1], starts[1:]):
-            found = self._ran([self.jobs.of(base, [start], size=size, states=states) for start in some])
-            known = [f for f in (*found, base.fitted) if isinstance(f, Fitted)]
-            base.fitted = min(known, key=lambda f: score(f.left, table.floor()), default=None)
-            if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
-                break
+        self._fit_base(base)
         if not base.fitted:
             raise SolveError(
                 f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
             )
         return base
+
+    def _fit_base(self, base: Entry) -> None:
+        """Fit the base from where its windows ended, or where that leaves more than they did from all it came by.
+
+        It may be so stiff there that a step takes seconds, and a minimum near: each start has a little time, the best
+        goes on.
+        """
+        starts = different(self.jobs.whole(base).starts if base.look else ({},))
+        size, states = (base.look.size, base.look.states) if base.look else (None, ())
+        for some in (starts[:1], starts[1:]):
+            settings = {"size": size, "states": states, "seconds": self.effort.look}
+            found = self._ran([self.jobs.of(base, [start], **settings) for start in some])
+            known = [f for f in (*found, base.fitted) if isinstance(f, Fitted)]
+            base.fitted = min(known, key=lambda f: score(f.left, self.table.floor()), default=None)
+            if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
+                break
+        if base.fitted and not base.fitted.converged:
+            (found,) = self._ran([self.jobs.further(base)])
+            self._keep_better(base, found)
 
     def _lead(self, base: Entry, lengths: int) -> None:
         """Lead the base through the first ``lengths`` of windows, where it has not gone through them."""

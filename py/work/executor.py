@@ -1,4 +1,4 @@
-"""Where the fits run: this machine's cores, this process, an executor of one's own, or a Dask cluster.
+"""Where jobs run: this machine's cores, this process, an executor of one's own, or a Dask cluster.
 
 A job is a top-level function of this package with plain data, so that every executor gives the same answers.
 """
@@ -42,7 +42,7 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
 
     ====================  ==================================================================================
     None, "processes"     local processes, as many as cores, each with one BLAS thread
-    "here"                this process, one fit after the other
+    "here"                this process, one job after the other
     "dask://host:port"    the workers of a Dask scheduler (extra ``cluster``)
     an Executor           used as it is, and left open
     ====================  ==================================================================================
@@ -184,7 +184,7 @@ def _same_versions(client, spec: str) -> None:
 
 
 def _versions_there() -> Mapping[str, str]:
-    from hydrotwin.discovery.work.executor import versions
+    from hydrotwin.work.executor import versions
 
     return versions()
 

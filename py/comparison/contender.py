@@ -68,6 +68,7 @@ class PhysicalContender:
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
         self.estimated: dict[str, dict[str, float]] = {}  # by recording
+        self.how: dict[str, float | str] = {}  # step [s] and method of its runs where they are not its own
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> PhysicalContender:
@@ -76,6 +77,10 @@ class PhysicalContender:
         other.flat = self.flat.with_inputs(changes)
         other.inputs = other.flat.inputs
         return other
+
+    def stepped(self, step: float | None, method: str | None) -> PhysicalContender:
+        """The same run with another longest step [s] and another method, see `prepare`; None for its own."""
+        return with_changes(self, how={k: v for k, v in (("step", step), ("method", method)) if v is not None})
 
     def estimate_start(self, record: Record, how: str) -> StartEstimate:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
@@ -88,7 +93,7 @@ class PhysicalContender:
     @property
     def content(self) -> tuple | None:
         """What its runs depend on."""
-        return self.flat, self.start, self.estimated, self.provenance.get(SPREAD)
+        return self.flat, self.start, self.estimated, self.how, self.provenance.get(SPREAD)
 
     def to_travel(self) -> PhysicalContender:
         """The same with equations that can be pickled."""
@@ -97,11 +102,11 @@ class PhysicalContender:
 
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
-        return simulate(self.flat, record, start=self._start_of(record))
+        return simulate(self.flat, record, start=self._start_of(record), **self.how)
 
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
-        return predict_one_step(self.flat, record, start=self._start_of(record))
+        return predict_one_step(self.flat, record, start=self._start_of(record), **self.how)
 
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""

@@ -48,7 +48,8 @@ class Plan:
 class Job:
     """One model on one recording.
 
-    noise : of the columns of the recording. repeats : timed runs after the first; None for that alone.
+    noise : of the columns of the recording. repeats : timed runs after the first; None for that alone. curves : whether
+    all that was predicted comes back; else only what tells how far a learned model was from what it was trained on.
     """
 
     carried: Carried
@@ -56,12 +57,15 @@ class Job:
     plan: Plan
     noise: Mapping[str, NoiseFloor]
     repeats: int | None
+    curves: bool = True
 
     @property
     def content(self) -> str:
         """All that its answer depends on, hashed; not how often a run is timed."""
         record = self.record
-        return key_of(self.carried, record.name, record.time, dict(record.signals), record.units, self.plan)
+        return key_of(
+            self.carried, record.name, record.time, dict(record.signals), record.units, self.plan, self.curves
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +108,7 @@ def run_job(job: Job) -> Done:
         for mode in job.plan.modes:
             run = _predict(contender, mode, job, found)
             if run is not None:
-                found.runs.append(run)
+                found.runs.append(run if job.curves else _lean(run, contender, job.record))
                 _score(contender, run, job, found)
     warned = dict.fromkeys((w.category.__name__, str(w.message)) for w in caught)
     rows = (tuple(rows) for rows in (found.runs, found.scores, found.residuals, found.failures, found.unscored))
@@ -153,6 +157,12 @@ def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict
         return contender.deviations(record)
     except HydrotwinError:
         return {}
+
+
+def _lean(run: Run, contender, record: Record) -> Run:
+    box = getattr(contender, "domain", None)
+    wanted = [n for n in box.names if n not in record.signals and n in run.signals] if box else []
+    return dataclasses.replace(run, signals={n: run.signals[n] for n in wanted}, deviation={})
 
 
 def _score(contender, run: Run, job: Job, found: _Found) -> None:

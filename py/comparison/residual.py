@@ -87,7 +87,7 @@ def uniform(time: np.ndarray, most: int = MAX_SAMPLES) -> tuple[np.ndarray, floa
 
 
 def _correlations(e: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Normalised correlations (m, n) of ``e`` (n,) with ``others`` (m, n), at lags of 0 to n-1 by which e comes after."""
+    """Normalised correlations (m, n) of ``e`` (n,) with ``others`` (m, n); e comes 0 to n-1 samples after them."""
     e, others = e - e.mean(), others - others.mean(axis=1, keepdims=True)
     size = next_fast_len(2 * len(e) - 1, real=True)
     found = irfft(rfft(e, size) * np.conj(rfft(others, size)), size)[:, : len(e)]

@@ -41,6 +41,7 @@ def compare(
     initial_states: str = "measured",
     executor: str | Executor = "here",
     memory: Memory | None = None,
+    curves: int | None = None,
 ) -> Comparison:
     """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
 
@@ -59,6 +60,8 @@ def compare(
     executor : where the runs are made, see `executor_for`; the numbers are the same to the bit. A contender without
         ``content`` runs here.
     memory : keeps finished runs; those that it knows are not made again.
+    curves : so many predicted curves (of models, outputs and modes) are in the answer, of the first recordings; one
+        recording at least, and by default all.
 
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known and for an executor that is not there, DataError when there is nothing to compare.
@@ -72,7 +75,8 @@ def compare(
     plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how)
     noise = [noise_floor(r) for r in records]
     records = [with_rates(as_needed(r, wanted), sloped) for r in records]
-    jobs = _jobs(contenders, list(zip(records, noise, strict=True)), plan, repeats)
+    drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
+    jobs = _jobs(contenders, list(zip(records, noise, strict=True)), plan, (repeats, drawn))
     with executor_for(executor) as pool:
         done = _answers(jobs, pool, memory, _counting(progress, jobs))
     for kind, text in dict.fromkeys(w for one in done for w in one.warned):
@@ -80,7 +84,7 @@ def compare(
     made = [(job, one, run) for mode in modes for job, one in zip(jobs, done, strict=True) for run in one.runs
             if run.mode == mode]  # fmt: skip
     scores = relative_scores(_by_mode(modes, [s for one in done for s in one.scores]))
-    trajectories = tuple(_trajectory(job, run) for job, _, run in made)
+    trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
     return Comparison(
         title=title,
         entrants=tuple(_entrant(c) for c in contenders),
@@ -90,21 +94,27 @@ def compare(
         outputs=plan.wanted + plan.rates,
         scores=scores,
         means=mean_scores(scores),
-        trajectories=trajectories,
+        trajectories=tuple(t for job, t in trajectories if job.curves),
         timings=_timings([(job, run) for job, _, run in made]),
         failures=tuple(_by_mode(modes, [f for one in done for f in one.failures])),
         unscored=tuple(dict.fromkeys(u for one in done for u in one.unscored)),
-        domains=domain_shares(contenders, records, train_records, trajectories),
+        domains=domain_shares(contenders, records, train_records, [t for _, t in trajectories]),
         residuals=tuple(r for one in done for r in one.residuals),
         starts=tuple(one.started for one in done if one.started),
     )
 
 
-def _jobs(contenders, records: Sequence[tuple[Record, Mapping]], plan: Plan, repeats: int) -> list[Job]:
-    """Every model on every recording with its noise."""
+def _drawn(curves: int | None, each: int, count: int) -> int:
+    """Recordings of which the curves stay, with ``each`` curves of one."""
+    return count if curves is None else max(1, curves // max(1, each))
+
+
+def _jobs(contenders, records: Sequence[tuple[Record, Mapping]], plan: Plan, first: tuple[int, int]) -> list[Job]:
+    """Every model on every recording with its noise; first : timed runs, and recordings of which the curves stay."""
     carried = [Carried(c) for c in contenders]
+    repeats, drawn = first
     return [
-        Job(one, record, plan, noise, repeats if k < TIMED else None)
+        Job(one, record, plan, noise, repeats if k < TIMED else None, k < drawn)
         for one in carried
         for k, (record, noise) in enumerate(records)
     ]

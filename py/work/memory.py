@@ -37,7 +37,7 @@ class Memory:
     """
 
     def __init__(self, folder: Path | str):
-        self.folder = Path(folder)
+        self.folder, self._asked = Path(folder), set()
         self.begin()
 
     def begin(self) -> None:
@@ -49,6 +49,7 @@ class Memory:
 
     def get(self, key: str) -> dict | None:
         """The answer under ``key``; None when there is none, or its file was damaged."""
+        self._asked.add(key)
         try:
             with self._path(key).open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files if name != _TEXT}
@@ -82,6 +83,12 @@ class Memory:
             return float(self._path(key, ".seconds").read_text(encoding="ascii"))
         except (OSError, ValueError):
             return 0.0
+
+    def forget_others(self) -> None:
+        """Keep only what was asked for since this memory was opened."""
+        for path in [*self.folder.glob("*.npz"), *self.folder.glob("*.seconds")]:
+            if path.stem not in self._asked:
+                path.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Forget everything: the work is done."""

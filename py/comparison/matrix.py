@@ -72,14 +72,14 @@ class Matrix:
 
     @property
     def accepted(self) -> Acceptance | None:
-        """All criteria of all variants together, each with the variant in its words; None without any."""
+        """All criteria of all variants, each with the variant in its words, missed ones first; None without any."""
         own = [(run.name, run.accepted) for run in self.runs if run.accepted]
         if not own:
             return None
-        judged = tuple(_of(name, one) for name, found in own for one in found.judged)
+        judged = [_of(name, one) for name, found in own for one in found.judged]
         changes = tuple(_changed(name, one) for name, found in own for one in found.changes)
         first = own[0][1]
-        return dataclasses.replace(first, judged=judged, changes=changes)
+        return dataclasses.replace(first, judged=tuple(sorted(judged, key=lambda j: j.passed)), changes=changes)
 
     def table(self, what: str = "scores") -> pyarrow.Table:
         """The rows of all variants as one Arrow table, see `Comparison.table`; the first column is ``variant``."""
@@ -129,7 +129,7 @@ def run_matrix(
             before = sum(len(p.contenders) for p in prepared[:k]) * len(records) * len(scenario.modes)
             told = _from(where, before, total, one.variant.name if len(variants) > 1 else "")
             run = _run(scenario, one, (records, train), told, repeats, runs[0].comparison if runs else None)
-            run = dataclasses.replace(run, as_base=_as_base(one, prepared[0]) if k else ())
+            run = dataclasses.replace(run, as_base=_as_base(one, prepared[0], scenario.initial_states) if k else ())
             run = dataclasses.replace(run, accepted=_accepted(run, wanted[run.name]))
             if on_variant:
                 on_variant(run)
@@ -202,12 +202,17 @@ def _empty(base: Comparison, reason: str, title: str) -> Comparison:
     return dataclasses.replace(base, title=title, failures=failures, starts=(), **nothing)
 
 
-def _as_base(one: _Prepared, base: _Prepared) -> tuple[str, ...]:
-    """Models of which this variant changes nothing, so that their numbers are those of the base."""
-    if one.variant.period is not None or one.variant.initial_states is not None:
+def _as_base(one: _Prepared, base: _Prepared, how: str) -> tuple[str, ...]:
+    """Models of which this variant changes nothing, so that their numbers are those of the base.
+
+    how : initial_states of the scenario; another way concerns those whose start can be estimated.
+    """
+    if one.variant.period is not None:
         return ()
+    started = one.variant.initial_states in (None, how)
     able = {c.name: Carried(c).content for c in base.contenders if travels(c)}
-    return tuple(c.name for c in one.contenders if travels(c) and able.get(c.name) == Carried(c).content)
+    same = [c for c in one.contenders if travels(c) and able.get(c.name) == Carried(c).content]
+    return tuple(c.name for c in same if started or not hasattr(c, "estimate_start"))
 
 
 def _from(where: Where, before: int, total: int, name: str) -> Where:

@@ -12,7 +12,7 @@ from .format import number_text, pretty_unit
 SCALE = ((0.0, "#f4f8fb"), (0.5, "#8fbbdc"), (1.0, "#0b3c66"))  # one hue: told apart in grey and by any eyes
 ROW, ABOVE = 30, 90  # px
 TICKS = (1.0, 2.0, 5.0)  # of every decade on the bar
-LONG = 34  # characters of a label
+LONG = 44  # characters of a label
 
 
 def heat_map(id: str, label: str, axes: tuple[Sequence[str], Sequence[str]], values: np.ndarray, unit: str) -> Figure:

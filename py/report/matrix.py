@@ -64,7 +64,7 @@ def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | 
         *(acceptance_sections(accepted, how.units) if accepted else ()),
         Section("variants", "What the variants change", (variants_table(matrix),)),
         Section("heat-map", "Where it is good and where not", (heat,) if heat else (), _heat_lead(matrix)),
-        Section("worst", "The worst runs", (worst_table(matrix, how),), "One model on one recording each."),
+        Section("worst", "The worst runs", (worst_table(matrix, how),), "One recording each."),
         Section(
             "conditions",
             "By operating condition",

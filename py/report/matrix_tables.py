@@ -103,7 +103,9 @@ def variants_table(matrix: Matrix) -> Table:
 
 def every_table(matrix: Matrix, how: Shown) -> list[Table]:
     """For each of the first outputs every model in every variant, worst first, with its worst recording."""
-    return [_every(matrix, signal, how) for signal in outputs_of(matrix)[:HEADLINE_OUTPUTS]]
+    first, *others = outputs_of(matrix)[:HEADLINE_OUTPUTS]
+    found = [_every(matrix, signal, how) for signal in (first, *others)]
+    return [found[0], *(replace(t, folded=True) for t in found[1:])]
 
 
 def _every(matrix: Matrix, signal: Signal, how: Shown) -> Table:
@@ -132,23 +134,22 @@ def _every(matrix: Matrix, signal: Signal, how: Shown) -> Table:
 
 
 def worst_table(matrix: Matrix, how: Shown) -> Table:
-    """The worst single runs by the RMSE of the first output, without yardsticks."""
-    signal, mode = outputs_of(matrix)[0], matrix.base.modes[0]
+    """The worst single runs of the judged model by the RMSE of the first output."""
+    signal, mode, judged = outputs_of(matrix)[0], matrix.base.modes[0], judged_model(matrix)
     tags = {r.name: r.tags for r in matrix.base.records}
     told = any(tags.values())
-    rows = [(r, s) for r in matrix.runs for s in _own(r, signal.name, mode)]
+    rows = [(r, s) for r in matrix.runs for s in _own(r, signal.name, mode) if s.model == judged]
     rows = sorted(rows, key=lambda row: -row[1].rmse)[:MOST_CASES]
-    base = {(s.model, s.record): s.rmse for s in matrix.base.scores if (s.output, s.mode) == (signal.name, mode)}
-    ratios = [s.rmse / base[s.model, s.record] if base.get((s.model, s.record)) else None for _, s in rows]
+    base = {s.record: s.rmse for s in _own(matrix.runs[0], signal.name, mode) if s.model == judged}
+    ratios = [s.rmse / base[s.record] if base.get(s.record) else None for _, s in rows]
     columns = [
         _variants([r for r, _ in rows]),
-        _models([s.model for _, s in rows], how),
         texts("record", "Recording", [s.record for _, s in rows]),
         *([texts("condition", "Condition", [_condition(tags[s.record]) for _, s in rows])] if told else []),
         numbers("rmse", "RMSE", [s.rmse for _, s in rows], signal.unit, how.units[signal.name]),
         numbers("times_base", "× base", ratios, common=False),
     ]
-    return table("worst", f"{signal.name}, {mode}", columns)
+    return table("worst", f"{judged}, {signal.name}, {mode}", columns)
 
 
 def tag_tables(matrix: Matrix, how: Shown) -> list[Table]:
@@ -201,7 +202,7 @@ def heat_maps(matrix: Matrix, how: Shown) -> FigureGroup | None:
         down = sorted(range(len(rows)), key=lambda k: -_largest(values[k]))[:MOST_ROWS]
         across = sorted(range(len(columns)), key=lambda j: -_largest(values[:, j]))[:MOST_COLUMNS]
         shown = difference_to_shown(values[np.ix_(down, across)], signal.unit, how.units[signal.name])
-        names = [f"{rows[k][0].name} · {rows[k][1]}" for k in down]
+        names = [f"{rows[k][1]} · {rows[k][0].name}" for k in down]
         axes = names, [columns[j] for j in across]
         figures.append(_drawn(signal, axes, shown, how, (len(rows), len(columns))))
     return FigureGroup("heat", "", tuple(figures)) if figures else None

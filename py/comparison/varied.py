@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.units import convert
 
 from .contender import PhysicalContender
 from .variants import Variant
@@ -41,7 +43,13 @@ def varied(one: Thing, variant: Variant) -> object:
         return made
     if hasattr(made, "with_values"):
         return made.with_values(values)
-    return made.with_settings({path: _setting(path, value) for path, value in values.items()})
+    settings = {path: _setting(path, value) for path, value in values.items()}
+    if isinstance(made, Model):
+        return made.with_settings(settings)
+    units = {p.name: p.unit for p in made.parameters}
+    return made.with_parameters(
+        {n: convert(s["value"], s.get("unit", units[n]), units[n]) for n, s in settings.items()}
+    )
 
 
 def run_as(contender, variant: Variant):
@@ -62,7 +70,7 @@ def settable(thing) -> set[str]:
         return set(thing.description.scales)
     if isinstance(thing, Model):
         return {p.name for p in (*thing.flat.parameters, *(p for p, _ in thing.followers))}
-    return set()
+    return {p.name for p in thing.parameters} if isinstance(thing, FlatModel) else set()
 
 
 def check_variant(things: Sequence[Thing], variant: Variant, where: str) -> None:
@@ -73,6 +81,8 @@ def check_variant(things: Sequence[Thing], variant: Variant, where: str) -> None
         if name not in names:
             raise DeclarationError(f"{where}: no model '{name}'. {nearest(name, names)}")
     asked = [one for one in things if concerns(one, variant)]
+    if (variant.step or variant.method) and not any(hasattr(getattr(t.thing, "flat", t.thing), "ode") for t in asked):
+        raise DeclarationError(f"{where}: none of its models has equations that take a step or a method.")
     effects = [word for one in asked for word in _words(one.thing)]
     for pattern in variant.effects_off:
         if not fnmatch.filter(effects, pattern):

@@ -23,6 +23,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 from multiprocessing import context
 
@@ -214,6 +215,11 @@ def _versions_there() -> Mapping[str, str]:
 
 def versions() -> dict[str, str]:
     """What an answer depends on besides its job."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> Mapping[str, str]:
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"casadi": ca.__version__}

@@ -191,9 +191,9 @@ def _feed(digest, value) -> None:
         starts = portable(value).initialisation.functions
         _put(digest, "flat", b"")
         _feed(digest, [known, {"\0".join(names): function for names, function in starts.items()}])
-    elif getattr(value, "content", None) is not None:  # it says itself what it is
+    elif (content := getattr(value, "content", None)) is not None:  # it says itself what it is
         _put(digest, type(value).__name__, b"")
-        _feed(digest, value.content)
+        _feed(digest, content)
     elif isinstance(value, ca.Function):
         _put(digest, "function", value.serialize().encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):

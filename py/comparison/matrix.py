@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
+from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 from hydrotwin.work.executor import executor_for
 
@@ -58,6 +59,29 @@ class Matrix:
         base = self.base
         size = f"{len(base.models)} models x {len(self.runs)} variants x {len(base.records)} recordings"
         return f"Matrix '{self.title}': {size}"
+
+    def _repr_html_(self) -> str:
+        mode, signal = self.base.modes[0], self.base.outputs[0]
+        scores = [(run.name, s) for run in self.runs for s in run.comparison.ranking(signal.name, mode)]
+        rows = [
+            (name, s.model, s.rmse, s.maximum, s.fit_percent) for name, s in sorted(scores, key=lambda r: -r[1].rmse)
+        ]
+        columns = ("variant", "model", f"RMSE [{signal.unit}]", f"maximum [{signal.unit}]", "fit [%]")
+        accepted = self.accepted
+        told = (
+            ""
+            if accepted is None
+            else "PASS: all criteria hold."
+            if accepted.passed
+            else "FAIL: not all criteria hold."
+        )
+        facts = {"models": len(self.base.models), "variants": len(self.runs), "recordings": len(self.base.records)}
+        return summary_html(
+            self.title,
+            told[accepted and accepted.passed],
+            facts,
+            [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)],
+        )
 
     def __getitem__(self, name: str) -> VariantRun:
         for run in self.runs:
@@ -110,7 +134,8 @@ def run_matrix(
     Raises DeclarationError, before anything runs, for a variant or a criterion that names what does not exist, for
     values that no model takes, and for more runs than can be meant; what `run_scenario` raises.
     """
-    variants = scenario.variants or (Variant(BASE),)
+    variants = scenario.variants
+    variants = variants if variants and variants[0].name == BASE else (Variant(BASE), *variants)
     check_many(len(variants), len(scenario.models), len(scenario.validate), scenario.title)
     things = things_of(scenario, resolve)
     for variant in variants:

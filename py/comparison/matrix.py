@@ -61,27 +61,14 @@ class Matrix:
         return f"Matrix '{self.title}': {size}"
 
     def _repr_html_(self) -> str:
-        mode, signal = self.base.modes[0], self.base.outputs[0]
+        mode, signal, accepted = self.base.modes[0], self.base.outputs[0], self.accepted
         scores = [(run.name, s) for run in self.runs for s in run.comparison.ranking(signal.name, mode)]
-        rows = [
-            (name, s.model, s.rmse, s.maximum, s.fit_percent) for name, s in sorted(scores, key=lambda r: -r[1].rmse)
-        ]
+        scores.sort(key=lambda row: -row[1].rmse)
+        rows = [(name, s.model, s.rmse, s.maximum, s.fit_percent) for name, s in scores]
         columns = ("variant", "model", f"RMSE [{signal.unit}]", f"maximum [{signal.unit}]", "fit [%]")
-        accepted = self.accepted
-        told = (
-            ""
-            if accepted is None
-            else "PASS: all criteria hold."
-            if accepted.passed
-            else "FAIL: not all criteria hold."
-        )
+        told = "" if accepted is None else "All criteria hold." if accepted.passed else "Not all criteria hold."
         facts = {"models": len(self.base.models), "variants": len(self.runs), "recordings": len(self.base.records)}
-        return summary_html(
-            self.title,
-            told[accepted and accepted.passed],
-            facts,
-            [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)],
-        )
+        return summary_html(self.title, told, facts, [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)])
 
     def __getitem__(self, name: str) -> VariantRun:
         for run in self.runs:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hydrotwin
 from hydrotwin.comparison import Where, compare, read_scenario, run_matrix, run_scenario
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError, UnitError
@@ -103,6 +104,14 @@ def test_the_rows_of_all_variants_are_one_table(here):
     rows = here.table("means").to_pylist()
     assert {r["variant"] for r in rows} == {"base", "cold", "slow", "started"}
     assert {r["load"] for r in here.table().to_pylist()} == {"1", "2"}
+
+
+def test_a_notebook_and_plotly_show_the_matrix(here):
+    assert "<td>cold</td>" in here._repr_html_() and "4 variants" in repr(here)
+    assert [name for name in hydrotwin.figures(here) if name.startswith("heat-")] == [
+        "heat-position",
+        "heat-motor_speed",
+    ]
 
 
 def test_processes_give_the_same_numbers_to_the_last_bit(described, here):

@@ -107,7 +107,7 @@ def test_the_rows_of_all_variants_are_one_table(here):
 
 
 def test_a_notebook_and_plotly_show_the_matrix(here):
-    assert "<td>cold</td>" in here._repr_html_() and "4 variants" in repr(here)
+    assert ">cold</td>" in here._repr_html_() and "4 variants" in repr(here)
     assert [name for name in hydrotwin.figures(here) if name.startswith("heat-")] == [
         "heat-position",
         "heat-motor_speed",

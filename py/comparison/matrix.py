@@ -134,7 +134,7 @@ def run_matrix(
         prepared = [_prepared(scenario, v, resolve) for v in variants]
         base = prepared[0].contenders
         records, train = read_all(scenario, pool)
-        _check_periods(variants, records, scenario.title)
+        _check_records(variants, records, scenario.title)
         check_asked(dataclasses.replace(scenario, wanted=_any_of(wanted.values())), base, records)
         total, runs = sum(len(p.contenders) for p in prepared) * len(records) * len(scenario.modes), []
         for k, one in enumerate(prepared):
@@ -196,7 +196,9 @@ def thinned(record: Record, period: float | None) -> Record:
     return record if period is None else record.resample(period)
 
 
-def _check_periods(variants: Sequence[Variant], records: Sequence[Record], where: str) -> None:
+def _check_records(variants: Sequence[Variant], records: Sequence[Record], where: str) -> None:
+    if len(variants) > 1 and any("variant" in r.tags for r in records):
+        raise DeclarationError(f"{where}: criteria name variants by 'variant=', so no tag can be called so. Rename it.")
     for variant in (v for v in variants if v.period is not None):
         for record in records:
             if not record.period <= variant.period * (1 + 1e-9) or not variant.period < record.duration:

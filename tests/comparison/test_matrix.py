@@ -215,6 +215,11 @@ def test_a_criterion_that_nothing_can_be_judged_by_is_refused_before_anything_ru
     refuse(scenario(folder, f"accept = ['{text}']\n{MODELS}[variants.x]\nstep = 0.1"), message, tmp_path)
 
 
+def test_a_tag_cannot_be_called_as_variants_are(folder, tmp_path):
+    text = MODELS.replace("load{load}", "load{variant}")
+    refuse(scenario(folder, text + VARIANTS), "no tag can be called so", tmp_path)
+
+
 def refuse(described, message: str, tmp_path) -> None:
     memory = Memory(tmp_path / "kept")
     with pytest.raises((DeclarationError, UnitError), match=message):

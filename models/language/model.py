@@ -138,6 +138,19 @@ class Model:
         final.sought = sought or self.sought
         return final
 
+    def without(self, additions: Iterable[Addition]) -> Model:
+        """The same model without some of its additions, and without what was set of them: what `plus` added is gone."""
+        gone = [a for a in self.additions if any(a is other for other in additions)]
+        kept = [a for a in self.additions if not any(a is other for other in gone)]
+        parts = tuple(f"{a.name}." for a in gone if a.part is not None)
+        held = {path for a in kept for path in (*a.holds, *([a.frees] if a.frees else []))}
+        own = {path for a in gone for path in (*a.holds, *([a.frees] if a.frees else []))} - held
+        other = copy.copy(self)
+        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
+        other.additions, other.sought = tuple(kept), self.sought
+        other.settings = {p: s for p, s in self.settings.items() if p not in own and not p.startswith(parts)}
+        return other
+
     @cached_property
     def followers(self) -> tuple[tuple[ParameterValue, frozenset[str]], ...]:
         """Parameters that follow others, with the values they have now, each with the paths of those it follows.

@@ -130,6 +130,7 @@ def dimension(unit: str) -> tuple[Fraction, ...]:
     return parse_unit(unit).dimension
 
 
+@cache
 def compatible(from_: str, to: str) -> bool:
     """Whether values in ``from_`` can be expressed in ``to``.
 

@@ -18,12 +18,15 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
+from .matrix import Matrix, VariantRun, run_matrix
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare
-from .scenario import ModelEntry, Scenario, load_contenders, read_scenario, run_scenario
+from .running import Where, load_contenders, run_scenario
+from .scenario import ModelEntry, Scenario, read_scenario
 from .starts import Started
 from .tags import Tags
+from .variants import Variant
 
 __all__ = [
     "FORMAT",
@@ -43,6 +46,7 @@ __all__ = [
     "Failure",
     "HoldLast",
     "Judged",
+    "Matrix",
     "ModelEntry",
     "PhysicalContender",
     "Residual",
@@ -53,7 +57,10 @@ __all__ = [
     "Timing",
     "Trajectory",
     "Unscored",
+    "Variant",
+    "VariantRun",
     "Wanted",
+    "Where",
     "acceptance",
     "as_contender",
     "compare",
@@ -65,5 +72,6 @@ __all__ = [
     "junit",
     "load_contenders",
     "read_scenario",
+    "run_matrix",
     "run_scenario",
 ]

@@ -87,8 +87,11 @@ class Wanted:
         )
 
 
-def acceptance(comparison: Comparison, wanted: Wanted) -> Acceptance | None:
+def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acceptance | None:
     """Judge the criteria on the first mode; None where nothing is asked.
+
+    variant : of a scenario; "" for the scenario as it stands. It is held against the same variant of an earlier
+    comparison.
 
     Raises DeclarationError for a criterion that says nothing about this comparison, DataError for an earlier comparison
     that cannot be read.
@@ -97,8 +100,8 @@ def acceptance(comparison: Comparison, wanted: Wanted) -> Acceptance | None:
         return None
     model = _model(comparison, wanted.model)
     found = [criterion(text, comparison.outputs) for text in wanted.accept]
-    judged = tuple(judge(one, _Values(comparison, model, one, wanted.base)) for one in found)
-    changes = earlier(wanted.against).against(comparison) if wanted.against else ((), (), ())
+    judged = tuple(judge(one, _Values(comparison, model, one, wanted.base, variant)) for one in found)
+    changes = earlier(wanted.against, variant).against(comparison) if wanted.against else ((), (), ())
     return Acceptance(model, comparison.modes[0], judged, *changes)
 
 
@@ -136,12 +139,16 @@ class Earlier:
         return changes, new, tuple(sorted(before - set(comparison.models)))
 
 
-def earlier(path: Path) -> Earlier:
-    """Read an earlier compare.json. Raises DataError for a file that is none or of another format, with what to do."""
+def earlier(path: Path, variant: str = "") -> Earlier:
+    """Read an earlier compare.json, of a variant those means, if it has it.
+
+    Raises DataError for a file that is none or of another format, with what to do.
+    """
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
         _check_format(path, told.get("format", FORMAT))  # a file without one is older, with the same means
-        means = {(s["model"], s["output"], s["mode"]): s for s in told["means"]}
+        rows = _means(told, variant) if variant else told["means"]
+        means = {(s["model"], s["output"], s["mode"]): s for s in rows}
         if not all(isinstance(s["rmse"], float | int) for s in means.values()):
             raise ValueError("a mean without rmse")
     except OSError as error:
@@ -153,6 +160,10 @@ def earlier(path: Path) -> Earlier:
             f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
         ) from None
     return Earlier(path, means)
+
+
+def _means(told: dict, variant: str) -> list[dict]:
+    return next((v["means"] for v in told.get("variants", ()) if v["name"] == variant), [])
 
 
 def _check_format(path: Path, found: object) -> None:
@@ -171,6 +182,7 @@ class _Values:
     model: str
     criterion: Criterion
     base: Path
+    variant: str = ""
 
     def __call__(self, group: str, output: str, metric: str, model: str) -> float:
         if model.endswith(SUFFIX):
@@ -207,7 +219,7 @@ class _Values:
                 f"accept: '{self.criterion.text}': an earlier comparison is judged over all recordings, by "
                 f"{', '.join(SCORED)}."
             )
-        means = earlier(path).means
+        means = earlier(path, self.variant).means
         key = (self.model, output, self.comparison.modes[0])
         if key not in means:
             known = sorted({model for model, *_ in means})

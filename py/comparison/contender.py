@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -15,6 +17,11 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
 from hydrotwin.simulation.block import Block
+from hydrotwin.work.executor import portable
+
+from .travel import with_changes
+
+_WORDS = ("provenance", "description")  # of a block: no run depends on them
 
 
 @runtime_checkable
@@ -22,7 +29,8 @@ class Contender(Protocol):
     """A model in a comparison.
 
     Optional attributes: ``parameters`` (tuple of ParameterValue), ``provenance`` (dict of plain values),
-    ``domain`` (TrainingDomain), ``modes`` (those it can run, all by default).
+    ``domain`` (TrainingDomain), ``modes`` (those it can run, all by default), ``content`` (all that its runs depend on,
+    as data: they are then kept and made in other processes, to which ``to_travel()`` goes, or it itself).
     """
 
     name: str
@@ -60,6 +68,7 @@ class PhysicalContender:
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
         self.estimated: dict[str, dict[str, float]] = {}  # by recording
+        self.how: dict[str, float | str] = {}  # step [s] and method of its runs where they are not its own
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> PhysicalContender:
@@ -69,32 +78,58 @@ class PhysicalContender:
         other.inputs = other.flat.inputs
         return other
 
+    def stepped(self, step: float | None, method: str | None) -> PhysicalContender:
+        """The same run with another longest step [s] and another method, see `prepare`; None for its own."""
+        return with_changes(self, how={k: v for k, v in (("step", step), ("method", method)) if v is not None})
+
     def estimate_start(self, record: Record, how: str) -> StartEstimate:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
         return estimate_start(self.flat, record, how, self._start_of(record))
 
     def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
         """The same that starts, on the recordings of ``estimates``, as they say."""
-        other = copy.copy(self)
-        other.estimated = {e.record: e.values for e in estimates}
-        return other
+        return with_changes(self, estimated={e.record: e.values for e in estimates})
+
+    @property
+    def content(self) -> tuple | None:
+        """What its runs depend on."""
+        return self.flat, self.start, self.estimated, self.how, self.provenance.get(SPREAD)
+
+    def to_travel(self) -> PhysicalContender:
+        """The same with equations that can be pickled."""
+        spread = {SPREAD: self.provenance[SPREAD]} if SPREAD in self.provenance else {}
+        return with_changes(self, flat=portable(self.flat, self._given()), provenance=spread)
 
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
-        return simulate(self.flat, record, start=self._start_of(record))
+        return simulate(self.flat, record, start=self._start_of(record), **self.how)
 
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
-        return predict_one_step(self.flat, record, start=self._start_of(record))
+        return predict_one_step(self.flat, record, start=self._start_of(record), **self.how)
 
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
         told = self.provenance.get(SPREAD)
         return deviations(self.flat, record, Spread.from_told(told), self._start_of(record)) if told else {}
 
+    def _given(self) -> list[tuple[str, ...]]:
+        """States that are given together in a run, beside those that a recording measures."""
+        own = [s for s in (self._starts() or {"": self.start or {}}).values() if s]
+        own = [{**s, **e} for s in own or [{}] for e in (*self.estimated.values(), {})]
+        measured = [s.name for s in self.flat.states if s.measured_by is not None]
+        together = [
+            {*s, *some} for s in own if s for n in range(len(measured) + 1) for some in combinations(measured, n)
+        ]
+        return [tuple(s.name for s in self.flat.states if s.name in names) for names in together]
+
+    def _starts(self) -> Mapping[str, Mapping[str, float]] | None:
+        """The start by recording; None where it is the same for all."""
+        return self.start if any(isinstance(value, Mapping) for value in (self.start or {}).values()) else None
+
     def _start_of(self, record: Record) -> Mapping[str, float] | None:
-        by_record = any(isinstance(value, Mapping) for value in (self.start or {}).values())
-        given = self.start.get(record.name) if by_record else self.start
+        by_record = self._starts()
+        given = self.start if by_record is None else by_record.get(record.name)
         estimated = self.estimated.get(record.name)
         return {**(given or {}), **estimated} if estimated else given
 
@@ -110,6 +145,16 @@ class BlockContender:
     def with_inputs(self, changes: Mapping[str, Mapping]) -> BlockContender:
         """The same whose inputs do something else between samples, see `changed`."""
         return BlockContender(self.block.with_inputs(changes), self.kind, self.name)
+
+    @property
+    def content(self) -> tuple:
+        """What its runs depend on."""
+        return tuple(getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS)
+
+    def to_travel(self) -> BlockContender:
+        """The same block without what it was made of."""
+        own = {f.name: getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS}
+        return BlockContender(Block(**own), self.kind, self.name)
 
     def free_run(self, record: Record) -> Record:
         """Outputs of the block run at its own period."""
@@ -131,6 +176,11 @@ class HoldLast:
 
     def __init__(self, outputs: Sequence[Signal], name: str = "hold last sample"):
         self.name, self.outputs, self.provenance = name, tuple(outputs), {}
+
+    @property
+    def content(self) -> tuple:
+        """What its runs depend on."""
+        return self.outputs
 
     def free_run(self, record: Record) -> Record:
         """Every output stays at its first sample."""
@@ -176,5 +226,11 @@ class _Renamed:
         estimating = hasattr(self._contender, "with_starts")
         return _Renamed(self._contender.with_starts(estimates), self.name) if estimating else self
 
+    def to_travel(self) -> _Renamed:
+        inner = self._contender
+        return _Renamed(inner.to_travel() if hasattr(inner, "to_travel") else inner, self.name)
+
     def __getattr__(self, attribute: str):
+        if attribute == "_contender" or attribute.startswith("__"):  # while it is being unpacked
+            raise AttributeError(attribute)
         return getattr(self._contender, attribute)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .shift import correlations, first_best
+from .warping import warped
 
 LONGEST = 1000  # samples; longer recordings are rated on so many uniform ones
 SHORTEST = 20  # samples
@@ -19,7 +20,6 @@ SHIFT = 0.2  # of the recording: the largest shift that is tried
 WINDOW = 0.1  # of the samples: how far time is warped
 MOST_MAGNITUDE, MOST_SLOPE = 0.5, 2.0  # relative errors from which on the rating is 0
 MEANS = (1, 3, 5, 7, 9)  # samples that a slope is a mean of, from the ends inwards
-FIRST, SECOND, BOTH = 0, 1, 2  # what moved one sample on; of equal ways the first is taken
 
 
 @dataclass(frozen=True)
@@ -86,39 +86,3 @@ def _slopes(values: np.ndarray) -> np.ndarray:
     for k, n in enumerate(MEANS[:-1]):
         means[k], means[-1 - k] = slopes[:n].mean(), slopes[-n:].mean()
     return means
-
-
-def warped(first: np.ndarray, second: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indices into both curves (n,) along the path of least summed squares, at most ``reach`` samples apart.
-
-    Dynamic time warping with steps of one sample in one curve or both, all of weight 1, one antidiagonal after the
-    other. Source: Sakoe, Chiba, IEEE Trans. ASSP 26 (1978) 43-49.
-    """
-    n, lows, steps = len(first), [], []
-    before, last = np.full(n + 3, np.inf), np.full(n + 3, np.inf)  # sums, one place after the index in ``first``
-    turned = second[::-1]
-    for d in range(2 * n - 1):
-        low, high = max(0, d - n + 1, (d - reach + 1) // 2), min(n - 1, d, (d + reach) // 2)
-        cost = (first[low : high + 1] - turned[n - 1 - d + low : n - d + high]) ** 2
-        ways = np.stack((last[low : high + 1], last[low + 1 : high + 2], before[low : high + 1]))
-        if d == 0:
-            ways[BOTH] = 0.0
-        step = ways.argmin(axis=0)
-        now = before  # its sums are used
-        now[low], now[high + 2] = np.inf, np.inf
-        now[low + 1 : high + 2] = cost + ways.min(axis=0)
-        before, last = last, now
-        lows.append(low)
-        steps.append(step)
-    return _path(lows, steps, n)
-
-
-def _path(lows: list[int], steps: list[np.ndarray], n: int) -> tuple[np.ndarray, np.ndarray]:
-    i = j = n - 1
-    path = [(i, j)]
-    while i or j:
-        way = steps[i + j][i - lows[i + j]]
-        i, j = i - (way != SECOND), j - (way != FIRST)
-        path.append((i, j))
-    first, second = np.array(path[::-1]).T
-    return first, second

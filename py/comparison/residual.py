@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 
 from hydrotwin.records import Record
 
@@ -59,7 +59,7 @@ def explain(record: Record, output: str, predicted: np.ndarray, *, model: str, n
     variance = float(np.var(measured[known]))
     explained = 100.0 * (1.0 - float(np.var((predicted - measured)[known])) / variance) if variance > 0 else np.nan
     lags = max(1, min(LAGS, len(grid) // 4))
-    r = _correlation(e, e)[len(e) - 1 :]
+    r = _correlations(e, e[None])[0]
     band = 1.96 / np.sqrt(len(e))
     below = np.flatnonzero(r < np.exp(-1.0))
     follows, strength, lag = _strongest(grid, e, record, period)
@@ -86,23 +86,24 @@ def uniform(time: np.ndarray, most: int = MAX_SAMPLES) -> tuple[np.ndarray, floa
     return grid, float(grid[1] - grid[0])
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Normalised correlation at all lags (2n-1,); index n-1 is lag 0, later indices: ``a`` comes after ``b``."""
-    a, b = a - a.mean(), b - b.mean()
-    scale = float(np.linalg.norm(a) * np.linalg.norm(b))
-    if scale <= 1e-300:
-        return np.zeros(2 * len(a) - 1)
-    return fftconvolve(a, b[::-1]) / scale
+def _correlations(e: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Normalised correlations (m, n) of ``e`` (n,) with ``others`` (m, n); e comes 0 to n-1 samples after them."""
+    e, others = e - e.mean(), others - others.mean(axis=1, keepdims=True)
+    size = next_fast_len(2 * len(e) - 1, real=True)
+    found = irfft(rfft(e, size) * np.conj(rfft(others, size)), size)[:, : len(e)]
+    scale = np.linalg.norm(e) * np.linalg.norm(others, axis=1, keepdims=True)
+    return np.where(scale > 1e-300, found, 0.0) / np.where(scale > 1e-300, scale, 1.0)
 
 
 def _strongest(grid: np.ndarray, e: np.ndarray, record: Record, period: float) -> tuple[str, float, float]:
     """Signal, correlation and lag [s] (0 to a quarter of the recording, at most 2 s) of the strongest link with e."""
     best = ("", 0.0, 0.0)
     reach = min(len(grid) // 4, int(2.0 / period)) + 1
-    for name, values in record.signals.items():
-        if not np.isfinite(values).all():
-            continue
-        r = _correlation(e, np.interp(grid, record.time, values))[len(e) - 1 : len(e) - 1 + reach]
+    names = [name for name, values in record.signals.items() if np.isfinite(values).all()]
+    if not names:
+        return best
+    signals = np.stack([np.interp(grid, record.time, record[name]) for name in names])
+    for name, r in zip(names, _correlations(e, signals)[:, :reach], strict=True):
         k = int(np.argmax(np.abs(r)))
         if abs(r[k]) > abs(best[1]):
             best = (name, float(r[k]), k * period)

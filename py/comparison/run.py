@@ -2,42 +2,28 @@
 
 from __future__ import annotations
 
-import dataclasses
-import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 
 import numpy as np
 
-from hydrotwin.learned.bands import scores
-from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.identification.beginning import check_initial_states
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible
-from hydrotwin.records import NoiseFloor, Record, as_needed, distinct, noise_floor, require
+from hydrotwin.records import Record, as_needed, distinct, noise_floor
 from hydrotwin.records.between import between, settled, told
+from hydrotwin.work.executor import Here, executor_for
+from hydrotwin.work.memory import Memory, recalled
 
-from .comparison import (
-    FREE_RUN,
-    MODES,
-    Comparison,
-    Entrant,
-    Failure,
-    Score,
-    Timing,
-    Trajectory,
-    Unscored,
-    mean_scores,
-    relative_scores,
-)
+from .comparison import MODES, Comparison, Entrant, Timing, Trajectory, mean_scores, relative_scores
 from .contender import Contender, as_contender
 from .domain import domain_shares
-from .field import Predicted, field_metrics
-from .metrics import errors_of
+from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
-from .residual import Residual, explain
-from .starts import with_starts
+from .travel import Carried, travels
 
-SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
-TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
+TIMED = 3  # recordings, the first, on which runs are repeated for their time
 
 
 def compare(
@@ -53,6 +39,9 @@ def compare(
     progress: Callable[[int, int, str], None] | None = None,
     interpolation: Mapping[str, str] | None = None,
     initial_states: str = "measured",
+    executor: str | Executor = "here",
+    memory: Memory | None = None,
+    curves: int | None = None,
 ) -> Comparison:
     """Score ``contenders`` on ``records``, all on the same inputs and the same samples.
 
@@ -61,36 +50,41 @@ def compare(
     outputs : names to score; by default every output that some contender gives and some recording holds.
     rates : names of outputs whose slope is scored too, in free run, as output ``<name>.rate``.
     train_records : the recordings the models were made from, for the share of each recording they cover.
-    repeats : timed runs per model and recording; fewer when they take longer than TIMING_BUDGET together.
-    progress : called with (runs done, runs in all, what is next).
+    repeats : timed runs per model on each of the first TIMED recordings; fewer when they take longer than
+        TIMING_BUDGET together.
+    progress : called with (runs done, runs in all, what was done).
     interpolation : "hold" or "linear" by input, in place of what the models say or the recordings show.
     initial_states : "measured": first samples count as exact, and models find the rest of their start; "auto" and
         "free": physical models have it estimated from the first part of each recording, see `estimate_start`. All
         samples are scored, the first part too.
+    executor : where the runs are made, see `executor_for`; the numbers are the same to the bit. A contender without
+        ``content`` runs here.
+    memory : keeps finished runs; those that it knows are not made again.
+    curves : so many predicted curves (of models, outputs and modes) are in the answer, of the first recordings; one
+        recording at least, and by default all.
 
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
-    twice or not known, DataError when there is nothing to compare.
+    twice or not known and for an executor that is not there, DataError when there is nothing to compare.
     """
     contenders, records = [as_contender(c) for c in contenders], distinct(records)[0]
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
-    contenders, starts = with_starts(contenders, records, initial_states)
     wanted = _wanted(contenders, records, outputs)
     sloped = _wanted(contenders, records, rates) if rates else []
-    noise = {r.name: noise_floor(r) for r in records}
+    how = check_initial_states(initial_states, "compare")
+    plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how)
+    noise = [noise_floor(r) for r in records]
     records = [with_rates(as_needed(r, wanted), sloped) for r in records]
-    plan = _Plan(tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), repeats, noise)
-    runs = [(c, r, m) for m in modes for c in contenders for r in records]
-    found = _Findings([], [], {}, [], [], [])
-    for done, (contender, record, mode) in enumerate(runs):
-        if progress:
-            progress(done, len(runs), f"{contender.name}, {record.name}, {mode}")
-        prediction = _predict(contender, record, mode, plan, found)
-        if prediction is not None:
-            _score(contender, record, mode, prediction, plan, found)
-    if progress:
-        progress(len(runs), len(runs), "done")
-    scores = relative_scores(found.scores)
+    drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
+    jobs = _jobs(contenders, list(zip(records, noise, strict=True)), plan, (repeats, drawn))
+    with executor_for(executor) as pool:
+        done = _answers(jobs, pool, memory, _counting(progress, jobs))
+    for kind, text in dict.fromkeys(w for one in done for w in one.warned):
+        warnings.warn(text, WARNINGS[kind], stacklevel=2)
+    made = [(job, one, run) for mode in modes for job, one in zip(jobs, done, strict=True) for run in one.runs
+            if run.mode == mode]  # fmt: skip
+    scores = relative_scores(_by_mode(modes, [s for one in done for s in one.scores]))
+    trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
     return Comparison(
         title=title,
         entrants=tuple(_entrant(c) for c in contenders),
@@ -100,142 +94,78 @@ def compare(
         outputs=plan.wanted + plan.rates,
         scores=scores,
         means=mean_scores(scores),
-        trajectories=tuple(found.trajectories),
-        timings=tuple(_timing(key, values) for key, values in found.seconds.items()),
-        failures=tuple(found.failures),
-        unscored=tuple(dict.fromkeys(found.unscored)),
-        domains=domain_shares(contenders, records, train_records, found.trajectories),
-        residuals=tuple(found.residuals),
-        starts=starts,
+        trajectories=tuple(t for job, t in trajectories if job.curves),
+        timings=_timings([(job, run) for job, _, run in made]),
+        failures=tuple(_by_mode(modes, [f for one in done for f in one.failures])),
+        unscored=tuple(dict.fromkeys(u for one in done for u in one.unscored)),
+        domains=domain_shares(contenders, records, train_records, [t for _, t in trajectories]),
+        residuals=tuple(r for one in done for r in one.residuals),
+        starts=tuple(one.started for one in done if one.started),
     )
 
 
-@dataclasses.dataclass(frozen=True)
-class _Plan:
-    """What is scored: outputs in every mode, the ``rates`` of the ``sloped`` outputs in free run only."""
-
-    wanted: tuple[Signal, ...]
-    sloped: tuple[Signal, ...]
-    rates: tuple[Signal, ...]
-    repeats: int
-    noise: Mapping[str, Mapping[str, NoiseFloor]]
+def _drawn(curves: int | None, each: int, count: int) -> int:
+    """Recordings of which the curves stay, with ``each`` curves of one."""
+    return count if curves is None else max(1, curves // max(1, each))
 
 
-@dataclasses.dataclass
-class _Findings:
-    """What the runs have shown so far."""
-
-    scores: list[Score]
-    trajectories: list[Trajectory]
-    seconds: dict[tuple[str, str], list[float]]
-    failures: list[Failure]
-    unscored: list[Unscored]
-    residuals: list[Residual]
-
-
-def _predict(contender, record: Record, mode: str, plan: _Plan, found: _Findings) -> Record | None:
-    """What one contender predicts for one recording, timed; a failure becomes a row, and the answer None."""
-    labels = (contender.name, record.name, mode)
-    if mode not in getattr(contender, "modes", MODES):
-        reason = f"no {mode}: its states cannot be set"
-        found.unscored.extend(Unscored(contender.name, record.name, s.name, reason) for s in plan.wanted)
-        return None
-    run = contender.free_run if mode == FREE_RUN else contender.one_step
-    try:
-        require(record, contender.inputs, contender.name)
-        prediction, seconds = _timed(run, record, plan.repeats)
-        prediction = _on_time_of(record, prediction)
-    except Exception as error:
-        found.failures.append(Failure(*labels, _sentence(error)))
-        return None
-    if mode == FREE_RUN:
-        prediction = with_rates(prediction, plan.sloped)
-    duration = max(record.duration, np.finfo(float).tiny)
-    found.seconds.setdefault((contender.name, mode), []).extend(s / duration for s in seconds)
-    found.trajectories.append(Trajectory(*labels, prediction, _deviation(contender, record, prediction, mode)))
-    return prediction
+def _jobs(contenders, records: Sequence[tuple[Record, Mapping]], plan: Plan, first: tuple[int, int]) -> list[Job]:
+    """Every model on every recording with its noise; first : timed runs, and recordings of which the curves stay."""
+    carried = [Carried(c) for c in contenders]
+    repeats, drawn = first
+    return [
+        Job(one, record, plan, noise, repeats if k < TIMED else None, k < drawn)
+        for one in carried
+        for k, (record, noise) in enumerate(records)
+    ]
 
 
-def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict[str, np.ndarray]:
-    """Standard deviations by output where the contender has them for this mode; without them it is scored, too."""
-    own = {s.name for s in contender.outputs}
-    known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
-    if known or mode != FREE_RUN or not hasattr(contender, "deviations"):
-        return known
-    try:
-        return contender.deviations(record)
-    except HydrotwinError:
-        return {}
+def _answers(jobs: Sequence[Job], pool: Executor, memory: Memory | None, on_done: Callable[[Job], None]) -> list[Done]:
+    """The answers in the order of the jobs. What cannot travel runs here, and is not kept."""
+    able = [travels(job.carried.contender) for job in jobs]
+    found: dict[int, Done] = {}
+    for which, where, kept in ((True, pool, memory), (False, Here(), None)):
+        some = [k for k, can in enumerate(able) if can is which]
+
+        def told(position: int, _, some=some) -> None:
+            on_done(jobs[some[position]])
+
+        found |= dict(zip(some, recalled(kept, where, run_job, [jobs[k] for k in some], told, KEPT), strict=True))
+    return [found[k] for k in range(len(jobs))]
 
 
-def _score(contender, record: Record, mode: str, prediction: Record, plan: _Plan, found: _Findings) -> None:
-    """Score every wanted output of one prediction; what cannot be scored becomes a row."""
-    for signal in plan.wanted + (plan.rates if mode == FREE_RUN else ()):
-        name = signal.name
-        reason = _not_comparable(record, prediction, signal)
-        if reason:
-            found.unscored.append(Unscored(contender.name, record.name, name, reason))
-            continue
-        try:
-            errors = errors_of(record[name], prediction[name])
-        except DataError as error:
-            found.failures.append(Failure(contender.name, record.name, mode, f"{name}: {error}"))
-            continue
-        labels = (contender.name, record.name, name, mode)
-        floor = plan.noise[record.name].get(name)
-        white = floor.white if floor else np.nan
-        deviation = found.trajectories[-1].deviation.get(name)
-        band = _band(record[name], prediction[name], deviation)
-        predicted, inputs = Predicted(name, prediction[name], deviation), [s.name for s in contender.inputs]
-        field = field_metrics(record, predicted, inputs, plan.noise[record.name], rated=mode == FREE_RUN)
-        told = dataclasses.asdict(errors) | dataclasses.asdict(field) | band
-        found.scores.append(Score(*labels, unit=signal.unit, noise=white, **told))
-        if mode == FREE_RUN and floor:
-            found.residuals.append(explain(record, name, prediction[name], model=contender.name, noise=floor.sigma))
+def _counting(progress: Callable[[int, int, str], None] | None, jobs: Sequence[Job]) -> Callable[[Job], None]:
+    """What is called with every job that is done."""
+    if progress is None:
+        return lambda job: None
+    total, done = sum(len(job.plan.modes) for job in jobs), 0
+    progress(0, total, "")
+
+    def told(job: Job) -> None:
+        nonlocal done
+        done += len(job.plan.modes)
+        progress(done, total, f"{job.carried.contender.name}, {job.record.name}")
+
+    return told
 
 
-def _band(measured: np.ndarray, predicted: np.ndarray, deviation: np.ndarray | None) -> dict[str, float]:
-    """Coverage, NLPD and CRPS of a band; nothing without one."""
-    if deviation is None:
-        return {}
-    known = np.isfinite(measured) & (deviation > 0)
-    found = scores(measured[known] - predicted[known], deviation[known]) if known.any() else {}
-    return {key: found[key] for key in ("coverage", "nlpd", "crps") if key in found}
+def _by_mode(modes: Sequence[str], rows: Sequence) -> list:
+    return sorted(rows, key=lambda row: modes.index(row.mode))
 
 
-def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:
-    """The prediction and the wall seconds of each timed run; the first run (which may compile) counts only alone."""
-    seconds: list[float] = []
-    while len(seconds) < repeats + 1 and sum(seconds) < TIMING_BUDGET:
-        begin = time.perf_counter()
-        prediction = run(record)
-        seconds.append(time.perf_counter() - begin)
-    return prediction, seconds[1:] or seconds
+def _trajectory(job: Job, run: Run) -> Trajectory:
+    prediction = Record(job.record.time, run.signals, run.units, run.name)
+    return Trajectory(job.carried.contender.name, job.record.name, run.mode, prediction, run.deviation)
 
 
-def _not_comparable(record: Record, prediction: Record, signal: Signal) -> str | None:
-    """Why an output cannot be scored, or None."""
-    if signal.name not in record.signals:
-        return "not recorded"
-    if signal.name not in prediction.signals:
-        return "not an output of this model"
-    unit = prediction.units.get(signal.name, signal.unit)
-    if not compatible(record.units[signal.name], unit):
-        return f"recorded in {record.units[signal.name]}, predicted in {unit}"
-    return None
-
-
-def _on_time_of(record: Record, prediction: Record) -> Record:
-    """The prediction on the samples of the recording (linear in between)."""
-    if len(prediction.time) == len(record.time) and np.allclose(prediction.time, record.time, rtol=0, atol=1e-9):
-        return prediction
-    signals = {n: np.interp(record.time, prediction.time, v) for n, v in prediction.signals.items()}
-    return Record(record.time, signals, dict(prediction.units), prediction.name)
-
-
-def _sentence(error: Exception) -> str:
-    text = " ".join(str(error).split()) or "stopped without a message"
-    return text if isinstance(error, HydrotwinError) else f"{type(error).__name__}: {text}"
+def _timings(made: Sequence[tuple[Job, Run]]) -> tuple[Timing, ...]:
+    """By model and mode; where the recordings that were to be timed failed, by the others."""
+    groups: dict[tuple[str, str], dict[bool, list[float]]] = {}
+    for job, run in made:
+        timed = groups.setdefault((job.carried.contender.name, run.mode), {True: [], False: []})
+        duration = max(job.record.duration, np.finfo(float).tiny)
+        timed[job.repeats is not None] += [s / duration for s in run.seconds]
+    return tuple(_timing(key, values[True] or values[False]) for key, values in groups.items())
 
 
 def _timing(key: tuple[str, str], values: list[float]) -> Timing:

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydrotwin.identification.beginning import MEASURED, check_initial_states
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.records import Reading, Record, import_from, read_record, reading_of
+from hydrotwin.records import Reading, import_from, reading_of
 
-from .acceptance import Wanted, check_wanted
-from .comparison import MODES, Comparison
-from .contender import Contender, HoldLast, as_contender
-from .loop import Loop, in_loop, read_loop
-from .rates import rate_signal
-from .run import compare
+from .acceptance import Wanted
+from .comparison import MODES
+from .loop import Loop, read_loop
 from .tags import Tags
+from .variants import Variant, read_variants
 
-HOLD_LAST = "hold_last"
 OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "initial_states", "loop")
 JUDGING = ("tags", "accept", "judge", "against")
-KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING)
+VARYING = ("variants", "matrix")
+KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING, *VARYING)
 _FILES = (".toml", ".fmu", ".npz")
 
 
@@ -45,7 +43,8 @@ class Scenario:
     ``validate`` and ``train`` are paths of recordings, ``reading`` says how they are read, ``interpolation`` "hold" or
     "linear" by input, ``initial_states`` where models start (see `compare`), ``base`` the folder that relative paths
     start from. With ``loop`` every model runs under the same controller and follows the recorded reference. ``tags``
-    says of which condition each recording is, ``wanted`` what is asked of the result.
+    says of which condition each recording is, ``wanted`` what is asked of the result. ``variants``, the scenario as it
+    stands first, are run by `run_matrix`.
     """
 
     title: str
@@ -62,6 +61,7 @@ class Scenario:
     loop: Loop | None = None
     tags: Tags = field(default_factory=Tags)
     wanted: Wanted = field(default_factory=Wanted)
+    variants: tuple[Variant, ...] = ()
 
 
 def read_scenario(path: str | Path) -> Scenario:
@@ -94,6 +94,13 @@ def read_scenario(path: str | Path) -> Scenario:
         numerator = [20.0]
         denominator = [1.0]
         limits = [-5, 5]
+
+        [variants.cold]                           # the whole scenario once more with changes, see `Variant`
+        parameters = {"cylinder.oil.bulk_modulus" = "900 MPa"}
+
+        [matrix]                                  # and once more for every combination of these
+        parameters."motor.gain" = [120, 130]
+        initial_states = ["measured", "auto"]
 
     A model is written as on the command line: ``vendor.fmu:mass.s,mass.v`` has these variables as its outputs.
     ``{model = "vendor.fmu", set = {mass = 3.0, supply = "35 bar"}}`` sets parameters, of an FMU start values and
@@ -129,69 +136,8 @@ def read_scenario(path: str | Path) -> Scenario:
         loop=read_loop(table["loop"], where) if "loop" in table else None,
         tags=tags,
         wanted=_wanted(table, path),
+        variants=read_variants(table.get("variants"), table.get("matrix"), where),
     )
-
-
-def run_scenario(
-    scenario: Scenario,
-    resolve: Callable[[str], object],
-    *,
-    repeats: int = 3,
-    progress: Callable[[int, int, str], None] | None = None,
-) -> Comparison:
-    """Read the recordings, make every model a contender and `compare`.
-
-    ``resolve`` turns a model as written (name or path) into a Model, Block or Contender; the face knows how.
-    """
-    contenders = load_contenders(scenario, resolve)
-    read = zip(_read(scenario.validate, scenario), scenario.validate, strict=True)
-    records = [scenario.tags.put(record, path) for record, path in read]
-    outputs = {s.name: s for c in contenders for s in c.outputs}
-    slopes = [rate_signal(outputs[name]) for name in scenario.rates if name in outputs]
-    check_wanted(scenario.wanted, [c.name for c in contenders], [*outputs.values(), *slopes], records)
-    return compare(
-        contenders,
-        records,
-        modes=scenario.modes,
-        outputs=scenario.outputs,
-        rates=scenario.rates,
-        train_records=_read(scenario.train, scenario),
-        title=scenario.title,
-        repeats=repeats,
-        progress=progress,
-        interpolation=scenario.interpolation,
-        initial_states=scenario.initial_states,
-    )
-
-
-def load_contenders(scenario: Scenario, resolve: Callable[[str], object]) -> list[Contender]:
-    """The contenders of a scenario, in its order; the yardstick holds the outputs of all others."""
-    contenders: list[Contender] = []
-    for entry in scenario.models:
-        if entry.model != HOLD_LAST:
-            thing = _with_settings(resolve(entry.model), entry)
-            named = in_loop(thing, scenario.loop, entry.name) if scenario.loop else as_contender(thing, entry.name)
-            contenders.append(named)
-    for k, entry in enumerate(scenario.models):
-        if entry.model == HOLD_LAST:
-            outputs = {s.name: s for c in contenders for s in c.outputs}
-            contenders.insert(k, HoldLast(tuple(outputs.values()), entry.name or "hold last sample"))
-    return contenders
-
-
-def _with_settings(thing, entry: ModelEntry):
-    """What an entry sets. DeclarationError for a model that has nothing to set, or not that."""
-    if not entry.settings:
-        return thing
-    if hasattr(thing, "with_values"):
-        return thing.with_values(entry.settings)
-    if not hasattr(thing, "with_settings"):
-        raise DeclarationError(f"{entry.model}: a learned block has no parameters to set. Drop set = {{...}}.")
-    return thing.with_settings({name: {"value": value} for name, value in entry.settings.items()})
-
-
-def _read(paths: Sequence[Path], scenario: Scenario) -> list[Record]:
-    return [read_record(p, scenario.reading) for p in paths]
 
 
 def _reading(table: Mapping, path: Path) -> Reading:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 
 ALIKE = 1e-10  # correlations nearer to each other than this are one
 
@@ -15,7 +15,8 @@ def correlations(measured: np.ndarray, predicted: np.ndarray, reach: int) -> np.
     """
     n, late = len(measured), np.arange(-reach, reach + 1)
     y, p = measured - measured.mean(), predicted - predicted.mean()
-    products = fftconvolve(p, y[::-1])[n - 1 - reach : n + reach]
+    size = next_fast_len(2 * n - 1, real=True)
+    products = irfft(rfft(p, size) * rfft(y[::-1], size), size)[n - 1 - reach : n + reach]
     count = n - np.abs(late)
     sums = [_sums(a, side) for a, side in ((y, -late), (p, late))]
     (y1, y2), (p1, p2) = sums

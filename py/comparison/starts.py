@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hydrotwin.identification.beginning import FREE, MEASURED, StartEstimate, check_initial_states
+from hydrotwin.identification.beginning import FREE, MEASURED, StartEstimate
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record
 
@@ -38,25 +37,20 @@ def not_estimated(record: str) -> StartEstimate:
     return StartEstimate(record, note="only the start states of a model with equations are estimated.")
 
 
-def with_starts(
-    contenders: Sequence[Contender], records: Sequence[Record], how: str
-) -> tuple[list[Contender], tuple[Started, ...]]:
-    """The contenders with their start states estimated as ``how`` says, and how each starts on each recording.
+def start_of(contender: Contender, record: Record, how: str) -> tuple[Contender, Started | None]:
+    """The contender with its start states on a recording estimated as ``how`` says, and how it starts then.
 
-    A model whose start cannot be estimated starts as it does without, and says why. Raises DeclarationError for a
-    ``how`` that does not exist.
+    A model whose start cannot be estimated starts as it does without, and says why.
     """
-    how = check_initial_states(how, "compare")
     if how == MEASURED:
-        return list(contenders), ()
-    rows: list[Started] = []
-    for contender in contenders:
-        if hasattr(contender, "estimate_start"):
-            rows += [Started(contender.name, _estimate(contender, r, how)) for r in records]
-        elif how == FREE and contender.kind != "yardstick":
-            rows += [Started(contender.name, not_estimated(r.name)) for r in records]
-    of = {c.name: [row.estimate for row in rows if row.model == c.name] for c in contenders}
-    return [c.with_starts(of[c.name]) if hasattr(c, "with_starts") else c for c in contenders], tuple(rows)
+        return contender, None
+    if hasattr(contender, "estimate_start"):
+        started = Started(contender.name, _estimate(contender, record, how))
+    elif how == FREE and contender.kind != "yardstick":
+        started = Started(contender.name, not_estimated(record.name))
+    else:
+        return contender, None
+    return contender.with_starts([started.estimate]) if hasattr(contender, "with_starts") else contender, started
 
 
 def _estimate(contender, record: Record, how: str) -> StartEstimate:

@@ -16,6 +16,9 @@ from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.model import Model
 from hydrotwin.records.between import settled
+from hydrotwin.work.executor import Starts, cores_of, executor_for
+from hydrotwin.work.memory import recalled
+from hydrotwin.work.progress import reporting
 
 from .answer.answering import answer
 from .answer.discovery import Discovery
@@ -30,9 +33,6 @@ from .fits.whole import conclude
 from .recordings import split
 from .structures.jobs import EFFORTS
 from .structures.search import Search
-from .work.executor import Starts, cores_of, executor_for
-from .work.memory import recalled
-from .work.progress import reporting
 
 MOST_EFFECTS = 3
 KEPT = (Fitted, Look, Spectrum, Change, Strays)  # answers that an interrupted search need not find again

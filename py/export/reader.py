@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import warnings
 from collections.abc import Mapping, Sequence
@@ -105,6 +106,27 @@ class FmuBlock:
             self, inputs=tuple(s for s in self.inputs if s.name not in names), resting=(*kept, *signals),
             notes=(*self.notes, *notes), provenance={**self.provenance, **({AT_REST: said} if said else {})},
         )  # fmt: skip
+
+    @property
+    def content(self) -> tuple:
+        """What its runs depend on."""
+        with open(self.path, "rb") as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        known = self.description
+        return (
+            digest,
+            self.inputs,
+            self.outputs,
+            self.starts,
+            self.values,
+            self.resting,
+            known.record_names,
+            known.scales,
+        )
+
+    def to_travel(self) -> FmuBlock:
+        """The same for another process; whoever runs it there must have the file at the same path."""
+        return replace(self, description=replace(self.description, source=None), provenance={})
 
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.

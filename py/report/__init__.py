@@ -6,6 +6,7 @@ from .fit import ParameterRow, fit_section, parameter_rows
 from .format import number_text, pretty_unit, shown_unit
 from .gap import gap_page, write_gap_report
 from .gap_data import gap_data
+from .matrix import matrix_page, write_matrix, write_variant
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
 from .schema import compare_schema
@@ -39,6 +40,7 @@ __all__ = [
     "gap_page",
     "layout",
     "line",
+    "matrix_page",
     "number_text",
     "numbers",
     "parameter_rows",
@@ -49,6 +51,8 @@ __all__ = [
     "texts",
     "warned",
     "write_gap_report",
+    "write_matrix",
     "write_page",
     "write_report",
+    "write_variant",
 ]

@@ -19,6 +19,7 @@ BUDGET = 2.4e6  # bytes of curves in one page
 FAR = 10.0  # times the smallest error: what is larger may leave the error axis
 WIDE = 1.96  # standard deviations: a band of 95 %
 MOST, FEWEST = 2400, 200  # points of one curve
+CURVES = int(BUDGET / BYTES_PER_POINT / FEWEST) // 2  # predicted ones that fit, each with its error: no more are needed
 
 
 def overlay_groups(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> list[FigureGroup]:
@@ -45,9 +46,11 @@ def plan(comparison: Comparison) -> tuple[int, tuple[Record, ...]]:
     lines += 4 * len({(t.model, t.mode) for t in comparison.trajectories if t.deviation})
     per_record = len(comparison.outputs) * lines
     most_curves = int(BUDGET / BYTES_PER_POINT / FEWEST)
-    count = max(1, min(len(comparison.records), most_curves // max(1, per_record)))
+    kept = {t.record for t in comparison.trajectories}
+    records = tuple(r for r in comparison.records if r.name in kept) or comparison.records
+    count = max(1, min(len(records), most_curves // max(1, per_record)))
     points = int(BUDGET / BYTES_PER_POINT / max(1, per_record * count))
-    return max(FEWEST, min(MOST, points)), comparison.records[:count]
+    return max(FEWEST, min(MOST, points)), records[:count]
 
 
 def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str, Style]) -> list[FigureGroup]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.comparison import Comparison
+from hydrotwin.comparison import Comparison, Matrix
 from hydrotwin.discovery.answer.discovery import Discovery
 from hydrotwin.identification import Fit
 from hydrotwin.models.language.errors import DeclarationError
@@ -16,6 +16,7 @@ from hydrotwin.models.language.errors import DeclarationError
 from .figure import Figure, FigureGroup
 from .fit import fit_section
 from .gap import gap_page
+from .matrix import matrix_page
 from .page import Section
 from .write import comparison_page
 
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     import plotly.graph_objects
 
 
-def figures(found: Comparison | Discovery | Fit) -> dict[str, plotly.graph_objects.Figure]:
+def figures(found: Comparison | Matrix | Discovery | Fit) -> dict[str, plotly.graph_objects.Figure]:
     """The figures that the report of ``found`` shows, by their names on the page, in the units it shows.
 
     Curves are those of the page: at most a few thousand points, 32-bit, every peak kept. Raises DeclarationError for
@@ -34,7 +35,9 @@ def figures(found: Comparison | Discovery | Fit) -> dict[str, plotly.graph_objec
     return {figure.id: go.Figure(_unpacked(figure.spec)) for figure in _drawn(_sections(found))}
 
 
-def _sections(found: Comparison | Discovery | Fit) -> tuple[Section, ...]:
+def _sections(found: Comparison | Matrix | Discovery | Fit) -> tuple[Section, ...]:
+    if isinstance(found, Matrix):
+        return matrix_page(found, command="").sections
     if isinstance(found, Comparison):
         return comparison_page(found, command="").sections
     if isinstance(found, Discovery):

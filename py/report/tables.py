@@ -13,7 +13,8 @@ from .format import difference_to_shown, number_text, number_texts, pretty_unit,
 class Cell:
     """One value: ``value`` in SI as in the JSON, ``text`` as shown everywhere.
 
-    best : the best of its column.  colour : the model's colour, shown as a swatch.  tone : "" or "warning".
+    best : the best of its column.  colour : the model's colour, shown as a swatch.  tone : "", "warning" or "quiet".
+    link : another page, by its way from this one.
     """
 
     value: float | str | bool | None
@@ -21,6 +22,7 @@ class Cell:
     best: bool = False
     colour: str = ""
     tone: str = ""
+    link: str = ""
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class Table:
         lines = [f"| {' | '.join(_escaped(c.heading) for c in self.columns)} |"]
         lines.append(f"|{'|'.join('---:' if c.numeric else ':---' for c in self.columns)}|")
         for row in self.rows:
-            texts = [f"**{_escaped(c.text)}**" if c.best else _escaped(c.text) for c in row]
+            texts = [_linked(c, f"**{_escaped(c.text)}**" if c.best else _escaped(c.text)) for c in row]
             lines.append(f"| {' | '.join(texts)} |")
         return "\n".join(lines)
 
@@ -125,6 +127,17 @@ def warned(column: Column, where: Sequence[bool]) -> Column:
     return replace(column, cells=tuple(cells))
 
 
+def linked(column: Column, links: Sequence[str]) -> Column:
+    """The column with links to other pages, "" for none."""
+    return replace(column, cells=tuple(replace(c, link=to) for c, to in zip(column.cells, links, strict=True)))
+
+
+def quiet(column: Column, where: Sequence[bool]) -> Column:
+    """The column with pale cells where ``where`` is true."""
+    cells = (replace(c, tone="quiet") if w and not c.tone else c for c, w in zip(column.cells, where, strict=True))
+    return replace(column, cells=tuple(cells))
+
+
 def table(id: str, title: str, columns: Sequence[Column], note: str = "", folded: bool = False) -> Table:
     """A table; all columns must be equally long."""
     return Table(id, title, tuple(columns), note, folded)
@@ -140,7 +153,12 @@ def _best(values: list[float], best: str, among: Sequence[bool] | None) -> list[
 
 
 def _cell_json(cell: Cell) -> dict:
-    return {"value": cell.value, "shown": cell.text} | ({"best": True} if cell.best else {})
+    more = ({"best": True} if cell.best else {}) | ({"link": cell.link} if cell.link else {})
+    return {"value": cell.value, "shown": cell.text} | more
+
+
+def _linked(cell: Cell, text: str) -> str:
+    return f"[{text}]({cell.link})" if cell.link else text
 
 
 def _escaped(text: str) -> str:

@@ -13,7 +13,7 @@ from . import inputs
 from .block import Block
 from .stops import Diverged
 
-CHUNK = 100  # samples per call of the interpreter
+CHUNK = 400  # samples per call of the interpreter, at most
 
 
 def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
@@ -46,12 +46,13 @@ def start_state(block: Block, u: np.ndarray, y: np.ndarray, p: np.ndarray, start
 
 def run_block(block: Block, time: np.ndarray, u: np.ndarray, p: np.ndarray, x0: np.ndarray):
     """Outputs (n, ny) and states (n, nx) of a free run at the samples ``time`` with inputs ``u`` (n, nu)."""
-    walk = block.step.mapaccum("walk", CHUNK, 1)
+    size = -(-len(time) // -(-len(time) // CHUNK))  # parts of equal length: little of the last one is padding
+    walk = block.step.mapaccum("walk", size, 1)
     y, x = np.empty((len(time), len(block.outputs))), np.empty((len(time), len(block.states)))
     state = x0
-    for first in range(0, len(time), CHUNK):
-        part = u[first : first + CHUNK]
-        padded = np.concatenate([part, np.repeat(part[-1:], CHUNK - len(part), axis=0)])
+    for first in range(0, len(time), size):
+        part = u[first : first + size]
+        padded = np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)])
         following, seen = (value.full().T for value in walk(state, padded.T, p))
         y[first : first + len(part)] = seen[: len(part)]
         x[first : first + len(part)] = np.vstack([state, following])[: len(part)]

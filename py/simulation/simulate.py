@@ -134,6 +134,8 @@ def started(flat: FlatModel, record: Record, u, p, start: Mapping[str, float] | 
     """The start states (nx,) of a model on a record: given, measured, or by its own initialisation."""
     given = {s.name: record[s.measured_by][0] for s in flat.states if _measures(record, s.measured_by)}
     given = {name: float(value) for name, value in given.items() if np.isfinite(value)} | dict(start or {})
+    order = {s.name: k for k, s in enumerate(flat.states)}
+    given = dict(sorted(given.items(), key=lambda item: order.get(item[0], -1)))  # as a model that travels has them
     return flat.start_given(tuple(given))(u[0], p, list(given.values())).full().ravel()
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.comparison.rating import rating, warped
+from hydrotwin.comparison.rating import rating
 from hydrotwin.comparison.shift import correlations, lag
+from hydrotwin.comparison.warping import interpreted, warped
 
 TIME = np.linspace(0.0, 1.0, 401)
 SWING = np.sin(2 * np.pi * 2 * TIME)
@@ -66,6 +67,14 @@ def test_time_is_warped_along_the_path_of_least_sum():
     assert set(zip(np.diff(first).tolist(), np.diff(second).tolist(), strict=True)) <= steps
     assert np.abs(first - second).max() <= reach and (first[0], second[0], first[-1], second[-1]) == (0, 0, 39, 39)
     assert np.sum((a[first] - b[second]) ** 2) == pytest.approx(_least(a, b, reach))
+
+
+@pytest.mark.parametrize(("n", "reach"), [(1, 0), (2, 1), (40, 0), (40, 6), (40, 60), (301, 30)])
+def test_compiled_and_by_numpy_time_is_warped_along_the_same_path(n, reach):
+    random = np.random.default_rng(n)
+    for a, b in ((random.standard_normal(n), random.standard_normal(n)), (np.ones(n), np.ones(n))):  # all ways equal
+        compiled, by_numpy = warped(a, b, reach), interpreted(a, b, reach)
+        assert all(np.array_equal(*pair) for pair in zip(compiled, by_numpy, strict=True))
 
 
 def _least(a, b, reach):

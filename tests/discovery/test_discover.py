@@ -16,13 +16,13 @@ from hydrotwin.discovery.answer.discovery import FATES
 from hydrotwin.discovery.answer.view import View
 from hydrotwin.discovery.evidence.deciding import DECIDING
 from hydrotwin.discovery.fits import whole
-from hydrotwin.discovery.work.memory import Memory
 from hydrotwin.models.components.mechanical import Freewheel
 from hydrotwin.models.effects import candidates
 from hydrotwin.models.language import Input, Model, connect, der
 from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
+from hydrotwin.work.memory import Memory
 from tests.discovery.slides import (
     DAMPING,
     MASS,

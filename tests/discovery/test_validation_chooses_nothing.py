@@ -12,11 +12,11 @@ import pytest
 
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.fits import job, whole
-from hydrotwin.discovery.work.memory import Memory
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.models.language import Model
 from hydrotwin.records import Record
 from hydrotwin.report.gap_data import gap_data
+from hydrotwin.work.memory import Memory
 from tests.discovery.slides import (
     NOISE,
     START,

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.gap.cases import Case, make
 from benchmarks.gap.score import answer_of, row_of
 from hydrotwin.discovery import discover
-from hydrotwin.discovery.work.executor import Here
+from hydrotwin.work.executor import Here
 
 SECONDS = 6.0
 

@@ -8,8 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import as_contender, compare
-from hydrotwin.comparison.scenario import load_contenders, read_scenario
+from hydrotwin.comparison import as_contender, compare, load_contenders, read_scenario
 from hydrotwin.export import StartValueWarning, check_fmu, read_fmu
 from hydrotwin.export.fmu_settings import AT_REST
 from hydrotwin.loading import load

@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import sys
+import tomllib
 from types import SimpleNamespace
 from unittest import mock
 
@@ -46,6 +47,17 @@ def test_the_documentation_shows_each_option_of_gap_that_changes_what_is_tried_o
         "--json",
     ):
         assert option in TEXT, option
+
+
+def test_the_variants_of_the_documentation_are_read():
+    from hydrotwin.comparison.variants import KEYS, read_variants
+
+    blocks = [block.partition("```")[0] for block in VALIDATION.split("```toml\n")[1:]]
+    table = tomllib.loads(next(block for block in blocks if "[matrix]" in block))
+    found = read_variants(table["variants"], table["matrix"], "validation.md")
+    assert len(found) == 1 + len(table["variants"]) + 6
+    rows = re.findall(r"^\| (`.+?`) \|", VALIDATION.partition("## Variants")[2], re.MULTILINE)
+    assert set(re.findall("`(.+?)`", " ".join(rows))) == set(KEYS)
 
 
 def test_make_knows_every_target_that_is_named():
@@ -93,6 +105,6 @@ def test_every_criterion_of_the_documentation_is_one():
     from hydrotwin.comparison.criteria import METRICS
 
     angle = next(s for s in ht.load("cehA").flat.outputs if s.name == "arm_angle")
-    rows = re.findall(r"^\| `(.+?)` \|", VALIDATION, re.MULTILINE)
+    rows = re.findall(r"^\| `(.+?)` \|", VALIDATION.partition("## Bands")[0], re.MULTILINE)
     assert len(rows) >= 6 and all(criterion(row, [angle]).output == "arm_angle" for row in rows)
     assert all(f"`{metric}`" in VALIDATION for metric in METRICS)

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.discovery.work.executor import Here
-from hydrotwin.discovery.work.memory import Memory, key_of
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import CATALOGUE, add_effect, candidates
 from hydrotwin.models.language.errors import DataError, SolveError
+from hydrotwin.work.executor import Here
+from hydrotwin.work.memory import Memory, key_of
 from tests.face.command_line import contents, hydrotwin
 from tests.report import gap_discoveries
 

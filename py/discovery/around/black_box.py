@@ -22,8 +22,7 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable, changed
 from hydrotwin.records import Record
 from hydrotwin.simulation import prepare
-
-from ..work.executor import Starts
+from hydrotwin.work.executor import Starts
 
 DIFFERENCE = 3e-3  # of a parameter's size: the step of a difference
 _SUM = StateVariable("", "1")

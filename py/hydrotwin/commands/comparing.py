@@ -13,6 +13,7 @@ from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
+from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
 from .recordings import read_all, reads, told_in
 from .shared import (
@@ -27,7 +28,6 @@ from .shared import (
     interpolation_from,
     mark,
     out,
-    progress_bar,
     table,
 )
 
@@ -81,14 +81,25 @@ def compare(
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
+    executor: Annotated[
+        str,
+        typer.Option(
+            metavar="WHERE",
+            help="where runs are made: processes, here, dask, dask://host:port; auto: processes where they are many",
+        ),
+    ] = AUTO,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="processes or Dask workers; by default a core each")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume/--fresh", help="take runs that an earlier call finished, or begin anew")
+    ] = True,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, acceptance, junit, read_scenario, run_scenario
-    from hydrotwin.export.fmu_settings import AT_REST
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
-    from hydrotwin.report import write_report
 
     check_folder(output)
     if ssp is not None:
@@ -129,32 +140,28 @@ def compare(
         )
     if junit_file is not None and not described.wanted.accept:
         raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
-    with progress_bar() as bar:
-        row = bar.add_task("compare", total=None)
-
-        def told(done: int, total: int, what: str) -> None:
-            bar.update(row, completed=done, total=total, description=f"compare: {what}")
-
-        loaded = Loaded()
-        comparison = run_scenario(described, loaded, progress=None if as_json else told)
-    for entrant in comparison.entrants:
-        if at_rest := entrant.provenance.get(AT_REST):
-            mark(err, "note", f"{entrant.name}: {at_rest}")
-    for started in comparison.starts:
-        mark(err, "note", str(started))
-    if not comparison.scores:
-        refuse_unscored(comparison)
-    accepted = acceptance(comparison, described.wanted)
-    paths = write_report(comparison, output, accepted=accepted)
+    if ssp is not None and described.variants:
+        raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
+    loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
+    matrix = run(described, loaded, output, runs)
+    for word in dict.fromkeys(notes(matrix)):
+        mark(err, "note", word)
+    if not any(one.comparison.scores for one in matrix.runs):
+        refuse_unscored(matrix.base)
+    accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
+    paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
-        write_whole(junit_file, junit(accepted, comparison.title))
+        write_whole(junit_file, junit(accepted, matrix.title))
         paths |= {"junit": junit_file}
     if ssp is not None:
-        paths |= {"ssp": pack(described, loaded, comparison, ssp)}
+        paths |= {"ssp": pack(described, loaded, matrix.base, ssp)}
     if as_json:
         typer.echo(paths["json"].read_text(encoding="utf-8"))
     else:
-        print_comparison(comparison, accepted)
+        if described.variants:
+            print_matrix(matrix)
+        else:
+            print_comparison(matrix.base, accepted)
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if accepted and not accepted.passed:
         raise typer.Exit(1)
@@ -171,7 +178,7 @@ class Loaded(dict):
 
 def pack(scenario, loaded: Loaded, comparison, path: Path) -> Path:
     """The models of a comparison as an SSP archive; those that cannot be in it are named."""
-    from hydrotwin.comparison.scenario import load_contenders
+    from hydrotwin.comparison import load_contenders
     from hydrotwin.export import SystemPart, export_ssp
 
     parts = []

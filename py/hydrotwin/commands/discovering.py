@@ -108,9 +108,9 @@ def gap(
     unknown.
     """
     from hydrotwin.discovery.discover import discover
-    from hydrotwin.discovery.work.executor import executor_for
-    from hydrotwin.discovery.work.memory import Memory
     from hydrotwin.models.effects import candidates
+    from hydrotwin.work.executor import executor_for
+    from hydrotwin.work.memory import Memory
 
     began = time.perf_counter()
     check_folder(output)
@@ -193,7 +193,7 @@ def origin_from(thing, spec: str, folder: Path) -> str:
 @contextlib.contextmanager
 def telling(name: str, silent: bool):
     """The function that moves a bar with ``(stage, done, total, note)``; None where nothing is to be shown."""
-    from hydrotwin.discovery.work.progress import described
+    from hydrotwin.work.progress import described
 
     if silent:
         yield None

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,6 +29,7 @@ FEW_BELOW = 4  # rows of a footer in a short file
 SMALL = 0.2  # of the rows of numbers that are looked at: fewer above another row of names are a table of their own
 EVEN = 1.5  # the longest of the steps of a clock over the shortest: rounding may make them differ
 COMMENTS = ("#", "%", "//", "'", "!")
+CELLS = 1 << 15  # what is known of so many: each is asked for several times under every delimiter
 MOST_ROWS_ABOVE = 6  # with the cells of the block: names, units, and what a logger writes beside them
 
 
@@ -197,6 +199,7 @@ def _trimmed(cells: list[str], width: int) -> list[str]:
     return cells
 
 
+@lru_cache(maxsize=CELLS)
 def _is_number(cell: str) -> bool:
     return bool(cell) and any(c.isdigit() for c in cell) and (_value(cell) or is_stamp(cell))
 
@@ -210,6 +213,7 @@ def _is_numeric(cells: Sequence[str]) -> bool:
     return numbers > 0 and numbers >= NUMERIC * sum(cell != "" and not _is_missing(cell) for cell in cells)
 
 
+@lru_cache(maxsize=CELLS)
 def _is_missing(cell: str) -> bool:
     return number_in(cell, ".") is not None and not any(c.isdigit() for c in cell)
 

@@ -1,13 +1,15 @@
-"""Where the fits run: this machine's cores, this process, an executor of one's own, or a Dask cluster.
+"""Where jobs run: this machine's cores, this process, an executor of one's own, or a Dask cluster.
 
 A job is a top-level function of this package with plain data, so that every executor gives the same answers.
 """
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import sys
+import tempfile
 import threading
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -21,6 +23,7 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 from multiprocessing import context
 
@@ -29,7 +32,7 @@ import casadi as ca
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
-KINDS = ("processes", "here", "dask://host:port")
+KINDS = ("processes", "here", "dask", "dask://host:port")
 BLAS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 MANY_MEASURED = 6  # up to so many measured states every subset of them may be given
 PATIENCE = 20.0  # seconds to wait for a scheduler
@@ -42,8 +45,9 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
 
     ====================  ==================================================================================
     None, "processes"     local processes, as many as cores, each with one BLAS thread
-    "here"                this process, one fit after the other
+    "here"                this process, one job after the other
     "dask://host:port"    the workers of a Dask scheduler (extra ``cluster``)
+    "dask"                Dask workers of this machine, as many as cores, for as long as the work lasts
     an Executor           used as it is, and left open
     ====================  ==================================================================================
 
@@ -58,6 +62,9 @@ def executor_for(spec: str | Executor | None = None, workers: int | None = None)
             yield pool
     elif spec == "here":
         yield Here()
+    elif spec == "dask":
+        with _cluster(workers or processors()) as address, _dask(address) as pool:
+            yield pool
     elif isinstance(spec, str) and spec.startswith("dask://"):
         with _dask(spec) as pool:
             yield pool
@@ -149,13 +156,30 @@ class _Spawned(context.SpawnContext):
 
 
 @contextmanager
+def _cluster(workers: int) -> Iterator[str]:
+    """The address of a Dask scheduler of our own."""
+    try:
+        from distributed import LocalCluster
+    except ImportError:
+        raise _no_dask("dask") from None
+    with tempfile.TemporaryDirectory(prefix="hydrotwin-dask-") as folder:
+        quiet = {"dashboard_address": None, "silence_logs": logging.ERROR, "local_directory": folder}
+        with LocalCluster(n_workers=workers, threads_per_worker=1, **quiet) as cluster:
+            yield f"dask://{cluster.scheduler_address.removeprefix('tcp://')}"
+
+
+def _no_dask(spec: str) -> DeclarationError:
+    return DeclarationError(
+        f"executor {spec}: the package 'distributed' is missing. Install it: pip install 'hydrotwin[cluster]'."
+    )
+
+
+@contextmanager
 def _dask(spec: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise DeclarationError(
-            f"executor {spec}: the package 'distributed' is missing. Install it: pip install 'hydrotwin[cluster]'."
-        ) from None
+        raise _no_dask(spec) from None
     try:
         client = Client(f"tcp://{spec.removeprefix('dask://')}", timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
@@ -184,13 +208,18 @@ def _same_versions(client, spec: str) -> None:
 
 
 def _versions_there() -> Mapping[str, str]:
-    from hydrotwin.discovery.work.executor import versions
+    from hydrotwin.work.executor import versions
 
     return versions()
 
 
 def versions() -> dict[str, str]:
     """What an answer depends on besides its job."""
+    return dict(_versions())
+
+
+@cache
+def _versions() -> Mapping[str, str]:
     from importlib.metadata import PackageNotFoundError, version
 
     found = {"casadi": ca.__version__}

@@ -37,7 +37,7 @@ class Memory:
     """
 
     def __init__(self, folder: Path | str):
-        self.folder = Path(folder)
+        self.folder, self._asked = Path(folder), set()
         self.begin()
 
     def begin(self) -> None:
@@ -49,6 +49,7 @@ class Memory:
 
     def get(self, key: str) -> dict | None:
         """The answer under ``key``; None when there is none, or its file was damaged."""
+        self._asked.add(key)
         try:
             with self._path(key).open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 arrays = {name: stored[name] for name in stored.files if name != _TEXT}
@@ -82,6 +83,12 @@ class Memory:
             return float(self._path(key, ".seconds").read_text(encoding="ascii"))
         except (OSError, ValueError):
             return 0.0
+
+    def forget_others(self) -> None:
+        """Keep only what was asked for since this memory was opened."""
+        for path in [*self.folder.glob("*.npz"), *self.folder.glob("*.seconds")]:
+            if path.stem not in self._asked:
+                path.unlink(missing_ok=True)
 
     def remove(self) -> None:
         """Forget everything: the work is done."""
@@ -184,6 +191,9 @@ def _feed(digest, value) -> None:
         starts = portable(value).initialisation.functions
         _put(digest, "flat", b"")
         _feed(digest, [known, {"\0".join(names): function for names, function in starts.items()}])
+    elif (content := getattr(value, "content", None)) is not None:  # it says itself what it is
+        _put(digest, type(value).__name__, b"")
+        _feed(digest, content)
     elif isinstance(value, ca.Function):
         _put(digest, "function", value.serialize().encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -1,4 +1,4 @@
-"""Progress of the gap workflow: a function of stage, jobs done, jobs in all and a note, or a bar in the terminal."""
+"""Progress of long work: a function of stage, jobs done, jobs in all and a note, or a bar in the terminal."""
 
 from __future__ import annotations
 

@@ -11,10 +11,10 @@ import time
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.work.executor import executor_for, portable
-from hydrotwin.discovery.work.memory import Memory, key_of, packed, recalled, unpacked
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.work.executor import executor_for, portable
+from hydrotwin.work.memory import Memory, key_of, packed, recalled, unpacked
 
 ANSWER = {
     "values": {"a.b": 1 / 3, "c": np.float64(np.pi)},
@@ -103,7 +103,7 @@ def test_the_same_job_has_the_same_key_built_twice_and_packed():
 
 def test_a_model_packed_for_one_job_alone_has_a_key_too():
     flat = cehA.model().flat
-    from hydrotwin.discovery.work.executor import Starts
+    from hydrotwin.work.executor import Starts
 
     alone = dataclasses.replace(flat, initialisation=Starts({("arm.angle",): flat.start_given(("arm.angle",))}))
     assert key_of(alone) != key_of(flat)
@@ -202,7 +202,7 @@ def test_what_a_search_asks_twice_counts_once_and_another_search_counts_what_it_
 def test_a_killed_search_loses_the_seconds_of_one_job_at_most(tmp_path):
     killed = f"""
 import os, signal, time
-from tests.discovery.test_resume import Memory, waited, recalled, executor_for, Fitted
+from tests.work.test_resume import Memory, waited, recalled, executor_for, Fitted
 def now_and_then(index, answer):
     if index == 2:
         os.kill(os.getpid(), signal.SIGKILL)

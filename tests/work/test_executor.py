@@ -13,15 +13,15 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.work.executor import Here, cores_of, executor_for, mapped, portable
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-from tests.discovery.jobs import Fitting, died, fitted, one_thread, refused, slept
+from hydrotwin.work.executor import Here, cores_of, executor_for, mapped, portable
 from tests.discovery.slides import Inline
 from tests.language.parts import Oscillator
+from tests.work.jobs import Fitting, died, fitted, one_thread, refused, slept
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_an_executor_of_ones_own_is_used_and_left_open(jobs, here):
 
 
 def test_the_command_line_which_opens_the_executor_itself_shares_cores_as_well(monkeypatch):
-    monkeypatch.setattr("hydrotwin.discovery.work.executor.processors", lambda: 5)
+    monkeypatch.setattr("hydrotwin.work.executor.processors", lambda: 5)
     for spec in ("processes", None):
         with executor_for(spec, workers=1) as executor:
             assert cores_of(executor) == 5
@@ -182,7 +182,7 @@ def test_a_worker_has_one_blas_thread_and_the_parent_keeps_its_own(monkeypatch):
 
 
 SCRIPT = """
-from hydrotwin.discovery.work.executor import executor_for, mapped
+from hydrotwin.work.executor import executor_for, mapped
 with executor_for("processes", workers=1) as executor:
     print(list(mapped(executor, abs, [-1, -2])))
 """
@@ -200,7 +200,7 @@ def test_a_script_without_a_main_guard_may_use_processes(way, tmp_path):
 
 INTERRUPTED = """
 import os, signal, sys, threading, time
-from hydrotwin.discovery.work.executor import executor_for, mapped
+from hydrotwin.work.executor import executor_for, mapped
 jobs = [60.0] * 4
 try:
     with executor_for("processes", workers=2) as executor:
@@ -233,7 +233,7 @@ def test_ctrl_c_stops_running_jobs_at_once_and_leaves_no_process_and_no_word_of_
 )
 def test_an_executor_that_is_not_there_is_refused_in_a_sentence(spec, kind, says, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("hydrotwin.discovery.work.executor.PATIENCE", 1.0)
+    monkeypatch.setattr("hydrotwin.work.executor.PATIENCE", 1.0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(kind, match=says), executor_for(spec):

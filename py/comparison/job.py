@@ -1,0 +1,234 @@
+"""A job of a comparison: one model on one recording, run in every mode and scored, wherever there is room for it."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.export.reader import StartValueWarning
+from hydrotwin.identification.beginning import StartEstimate, StartState
+from hydrotwin.learned.bands import scores
+from hydrotwin.models.language.errors import DataError, HydrotwinError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.units import compatible
+from hydrotwin.records import NoiseFloor, Record, require
+from hydrotwin.simulation import InaccurateWarning
+from hydrotwin.work.memory import key_of
+
+from .comparison import FREE_RUN, MODES, Failure, Score, Unscored
+from .field import Predicted, field_metrics
+from .metrics import errors_of
+from .rates import with_rates
+from .residual import Residual, explain
+from .starts import Started, start_of
+from .travel import Carried
+
+SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
+TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
+WARNINGS: Mapping[str, type[Warning]] = {w.__name__: w for w in (InaccurateWarning, StartValueWarning)}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is scored: ``wanted`` outputs in every mode, the ``rates`` of the ``sloped`` outputs in free run only."""
+
+    modes: tuple[str, ...]
+    wanted: tuple[Signal, ...]
+    sloped: tuple[Signal, ...]
+    rates: tuple[Signal, ...]
+    initial_states: str
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One model on one recording.
+
+    noise : of the columns of the recording. repeats : timed runs after the first; None for that alone. curves : whether
+    all that was predicted comes back; else only what tells how far a learned model was from what it was trained on.
+    """
+
+    carried: Carried
+    record: Record
+    plan: Plan
+    noise: Mapping[str, NoiseFloor]
+    repeats: int | None
+    curves: bool = True
+
+    @property
+    def content(self) -> str:
+        """All that its answer depends on, hashed; not how often a run is timed."""
+        record = self.record
+        return key_of(
+            self.carried, record.name, record.time, dict(record.signals), record.units, self.plan, self.curves
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One mode of a job: predicted ``signals`` (n,) at the times of the recording, their ``units``, standard deviations
+    by output, and wall ``seconds`` of each timed run."""
+
+    mode: str
+    signals: Mapping[str, np.ndarray]
+    units: Mapping[str, str]
+    name: str
+    deviation: Mapping[str, np.ndarray]
+    seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Done:
+    """What a job found."""
+
+    runs: tuple[Run, ...]
+    scores: tuple[Score, ...]
+    residuals: tuple[Residual, ...]
+    failures: tuple[Failure, ...]
+    unscored: tuple[Unscored, ...]
+    started: Started | None
+    warned: tuple[tuple[str, str], ...]
+
+
+KEPT = (Done, Run, Score, Residual, Failure, Unscored, Started, StartEstimate, StartState)
+
+
+def run_job(job: Job) -> Done:
+    """Run and score; whatever fails becomes a row, and whatever warns a sentence."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("ignore")
+        for kind in WARNINGS.values():
+            warnings.simplefilter("always", kind)
+        contender, started = start_of(job.carried.contender, job.record, job.plan.initial_states)
+        found = _Found([], [], [], [], [])
+        for mode in job.plan.modes:
+            run = _predict(contender, mode, job, found)
+            if run is not None:
+                found.runs.append(run if job.curves else _lean(run, contender, job.record))
+                _score(contender, run, job, found)
+    warned = dict.fromkeys((w.category.__name__, str(w.message)) for w in caught)
+    rows = (tuple(rows) for rows in (found.runs, found.scores, found.residuals, found.failures, found.unscored))
+    return Done(*rows, started, tuple(warned))
+
+
+@dataclass
+class _Found:
+    """What the modes have shown so far."""
+
+    runs: list[Run]
+    scores: list[Score]
+    residuals: list[Residual]
+    failures: list[Failure]
+    unscored: list[Unscored]
+
+
+def _predict(contender, mode: str, job: Job, found: _Found) -> Run | None:
+    """What one contender predicts in one mode, timed; a failure becomes a row, and the answer None."""
+    record, plan = job.record, job.plan
+    if mode not in getattr(contender, "modes", MODES):
+        reason = f"no {mode}: its states cannot be set"
+        found.unscored.extend(Unscored(contender.name, record.name, s.name, reason) for s in plan.wanted)
+        return None
+    run = contender.free_run if mode == FREE_RUN else contender.one_step
+    try:
+        require(record, contender.inputs, contender.name)
+        prediction, seconds = _timed(run, record, job.repeats or 0)
+        prediction = _on_time_of(record, prediction)
+    except Exception as error:
+        found.failures.append(Failure(contender.name, record.name, mode, _sentence(error)))
+        return None
+    if mode == FREE_RUN:
+        prediction = with_rates(prediction, plan.sloped)
+    deviation = _deviation(contender, record, prediction, mode)
+    return Run(mode, dict(prediction.signals), dict(prediction.units), prediction.name, deviation, tuple(seconds))
+
+
+def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict[str, np.ndarray]:
+    """Standard deviations by output where the contender has them for this mode; without them it is scored, too."""
+    own = {s.name for s in contender.outputs}
+    known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
+    if known or mode != FREE_RUN or not hasattr(contender, "deviations"):
+        return known
+    try:
+        return contender.deviations(record)
+    except HydrotwinError:
+        return {}
+
+
+def _lean(run: Run, contender, record: Record) -> Run:
+    box = getattr(contender, "domain", None)
+    wanted = [n for n in box.names if n not in record.signals and n in run.signals] if box else []
+    return dataclasses.replace(run, signals={n: run.signals[n] for n in wanted}, deviation={})
+
+
+def _score(contender, run: Run, job: Job, found: _Found) -> None:
+    """Score every wanted output of one prediction; what cannot be scored becomes a row."""
+    record, free = job.record, run.mode == FREE_RUN
+    inputs = [s.name for s in contender.inputs]
+    for signal in job.plan.wanted + (job.plan.rates if free else ()):
+        name = signal.name
+        reason = _not_comparable(record, run, signal)
+        if reason:
+            found.unscored.append(Unscored(contender.name, record.name, name, reason))
+            continue
+        predicted = run.signals[name]
+        try:
+            errors = errors_of(record[name], predicted)
+        except DataError as error:
+            found.failures.append(Failure(contender.name, record.name, run.mode, f"{name}: {error}"))
+            continue
+        floor, deviation = job.noise.get(name), run.deviation.get(name)
+        field = field_metrics(record, Predicted(name, predicted, deviation), inputs, job.noise, rated=free)
+        told = dataclasses.asdict(errors) | dataclasses.asdict(field) | _band(record[name], predicted, deviation)
+        white = floor.white if floor else np.nan
+        found.scores.append(Score(contender.name, record.name, name, run.mode, unit=signal.unit, noise=white, **told))
+        if free and floor:
+            found.residuals.append(explain(record, name, predicted, model=contender.name, noise=floor.sigma))
+
+
+def _band(measured: np.ndarray, predicted: np.ndarray, deviation: np.ndarray | None) -> dict[str, float]:
+    """Coverage, NLPD and CRPS of a band; nothing without one."""
+    if deviation is None:
+        return {}
+    known = np.isfinite(measured) & (deviation > 0)
+    found = scores(measured[known] - predicted[known], deviation[known]) if known.any() else {}
+    return {key: found[key] for key in ("coverage", "nlpd", "crps") if key in found}
+
+
+def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:
+    """The prediction and the wall seconds of each timed run; the first run (which may compile) counts only alone."""
+    seconds: list[float] = []
+    while len(seconds) < repeats + 1 and sum(seconds) < TIMING_BUDGET:
+        begin = time.perf_counter()
+        prediction = run(record)
+        seconds.append(time.perf_counter() - begin)
+    return prediction, seconds[1:] or seconds
+
+
+def _not_comparable(record: Record, run: Run, signal: Signal) -> str | None:
+    """Why an output cannot be scored, or None."""
+    if signal.name not in record.signals:
+        return "not recorded"
+    if signal.name not in run.signals:
+        return "not an output of this model"
+    unit = run.units.get(signal.name, signal.unit)
+    if not compatible(record.units[signal.name], unit):
+        return f"recorded in {record.units[signal.name]}, predicted in {unit}"
+    return None
+
+
+def _on_time_of(record: Record, prediction: Record) -> Record:
+    """The prediction on the samples of the recording (linear in between)."""
+    if len(prediction.time) == len(record.time) and np.allclose(prediction.time, record.time, rtol=0, atol=1e-9):
+        return prediction
+    signals = {n: np.interp(record.time, prediction.time, v) for n, v in prediction.signals.items()}
+    return Record(record.time, signals, dict(prediction.units), prediction.name)
+
+
+def _sentence(error: Exception) -> str:
+    text = " ".join(str(error).split()) or "stopped without a message"
+    return text if isinstance(error, HydrotwinError) else f"{type(error).__name__}: {text}"

@@ -5,14 +5,17 @@ from .beginning import StartEstimate, StartState, estimate_start
 from .constant_speed import FrictionFit, fit_stribeck, friction_test, stribeck
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identify import identify
+from .influence import Interval, Sensitivity, sensitivity
 
 __all__ = [
     "Finding",
     "Fit",
     "FittedParameter",
     "FrictionFit",
+    "Interval",
     "OutputResidual",
     "RecordFit",
+    "Sensitivity",
     "Spread",
     "StartEstimate",
     "StartState",
@@ -21,5 +24,6 @@ __all__ = [
     "fit_stribeck",
     "friction_test",
     "identify",
+    "sensitivity",
     "stribeck",
 ]

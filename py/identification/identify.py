@@ -105,7 +105,7 @@ def identify(
             )  # fmt: skip
             cost = Loss("linear" if loss == "auto" else loss, loss_scale)
             task = Task(
-                flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or _processors(),
+                flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or processors(),
                 report, sigma,
             )  # fmt: skip
             task, minima = search(task, effort, adaptable)
@@ -142,6 +142,6 @@ def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndar
     return np.full(len(flat.outputs), weights == "residual")
 
 
-def _processors() -> int:
+def processors() -> int:
     """Processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

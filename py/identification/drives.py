@@ -5,12 +5,14 @@ Amplitude and rate of an input are those that were seen, and outputs may leave t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hydrotwin.models.language.amounts import amount
+from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import Signal
 
 from .problem import Recording
@@ -19,6 +21,7 @@ SHORTEST, LONGEST = 10.0, 60.0  # s
 SAMPLES = 4000  # of an experiment, at most
 PAUSE = 0.05  # of the experiment at rest before it begins
 LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
+PIECES = 20  # of an experiment that are run one after the other, until one leaves the range
 OUTSIDE = 0.25  # of the range of an output, by which it may be left
 
 
@@ -160,3 +163,21 @@ def leaves(y: np.ndarray, span: np.ndarray) -> float:
     size = np.where(known, high - low, 1.0)
     out = np.maximum(y.max(axis=0) - high, low - y.min(axis=0)) / size
     return float(np.max(np.where(known, out, 0.0), initial=0.0))
+
+
+def stays_inside(propagator, time: np.ndarray, u: np.ndarray, p: np.ndarray, x0: np.ndarray, span: np.ndarray) -> bool:
+    """Whether a run, u (n, nu) from x0 (nx,), keeps its outputs in their range ``span`` (2, ny), or nearly.
+
+    It ends where it leaves: far outside, a model may be so stiff that a run to the end takes seconds.
+    """
+    edges = np.unique(np.linspace(0, len(time) - 1, PIECES + 1).astype(int))
+    for first, last in itertools.pairwise(edges):
+        piece = slice(first, last + 1)
+        try:
+            y, x = propagator.run(time[piece], u[piece], p, x0)
+        except SolveError:
+            return False
+        if not leaves(y, span) <= OUTSIDE:
+            return False
+        x0 = x[-1]
+    return True

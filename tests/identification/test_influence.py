@@ -84,6 +84,44 @@ def test_a_product_is_told_with_the_output_that_would_part_it():
     assert found.known.correlation[0, 1] == pytest.approx(-1.0, abs=1e-6)
 
 
+def test_what_a_sensor_would_tell_is_what_the_normal_equations_say():
+    """y = a u + b v with an error of 0.1, z = a u with one of 0.2: everything is known on paper."""
+    rng = np.random.default_rng(1)
+    driven = record(u=lambda t: np.sin(3 * t), v=lambda t: np.sin(3 * t) + 0.1 * t)
+    u, v = driven["u"], driven["v"]
+    y = u + 2 * v + 0.1 * rng.standard_normal(len(u))
+    driven = record(u=u, v=v, y=y)
+    found = sensitivity(weighted(), [driven], **LOCAL, noise={"y": 0.1, "z": 0.2})
+    columns = np.column_stack([u, 2 * v])  # dy/dq: q is p over its value
+    error = max(0.1, np.sqrt(np.mean((y - u - 2 * v) ** 2)))
+    H = columns.T @ columns / error**2
+    sensor = H + np.diag([u @ u, 0.0]) / 0.2**2
+    for kind, then in (("sensor", sensor), ("repeat", 2 * H)):
+        told = next(m for m in found.measurements if m.kind == kind)
+        now, after = (np.linalg.inv(matrix + np.eye(2)) for matrix in (H, then))
+        assert list(told.narrowed.values()) == pytest.approx(np.sqrt(np.diag(after) / np.diag(now)), rel=1e-6)
+        assert told.gain == pytest.approx(0.5 * np.log(np.linalg.det(now) / np.linalg.det(after)), rel=1e-6)
+        band = np.sum((columns @ after) * columns) / np.sum((columns @ now) * columns)
+        assert told.bands["y"] == pytest.approx(np.sqrt(band), rel=1e-6)
+    assert [m.gain for m in found.measurements] == sorted([m.gain for m in found.measurements], reverse=True)
+
+
+def test_the_sensor_that_parts_a_product_comes_first_and_a_goal_changes_the_order():
+    seen = simulate(product(), record(u=steps, x_seen=0.0))["x_seen"]
+    driven = record(u=steps, x_seen=seen + 0.01 * np.random.default_rng(0).standard_normal(len(seen)))
+    first = sensitivity(product(), [driven], **LOCAL).measurements[0]
+    assert (first.kind, first.what) == ("sensor", "a_seen")
+    assert (
+        first.sentence.startswith("A sensor of a_seen (error ")
+        and "which these recordings leave open" in first.sentence
+    )
+    for_tau = sensitivity(product(), [driven], **LOCAL, goal=["tau"]).measurements
+    assert for_tau[0].kind != "sensor" and "tau" in for_tau[0].sentence
+    assert {m.kind for m in for_tau} == {"sensor", "repeat", "drive"}
+    with pytest.raises(DeclarationError, match="neither a parameter asked about nor an output"):
+        sensitivity(product(), [driven], **LOCAL, goal=["tua"])
+
+
 def test_a_parameter_without_effect_is_told_once_and_refused_alone():
     driven = record(u=1.0, v=0.5)
     found = sensitivity(weighted(idle=True), [driven], **ALL, samples=64, stretches=1)

@@ -14,6 +14,7 @@ from ..fit import Finding
 from .information import Known
 from .intervals import Interval
 from .local import Local
+from .measurements import Measurement
 from .sobol import Global, Indices
 
 FORMAT = "hydrotwin-sensitivity/1"
@@ -36,7 +37,8 @@ class Sensitivity:
     """The answer of `sensitivity`.
 
     local : exact sensitivities at the values of the model; sobol : indices over the intervals, None without samples.
-    known : what the recordings say of the parameters. findings : in sentences, what they cannot say, and what to mind.
+    known : what the recordings say of the parameters. measurements : what to measure next, the best first.
+    findings : in sentences, what they cannot say, and what to mind.
     """
 
     name: str
@@ -46,6 +48,7 @@ class Sensitivity:
     local: Local
     sobol: Global | None
     known: Known
+    measurements: tuple[Measurement, ...]
     findings: tuple[Finding, ...]
     seconds: float
     settings: Mapping[str, object] = field(default_factory=dict)
@@ -109,6 +112,7 @@ class Sensitivity:
             },
             "sobol": self._sobol_data(outputs, names),
             "correlation": {"parameters": names, "matrix": self.known.correlation.tolist()},
+            "measure_next": [m.as_data() for m in self.measurements],
             "findings": [{"kind": f.kind, "parameters": list(f.parameters), "sentence": str(f)} for f in self.findings],
             "settings": dict(self.settings),
             "seconds": self.seconds,
@@ -142,7 +146,8 @@ class Sensitivity:
         lines = [
             f"{self.name}: {len(self.parameters)} parameters, {len(self.records)} recordings ({self.seconds:.2f} s)"
         ]
-        return "\n".join([*lines, *(f"  {s}" for s in self.sentences()), *(f"  {f}" for f in self.findings)])
+        told = [*self.sentences(), *map(str, self.findings), *(m.sentence for m in self.measurements[:NAMED])]
+        return "\n".join([*lines, *(f"  {sentence}" for sentence in told)])
 
     def _repr_html_(self) -> str:
         headings = ("output", *(p.name for p in self.parameters))
@@ -151,7 +156,7 @@ class Sensitivity:
         facts = {"parameters": len(self.parameters), "recordings": len(self.records)}
         facts |= {"sets": self.sobol.sets, "diverged": self.sobol.diverged} if self.sobol else {}
         tables = [SmallTable(what, headings, rows)]
-        notes = [str(f) for f in self.findings]
+        notes = [*map(str, self.findings), *(m.sentence for m in self.measurements[:1])]
         return summary_html(f"Sensitivity of {self.name}", " ".join(self.sentences()), facts, tables, notes)
 
 

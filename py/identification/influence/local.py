@@ -82,7 +82,7 @@ def local(runs: Runs, intervals: Sequence[Interval]) -> Local:
     Raises Diverged where a nominal run stops, SolveError where its derivatives leave the finite numbers.
     """
     reach = np.array([i.reach for i in intervals])
-    by_stretch, curves, information = [], [], []
+    by_stretch, curves, informations = [], [], []
     low, high = np.full(len(runs.flat.outputs), np.inf), np.full(len(runs.flat.outputs), -np.inf)
     squares, samples = 0.0, 0
     for run in runs.runs:
@@ -99,11 +99,12 @@ def local(runs: Runs, intervals: Sequence[Interval]) -> Local:
         low, high = np.minimum(low, y.min(axis=0)), np.maximum(high, y.max(axis=0))
         every = slice(None, None, max(1, len(run.time) // CURVE))
         curves.append(Curve(run.name, run.time[every], moved[every], y[every]))
-        information.append(_information(run, y, dy))
-    return Local(np.sqrt(squares / samples), tuple(by_stretch), high - low, tuple(curves), tuple(information))
+        informations.append(information(run, y, dy))
+    return Local(np.sqrt(squares / samples), tuple(by_stretch), high - low, tuple(curves), tuple(informations))
 
 
-def _information(run: Run, y: np.ndarray, dy: np.ndarray) -> RunInformation:
+def information(run: Run, y: np.ndarray, dy: np.ndarray) -> RunInformation:
+    """What a run holds, from its outputs y (n, ny) and their derivatives dy (n, ny, k)."""
     seen = np.isfinite(run.y)
     whole = np.einsum("tja,tjb->jab", dy, dy, optimize=True)
     here = np.where(seen[:, :, None], dy, 0.0)

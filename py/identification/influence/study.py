@@ -16,6 +16,7 @@ from .answer import Sensitivity, StudiedRecord
 from .information import Known, known, not_told_apart
 from .intervals import AUTO, Interval, intervals
 from .local import Local, local
+from .measurements import measurements
 from .runs import Runs, runs_over
 from .sobol import COURSE, Global, Sampling, sobol
 
@@ -38,6 +39,7 @@ def sensitivity(
     of: str = COURSE,
     stretches: int = STRETCHES,
     seed: int = 0,
+    goal: Sequence[str] = (),
     start: Mapping[str, float] | None = None,
     interpolation: Mapping[str, str] | None = None,
     threads: int | None = None,
@@ -51,10 +53,12 @@ def sensitivity(
         parameters: globs over parameter paths; None asks about what the model declares free.
         over: where intervals come from: "fit", "bounds", "10%" or "auto", see `intervals`.
         given: intervals by path, SI, in place of those.
-        noise: standard deviation by output, SI, in place of that of the fit, or of the estimate from the recordings.
+        noise: standard deviation by output, SI, in place of that of the fit, or of the estimate from the recordings;
+            also of outputs without recording, of which a sensor may come.
         samples: base points of the Sobol indices, a power of two; each costs a run per parameter and two. 0: none.
         of: "course" (outputs over time) or "deviation" (how far they are from the nominal run), see `Sampling`.
         stretches: equal parts of the time of each recording, which are told by themselves.
+        goal: parameters or outputs that are wanted better; what to measure next is then ranked for them.
         start: start states by name, SI, in place of measured first samples and the model's own.
         interpolation: "hold" or "linear" by input, as in `identify`.
         progress: a function ``(stage, done, total)``.
@@ -73,8 +77,10 @@ def sensitivity(
     progress("local", 0, 0)
     near = local(runs, asked)
     _check_effect(runs, near)
-    sure = known(runs, near, {**_noise_of(model), **(noise or {})})
+    errors = {**_noise_of(model), **(noise or {})}
+    sure = known(runs, near, errors)
     far = sobol(runs, asked, sampling, lambda done, total: progress("sobol", done, total)) if samples else None
+    further = measurements(runs, near, sure, goal, errors, lambda done, total: progress("measure next", done, total))
     return Sensitivity(
         name=runs.flat.name,
         parameters=asked,
@@ -86,9 +92,10 @@ def sensitivity(
         local=near,
         sobol=far,
         known=sure,
+        measurements=further,
         findings=tuple([*_effects(asked, near), *_told_apart(runs, near, sure), *_of_indices(runs, far)]),
         seconds=time.perf_counter() - began,
-        settings={"over": over, "samples": samples, "of": of, "stretches": stretches, "seed": seed},
+        settings={"over": over, "samples": samples, "of": of, "stretches": stretches, "seed": seed, "goal": list(goal)},
     )
 
 

@@ -5,7 +5,7 @@ from .beginning import StartEstimate, StartState, estimate_start
 from .constant_speed import FrictionFit, fit_stribeck, friction_test, stribeck
 from .fit import Finding, Fit, FittedParameter, OutputResidual, RecordFit
 from .identify import identify
-from .influence import Interval, Sensitivity, sensitivity
+from .influence import Interval, Measurement, Profile, Profiles, Sensitivity, profile, sensitivity
 
 __all__ = [
     "Finding",
@@ -13,7 +13,10 @@ __all__ = [
     "FittedParameter",
     "FrictionFit",
     "Interval",
+    "Measurement",
     "OutputResidual",
+    "Profile",
+    "Profiles",
     "RecordFit",
     "Sensitivity",
     "Spread",
@@ -24,6 +27,7 @@ __all__ = [
     "fit_stribeck",
     "friction_test",
     "identify",
+    "profile",
     "sensitivity",
     "stribeck",
 ]

@@ -63,3 +63,21 @@ def record(name="run", seconds=2.0, period=0.01, **signals) -> Record:
 def steps(time: np.ndarray) -> np.ndarray:
     """A command of steps."""
     return np.sign(np.sin(2 * np.pi * time)) * (1 + (time > 1.0))
+
+
+def saturating(k: float):
+    """y = 1 - exp(-k), the same at all times: the larger k, the less it shows."""
+
+    def equations(t, x, u, p):
+        return -x, 1 - ca.exp(-p[0])
+
+    return small_model("saturating", ["x"], {"k": k}, equations, outputs=("y",))
+
+
+def hollows(k: float):
+    """y = 0.02 (k^2 - 1)^2 + 0.01 (k + 1), the same at all times: near 0 at k = 1, and 0 at -1."""
+
+    def equations(t, x, u, p):
+        return -x, 0.02 * (p[0] ** 2 - 1) ** 2 + 0.01 * (p[0] + 1)
+
+    return small_model("hollows", ["x"], {"k": k}, equations, outputs=("y",))

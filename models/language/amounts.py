@@ -8,7 +8,7 @@ FAST = 15.0  # rad/s from which a speed is read in rpm
 SHOWN = ("Pa", "rad", "m", "m/s", "m2", "m3", "m3/s")  # SI units that nobody reads
 
 
-def amount(value: float, unit: str, peak: float | None = None) -> str:
+def amount(value: float, unit: str, peak: float | None = None, digits: int = 3) -> str:
     """A value in SI in the unit a person reads: 2.1 bar, 12 mm/s, 0.4°."""
     shown = unit
     if unit == "rad/s":
@@ -16,6 +16,7 @@ def amount(value: float, unit: str, peak: float | None = None) -> str:
     elif unit in SHOWN:
         shown = display_units(unit)[0]
     number = float(from_si(float(value), shown)) if shown != unit else float(value)
-    digits = f"{number:.3g}" if not 999.5 <= abs(number) < 1e6 else f"{number:.0f}"
+    whole = digits == 3 and 999.5 <= abs(number) < 1e6
+    told = f"{number:.0f}" if whole else f"{number:.{digits}g}"
     text = shown.replace("deg", "°")
-    return digits if text == "1" else f"{digits}°" if text == "°" else f"{digits} {text}"
+    return told if text == "1" else f"{told}°" if text == "°" else f"{told} {text}"

@@ -65,6 +65,11 @@ class Measurement:
     sentence: str
     drive: Drive | None = None
 
+    @property
+    def label(self) -> str:
+        """It in a few words."""
+        return f"sensor of {self.what}" if self.kind == "sensor" else self.what
+
     def as_data(self) -> dict:
         """As plain data; of a drive the input alone."""
         told = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name != "drive"}
@@ -133,7 +138,7 @@ class _Ranking:
         return Measurement(kind, what, float(noise), gain, score, by_name, bands, sentence, drive)
 
     def _sentence(self, kind: str, what: str, noise: float, then: np.ndarray, ratios: Mapping[str, float]) -> str:
-        who = {"sensor": f"A sensor of {what}", REPEAT: f"The {what}", "drive": f"To {what}"}[kind]
+        who = {"sensor": f"A sensor of {what}", REPEAT: f"The {what}", "drive": f"Driving {what}"}[kind]
         if np.isfinite(noise):
             unit = self.runs.flat.outputs[self.outputs.index(what)].unit
             who += f" (error {amount(noise, unit)})"
@@ -201,7 +206,7 @@ def _drives(ranking: _Ranking, told: Callable[[int, int], None]) -> list[Measure
             continue
         more = information_of([found], np.zeros(len(ranking.weights)), ranking.weights, ranking.slope)
         drive = Drive(signal.name, signal.unit, candidate.kind, limits.time, candidate.values)
-        words = f"drive {signal.name} with {candidate.words} for {limits.time[-1]:.3g} s"
+        words = f"{signal.name} with {candidate.words} for {limits.time[-1]:.3g} s"
         judged = ranking.judged("drive", words, more, drive=drive)
         if candidate.kind not in best or judged.score > best[candidate.kind].score:
             best[candidate.kind] = judged

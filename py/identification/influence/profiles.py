@@ -12,6 +12,7 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from .walk import BOUND, BUDGET, CROSSED, DIVERGES, LEVEL
 
 AGREE = 0.2  # of half the quadratic interval: ends that are so near are the same
+MOST_DIGITS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +77,10 @@ class Profile:
         return f"{self.name} is not identifiable from these recordings {where}: nothing contradicts it {until}{along}."
 
     def _between(self, low: float, high: float) -> str:
-        return f"{amount(low, self.unit)} to {amount(high, self.unit)}"
+        """Both ends, with as many digits as tell them apart."""
+        narrow = np.log10(max(abs(low), abs(high)) / max(high - low, 1e-300))
+        digits = int(np.clip(np.ceil(narrow) + 2, 3, MOST_DIGITS))
+        return " to ".join(amount(end, self.unit, digits=digits) for end in (low, high))
 
     def as_data(self) -> dict:
         """As plain data."""

@@ -25,6 +25,7 @@ BOLDEST = 0.25  # in q, or of it: a first step goes no further, whatever a sigma
 FARTHEST = np.log(1000.0)  # in q: a factor of a thousand, where the lower bound is positive, ...
 FARTHEST_UNITS = 1000.0  # ... and so many units elsewhere
 REFIT = 20  # iterations of one fit of the others
+NEAR = 0.005  # half a chi-square, in units of the scale: how near that fit comes to its minimum
 MET, SECANTS = 0.02, 4  # of the root of the level: how near a crossing is met, and in how many tries
 SHORTENED = 8  # times a step is halved where runs diverge
 LOWER = 0.1  # half a chi-square: a minimum that is lower by so much is another
@@ -128,10 +129,11 @@ class Walk:
             q = near.q + share * (near.q - before.q)
         q[self.j] = target
         held, q = _held(self.shooting, self.j, q)
-        found = minimise(held, q, near.z, most=REFIT)
+        how = {"absolute": NEAR * max(self.scale, 1.0), "most": REFIT}
+        found = minimise(held, q, near.z, **how)
         if len(points) > 1 and not found.converged:  # the straight line may have led astray
             q = np.where(np.arange(len(q)) == self.j, q, near.q)
-            found = min(found, minimise(held, q, near.z, most=REFIT), key=lambda m: m.cost)
+            found = min(found, minimise(held, q, near.z, **how), key=lambda m: m.cost)
         if found.cost < self.base.cost - LOWER * max(self.scale, 1.0):
             raise FoundLower(found)
         rise = 2 * (found.cost - self.base.cost) / self.scale

@@ -53,6 +53,7 @@ _WHERE = {
     "write_model_file": "models.language.model_file",
     "write_record": "records",
     "write_report": "report",
+    "write_sensitivity": "report",
 }
 __all__ = sorted(_WHERE)
 

@@ -9,6 +9,7 @@ from .gap_data import gap_data
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
 from .schema import compare_schema
+from .sensitivity import sensitivity_page, write_sensitivity
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 from .write import comparison_page, display_units, write_report
 
@@ -43,6 +44,7 @@ __all__ = [
     "numbers",
     "parameter_rows",
     "pretty_unit",
+    "sensitivity_page",
     "shown_unit",
     "styles",
     "table",
@@ -51,4 +53,5 @@ __all__ = [
     "write_gap_report",
     "write_page",
     "write_report",
+    "write_sensitivity",
 ]

@@ -102,7 +102,7 @@ def share_table(found: Sensitivity) -> Table:
         )
     else:
         note = "Shares of the squared local sensitivities over the intervals: no indices were asked for."
-    return table("shares", "What drives what", columns, note)
+    return table("shares", "Shares of the variance", columns, note)
 
 
 def _each(key: str, title: str, values, units: Sequence[tuple[str, str]], how=to_shown, digits: int = 4) -> Column:
@@ -213,7 +213,9 @@ def _profiles(profiles: Profiles | None) -> Section:
         "Each parameter is moved outward and the others are fitted again. Where the curve crosses the dotted line, the "
         "recordings contradict the value at 95 %; the dashed parabola is what the standard deviation of the fit says."
     )
-    return Section("profiles", "Profiles", (profile_table(profiles), profile_group(profiles)), lead)
+    open_ = any(not p.identifiable for p in profiles.profiles)
+    said = Note(tuple(profiles.sentences()), tone="warning" if open_ or profiles.lower else "")
+    return Section("profiles", "Profiles", (profile_table(profiles), said, profile_group(profiles)), lead)
 
 
 def profile_table(profiles: Profiles) -> Table:
@@ -235,7 +237,7 @@ def profile_table(profiles: Profiles) -> Table:
         column("quadratic_high", "to", [p.quadratic[1] for p in rows]),
         warned(texts("verdict", "It is", said), [not p.identifiable for p in rows]),
     ]
-    return table("profile_intervals", "", columns, note=" ".join(profiles.sentences()))
+    return table("profile_intervals", "", columns)
 
 
 def _next(found: Sensitivity) -> Section:
@@ -269,7 +271,6 @@ def _facts(found: Sensitivity) -> tuple[str, ...]:
 
 
 def _plain(finding) -> str:
-    """A finding as a sentence of the page, without the verb in front."""
+    """A finding as a sentence of the page, without the verb in front; a name keeps its first letter."""
     text = str(finding).removeprefix("sensitivity: ")
-    first = text.split(" ", 1)[0]
-    return text if "." in first or "_" in first else text[:1].upper() + text[1:]
+    return text if text.startswith(tuple(finding.parameters)) else text[:1].upper() + text[1:]

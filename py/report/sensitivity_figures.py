@@ -193,7 +193,7 @@ def _profile(found: Profile) -> Figure:
         {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "y0": LEVEL, "y1": LEVEL,
          "line": {"color": "#57606a", "width": 1, "dash": "dot"}}
     ]  # fmt: skip
-    return Figure(f"profile-{found.name}", found.name, {"data": data, "layout": plan}, caption=found.sentence)
+    return Figure(f"profile-{found.name}", found.name, {"data": data, "layout": plan})
 
 
 def next_figure(found: Sensitivity) -> Figure:

@@ -73,7 +73,7 @@ def sensitivity(
         list[str] | None,
         typer.Option("--for", metavar="NAME", help="parameter or output that the next measurement should tell"),
     ] = None,
-    profiled: Annotated[
+    profile_of: Annotated[
         list[str] | None,
         typer.Option("--profile", metavar="GLOB", help="identify first, then profile the likelihood of these"),
     ] = None,
@@ -90,6 +90,7 @@ def sensitivity(
     """
     from hydrotwin.identification import identify, profile, sensitivity
     from hydrotwin.identification.influence.intervals import intervals
+    from hydrotwin.identification.influence.profile import profiled
     from hydrotwin.identification.influence.sobol import Sampling
 
     if report:
@@ -97,8 +98,9 @@ def sensitivity(
     thing = physical(model, "sensitivity")
     limits, between = bounds_from(given, "--interval"), interpolation_from(interpolation)
     errors = settings_from(noise, "--noise")
-    asked = intervals(thing.flat, parameters, over if over != "fit" or not profiled else "auto", limits)
-    Sampling(samples, of)  # a misspelt option is told before anything runs
+    asked = intervals(thing.flat, parameters, over if over != "fit" or not profile_of else "auto", limits)
+    Sampling(samples, of)  # what is misspelt is told before anything runs
+    profiled(thing.flat, [i.name for i in asked], profile_of)
     read = read_all(records, reading)
     tell_ignored(read, {s.name for s in (*thing.flat.inputs, *thing.flat.outputs)}, thing.name)
     with progress_bar() as bar:
@@ -108,10 +110,10 @@ def sensitivity(
             bar.update(row, completed=done, total=total or None, description=f"sensitivity {thing.name}: {stage}")
 
         fit = profiles = None
-        if profiled:
+        if profile_of:
             told("identify", 0, 0)
             fit = identify(thing, read, free=[i.name for i in asked], noise=errors, interpolation=between)
-            profiles = profile(fit, read, parameters=profiled, progress=told)
+            profiles = profile(fit, read, parameters=profile_of, progress=told)
         found = sensitivity(
             fit or thing, read, parameters=[i.name for i in asked], over=over, given=limits, noise=errors,
             samples=samples, of=of, stretches=stretches, seed=seed, goal=goal or (), interpolation=between,

@@ -18,6 +18,7 @@ import numpy as np
 
 from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
+from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import distinct
 from hydrotwin.simulation import prepare
 
@@ -64,7 +65,7 @@ def profile(
     began = time.perf_counter()
     if not fit.parameters:
         raise DeclarationError(f"profile: the fit of {fit.name} has no free parameter. Free some.")
-    chosen = _chosen(fit, parameters)
+    chosen = profiled(fit.flat, [p.name for p in fit.parameters], parameters)
     task = _task(fit, records, threads)
     shooting, z = _fitted_starts(task, fit)
     around = _Around(fit, task, shooting, most, progress or (lambda parameter, done, total: None))
@@ -106,15 +107,21 @@ class _Around:
         return tuple(done)
 
 
-def _chosen(fit: Fit, parameters: Sequence[str] | None) -> list[int]:
-    names = [p.name for p in fit.parameters]
-    if parameters is None:
-        return list(range(len(names)))
-    wanted = matching(fit.flat, parameters)
-    held = sorted(wanted - set(names))
-    if held:
-        raise DeclarationError(f"profile: {held[0]} was not free in the fit. Free it, or choose of {', '.join(names)}.")
-    return [j for j, name in enumerate(names) if name in wanted]
+def profiled(flat: FlatModel, free: Sequence[str], globs: Sequence[str] | None) -> list[int]:
+    """Positions among the free parameters of those that match a glob; all for None.
+
+    Raises DeclarationError for a glob that matches none of them.
+    """
+    if globs is None:
+        return list(range(len(free)))
+    for glob in globs:
+        wanted = matching(flat, [glob])
+        if not wanted & set(free):
+            raise DeclarationError(
+                f"profile: {min(wanted)} was not free in the fit. Free it, or choose of {', '.join(free)}."
+            )
+    wanted = matching(flat, globs)
+    return [j for j, name in enumerate(free) if name in wanted]
 
 
 def _task(fit: Fit, records: Sequence, threads: int | None) -> Task:

@@ -9,7 +9,7 @@ import numpy as np
 from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
 
-from .walk import BOUND, BUDGET, CROSSED, DIVERGES, LEVEL
+from .walk import BOUND, BUDGET, CROSSED, DIVERGES, FLAT, LEVEL
 
 AGREE = 0.2  # of half the quadratic interval: ends that are so near are the same
 MOST_DIGITS = 8
@@ -59,22 +59,31 @@ class Profile:
             said = f"says {self._between(*self.quadratic)}" if known else "of the fit is not known"
             allowed = self._between(self.low, self.high)
             return f"{self.name}: the recordings allow {allowed}; the quadratic interval {said}."
-        sides = [(self.below, "downwards", self.grid[0]), (self.above, "upwards", self.grid[-1])]
-        return " ".join(self._open(why, where, float(end)) for why, where, end in sides if why != CROSSED)
+        ends = float(self.grid[0]), float(self.grid[-1])
+        if {self.below, self.above} <= {BOUND, FLAT}:
+            return (
+                f"{self.name} is not identifiable from these recordings, neither downwards nor upwards: nothing "
+                f"contradicts it from {self._between(*ends)}{self._made_up}."
+            )
+        sides = ((self.below, "downwards", ends[0]), (self.above, "upwards", ends[1]))
+        return " ".join(self._open(why, where, end) for why, where, end in sides if why != CROSSED)
+
+    @property
+    def _made_up(self) -> str:
+        """What goes along with a parameter that nothing contradicts."""
+        verb = "makes" if len(self.along) == 1 else "make"
+        return f", because {' and '.join(self.along)} {verb} up for it" if self.along else ""
 
     def _open(self, why: str, where: str, end: float) -> str:
-        """What to say of a side that does not cross."""
+        """What to say of a side that does not cross, beside another that does."""
         reached = amount(end, self.unit)
         if why == BUDGET:
             return f"{self.name}: {where} the profile was given up at {reached}: more fits than allowed."
         if why == DIVERGES:
             return f"{self.name}: {where} of {reached} the runs diverge before the recordings contradict it."
-        along = (
-            f", because {' and '.join(self.along)} make{'s' * (len(self.along) == 1)} up for it" if self.along else ""
-        )
-        until = f"down to its bound, {reached}" if where == "downwards" else f"up to its bound, {reached}"
-        until = until if why == BOUND else f"as far as {reached}"
-        return f"{self.name} is not identifiable from these recordings {where}: nothing contradicts it {until}{along}."
+        until = f"as far as {reached}" + (", its bound" if why == BOUND else "")
+        told = f"nothing contradicts it {until}{self._made_up}"
+        return f"{self.name} is not identifiable from these recordings {where}: {told}."
 
     def _between(self, low: float, high: float) -> str:
         """Both ends, with as many digits as tell them apart."""

@@ -160,7 +160,7 @@ def record_table(found: Sensitivity) -> Table:
 
 def _drivers(found: Sensitivity) -> Section:
     parts: list = [share_figure(found)]
-    told = [_plain(f) for f in found.findings if f.kind in ("together", "without_effect")]
+    told = [_plain(f) for f in found.findings if f.kind in ("together", "without_effect", "correlated")]
     if found.sobol:
         parts += [index_group(found), index_table(found)]
     parts += [Note(tuple(told), tone="warning")] if told else []

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.identification import sensitivity
+from hydrotwin.identification import identify, sensitivity
 from hydrotwin.models.language import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from tests.identification.influences import (
@@ -130,6 +130,23 @@ def test_a_parameter_without_effect_is_told_once_and_refused_alone():
     assert found.sobol.whole.total[0, 2] == pytest.approx(0.0, abs=1e-12)
     with pytest.raises(DeclarationError, match=r"idle moves no output of weighted"):
         sensitivity(weighted(idle=True), [driven], parameters=["idle"])
+
+
+def test_intervals_come_from_the_fit_and_what_is_correlated_there_is_told():
+    driven = record(u=lambda t: np.sin(3 * t), v=lambda t: np.sin(3 * t) + 0.1 * t)
+    y = simulate(weighted(), driven)["y"] + 0.1 * np.random.default_rng(1).standard_normal(len(driven.time))
+    driven = driven.with_signals({"y": y}, {"y": "1"})
+    fit = identify(weighted(), [driven], free=["*"])
+    found = sensitivity(fit, [driven], **LOCAL)
+    for interval, fitted in zip(found.parameters, fit.parameters, strict=True):
+        assert (interval.low, interval.high) == pytest.approx(
+            (fitted.value - 1.959964 * fitted.sigma, fitted.value + 1.959964 * fitted.sigma)
+        )
+        assert interval.source == "fit, 95 %"
+    told = next(f for f in found.findings if f.kind == "correlated")
+    assert told.parameters == ("a", "b") and found.known.correlation[0, 1] < -0.7
+    assert found.known.noise[0] == fit.noise["y"]
+    assert not [f for f in sensitivity(weighted(), [driven], **LOCAL).findings if f.kind == "correlated"]
 
 
 def test_sets_that_diverge_are_counted_and_told():

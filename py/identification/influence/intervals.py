@@ -17,6 +17,7 @@ SIGMAS = 1.959964  # of a normal distribution: 95 % of it
 SHARE = 0.1  # of its value: how far a parameter of which nothing is known moves to either side
 WIDE = 10.0  # times its lower end: an interval is then walked through in ratios, not in differences
 AUTO, FIT, BOUNDS = "auto", "fit", "bounds"
+OF_FIT = "fit, 95 %"  # source of an interval
 _SHARE = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 
 
@@ -90,7 +91,7 @@ def _interval(flat: FlatModel, p: ParameterValue, how: str, given: Mapping) -> t
             f"{flat.name}.{p.name}: no fit tells how sure it is. Identify the model first, or take intervals 10%."
         )
     if how in (AUTO, FIT) and p.sigma:
-        return *_inside(p, SIGMAS * p.sigma), "fit, 95 %"
+        return *_inside(p, SIGMAS * p.sigma), OF_FIT
     if how == BOUNDS:
         if not np.isfinite(p.bounds).all():
             raise DeclarationError(

@@ -14,7 +14,7 @@ from ..fit import Finding, Fit
 from ..identify import processors
 from .answer import Sensitivity, StudiedRecord
 from .information import Known, known, not_told_apart
-from .intervals import AUTO, Interval, intervals
+from .intervals import AUTO, OF_FIT, Interval, intervals
 from .local import Local, local
 from .measurements import measurements
 from .runs import Runs, runs_over
@@ -22,6 +22,7 @@ from .sobol import COURSE, Global, Sampling, sobol
 
 STRETCHES = 6  # of time, into which a recording is cut
 TOGETHER = 0.7  # of the variance: where parameters alone make less, local sensitivities say little of their intervals
+CORRELATED = 0.7  # between parameters of a fit: their intervals then say more than their covariance
 UNSURE = 0.2  # half width of an index from which on more samples are worth a word
 
 Told = Callable[[str, int, int], None]
@@ -93,7 +94,12 @@ def sensitivity(
         sobol=far,
         known=sure,
         measurements=further,
-        findings=tuple([*_effects(asked, near), *_told_apart(runs, near, sure), *_of_indices(runs, far)]),
+        findings=(
+            *_effects(asked, near),
+            *_told_apart(runs, near, sure),
+            *_correlated(asked, sure),
+            *_of_indices(runs, far),
+        ),
         seconds=time.perf_counter() - began,
         settings={"over": over, "samples": samples, "of": of, "stretches": stretches, "seed": seed, "goal": list(goal)},
     )
@@ -133,6 +139,20 @@ def _told_apart(runs: Runs, near: Local, sure: Known) -> list[Finding]:
     still = {runs.names[k] for k in np.flatnonzero(near.without_effect)}
     found = [f for f in not_told_apart(runs.flat, near, sure) if not set(f.parameters) <= still]
     return [Finding(f.kind, f.parameters, f.sentence.replace("identify:", "sensitivity:", 1)) for f in found]
+
+
+def _correlated(asked: Sequence[Interval], sure: Known) -> list[Finding]:
+    """Intervals of a fit whose errors go together, and are taken as independent."""
+    from_fit = np.array([i.source == OF_FIT for i in asked])
+    strong = np.triu(np.abs(np.nan_to_num(sure.correlation)) > CORRELATED, 1) & np.outer(from_fit, from_fit)
+    pairs = [(asked[a].name, asked[b].name) for a, b in np.argwhere(strong)]
+    if not pairs:
+        return []
+    names = dict.fromkeys(name for pair in pairs for name in pair)
+    return [Finding("correlated", tuple(names), (
+        f"sensitivity: the fit knows {', '.join(names)} better together than alone. Taken as independent over their "
+        "intervals they move outputs further than the fit allows: its band is narrower. Read who drives what."
+    ))]  # fmt: skip
 
 
 def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:

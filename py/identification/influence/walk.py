@@ -8,6 +8,7 @@ Source: A. Raue et al., Bioinformatics 2009, section 2.2 (profile likelihood, it
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
 
@@ -27,7 +28,8 @@ FARTHEST_UNITS = 1000.0  # ... and so many units elsewhere
 REFIT = 20  # iterations of one fit of the others
 NEAR = 0.005  # half a chi-square, in units of the scale: how near that fit comes to its minimum
 MET, SECANTS = 0.02, 4  # of the root of the level: how near a crossing is met, and in how many tries
-SHORTENED = 8  # times a step is halved where runs diverge
+SHORTENED = 8  # times a step is halved where runs diverge, or the cost jumps
+JUMP = 3.0  # of the root of the level: a step to there was too far, or the fit of the others went astray
 LOWER = 0.1  # half a chi-square: a minimum that is lower by so much is another
 CROSSED, BOUND, FLAT, DIVERGES, BUDGET = "crossed", "bound", "flat", "diverges", "budget"
 
@@ -71,7 +73,10 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """The walk along parameter ``j`` from a minimum; scale : of the rise; sigma : in q, nan where it is unknown."""
+    """The walk along parameter ``j`` from a minimum; scale : of the rise; sigma : in q, nan where it is unknown.
+
+    implicit : the same runs by the implicit method, for where explicit steps lose them; None where there is none.
+    """
 
     shooting: Shooting
     base: Minimum
@@ -79,6 +84,7 @@ class Walk:
     scale: float
     sigma: float
     budget: Budget
+    implicit: Shooting | None = None
 
     def side(self, sign: float) -> Side:
         """Outward to one side, -1 or 1, until the level is crossed, or there is no further.
@@ -107,16 +113,20 @@ class Walk:
             points.append(found)
 
     def _stepped(self, points: list[Point], step: float, within) -> Point | None:
-        """The next point, nearer where the runs diverge; None where even that fails, or the budget is spent."""
-        here = points[-1].minimum.q[self.j]
+        """The next point, nearer where the runs diverge or the cost jumps.
+
+        None where they diverge even then, or the budget is spent.
+        """
+        here, found = points[-1].minimum.q[self.j], None
         for _ in range(SHORTENED + 1):
             if not self.budget.left:
-                return None
-            try:
-                return self._at(float(np.clip(here + step, *within)), points)
-            except SolveError:
-                step /= 2
-        return None
+                return found
+            with contextlib.suppress(SolveError):
+                found = self._at(float(np.clip(here + step, *within)), points)
+                if found.root < JUMP:
+                    return found
+            step /= 2
+        return found
 
     def _at(self, target: float, points: list[Point]) -> Point:
         """The others fitted with parameter j at ``target``, from where the last points lead."""
@@ -128,16 +138,29 @@ class Walk:
             share = (target - near.q[self.j]) / (near.q[self.j] - before.q[self.j])
             q = near.q + share * (near.q - before.q)
         q[self.j] = target
-        held, q = _held(self.shooting, self.j, q)
-        how = {"absolute": NEAR * max(self.scale, 1.0), "most": REFIT}
-        found = minimise(held, q, near.z, **how)
-        if len(points) > 1 and not found.converged:  # the straight line may have led astray
-            q = np.where(np.arange(len(q)) == self.j, q, near.q)
-            found = min(found, minimise(held, q, near.z, **how), key=lambda m: m.cost)
+        found = self._refitted(q, near)
         if found.cost < self.base.cost - LOWER * max(self.scale, 1.0):
             raise FoundLower(found)
         rise = 2 * (found.cost - self.base.cost) / self.scale
         return Point(found, float(np.sqrt(max(rise, 0.0) / LEVEL)))
+
+    def _refitted(self, q: np.ndarray, near: Minimum) -> Minimum:
+        """The others fitted, explicitly or, where a run or its derivatives are lost that way, implicitly.
+
+        Raises SolveError where they are lost either way.
+        """
+        stayed = np.where(np.arange(len(q)) == self.j, q, near.q)  # where the straight line leads astray
+        for shooting in filter(None, (self.shooting, self.implicit)):
+            found = []
+            for start in (q, stayed):
+                held, start = _held(shooting, self.j, start)
+                with contextlib.suppress(SolveError):
+                    found.append(minimise(held, start, near.z, absolute=NEAR * max(self.scale, 1.0), most=REFIT))
+                if found and found[-1].converged and not found[-1].at.diverged.any():
+                    break
+            if whole := [m for m in found if not m.at.diverged.any()]:
+                return min(whole, key=lambda m: m.cost)
+        raise SolveError(f"profile: the runs diverge at {self.shooting.free.names[self.j]} = {q[self.j]:.6g} (scaled).")
 
     def _crossing(self, points: list[Point], beyond: Point) -> Side:
         """Where the root of the rise is one, between the last point and one beyond."""
@@ -156,8 +179,8 @@ class Walk:
 
 
 def _met(inner: Point, outer: Point, j: int) -> float:
-    """q_j at which a straight root is one."""
-    share = (1 - inner.root) / max(outer.root - inner.root, 1e-300)
+    """q_j at which a straight root is one; half way to a point behind a jump."""
+    share = (1 - inner.root) / (outer.root - inner.root) if outer.root < JUMP else 0.5
     return float(inner.minimum.q[j] + share * (outer.minimum.q[j] - inner.minimum.q[j]))
 
 

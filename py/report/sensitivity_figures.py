@@ -117,12 +117,12 @@ def _course(found: Sensitivity, j: int, k: int) -> Figure:
         moved = difference_to_shown(curve.moved[:, j, i], signal.unit, unit)
         data.append(line(curve.time, moved, name, look[name].colour, dash=look[name].dash, hidden=i not in strongest))
     shown = to_shown(curve.outputs[:, j], signal.unit, unit)
-    rows = [f"moved{label}", f"{signal.name}{label}"]
+    rows = [f"moved{label}", f"{signal.name}<br>{label.strip()}"]
     data.append(line(curve.time, shown, signal.name, MEASURED, row=2, legend=False))
     if found.sobol:
         rows.append("share [%]")
         data += _stacked(found, j, k, look)
-    plan = layout("time [s]", rows, [2.0, 1.0, 1.2][: len(rows)], height=560 if found.sobol else 460)
+    plan = layout("time [s]", rows, [2.0, 1.3, 1.2][: len(rows)], height=600 if found.sobol else 480)
     plan["barmode"] = "stack"
     return Figure(f"course-{signal.name}-{curve.record}", curve.record, {"data": data, "layout": plan})
 

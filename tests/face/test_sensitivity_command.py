@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.records import Record, write_record
-from tests.face.command_line import hydrotwin
+from tests.face.command_line import ROOT, hydrotwin
 
 MODEL = '''
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, der
@@ -36,6 +36,7 @@ class Tank(Component):
 def tank():
     return Model(Tank())
 '''
+LOCAL = ("sensitivity", "tank.py:tank", "filling.csv", "--samples", "0")
 QUICK = ("--samples", "32", "--stretches", "2")
 
 
@@ -65,6 +66,8 @@ def test_it_tells_shares_what_is_not_told_apart_and_what_to_measure_next(folder)
     data = json.loads((folder / "page/sensitivity.json").read_text(encoding="utf-8"))
     assert data["format"] == "hydrotwin-sensitivity/1" and data["sobol"]["sets"] == 32 * 5
     assert data["measure_next"][0]["what"] == "pressure"
+    shape = (ROOT / "docs/validation.md").read_text(encoding="utf-8").split("| key | what |")[1].split("From Python")[0]
+    assert not [key for key in json.loads(hydrotwin(*LOCAL, "--json").out) if key not in shape]
 
 
 def test_the_json_has_profiles_and_a_file_name_is_taken(folder):

@@ -160,7 +160,7 @@ def test_sets_that_diverge_are_counted_and_told():
 
 
 def test_all_sets_diverge_is_an_error():
-    with pytest.raises(DataError, match=r"diverged, so that there are no indices.*narrower"):
+    with pytest.raises(DataError, match=r"diverged, which leaves too few for indices.*narrower"):
         sensitivity(exploding(), [record(seconds=2.0)], **ALL, given={"a": (0.4, 4000.0)}, samples=16, stretches=1)
 
 

@@ -23,7 +23,7 @@ from hydrotwin.records import distinct
 from hydrotwin.simulation import prepare
 
 from ..answer import at_bounds, differentiated, weighted_rows
-from ..descent import Task, undecided, whole_runs
+from ..descent import Task, whole_runs
 from ..fit import Fit
 from ..identify import processors
 from ..least_squares import Minimum, minimise
@@ -95,14 +95,11 @@ class _Around:
     def __call__(self, base: Minimum, chosen: Sequence[int]) -> tuple[Profile, ...]:
         """Those of the parameters ``chosen``. Raises FoundLower."""
         scale, sigma = _scales(self.task, self.shooting, base)
-        implicit = None
-        if not self.task.flat.black_box and self.task.propagator.method == "explicit":
-            implicit, _ = whole_runs(undecided(self.task, "rosenbrock"))
         done = []
         for number, j in enumerate(chosen):
             self.told(self.task.free.names[j], number, len(chosen))
             budget = Budget(self.most)
-            walk = Walk(self.shooting, base, j, float(scale[j]), float(sigma[j]), budget, implicit)
+            walk = Walk(self.shooting, base, j, float(scale[j]), float(sigma[j]), budget)
             try:
                 done.append(_profile(self.fit, self.shooting, walk, walk.side(-1.0), walk.side(1.0)))
             finally:

@@ -11,6 +11,7 @@ Source: I. Sobol, Math. Comput. Simul. 2001; M. Lamboni, H. Monod, D. Makowski, 
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,7 +27,7 @@ from .local import NOTHING
 from .runs import Run, Runs
 
 FEWEST = 16  # base samples that still give an index
-KEPT = 300  # instants of a run at which its outputs are kept
+KEPT, FEW_KEPT = 600, 8  # instants of all runs at which outputs are kept, and of a stretch at least
 AT_ONCE = 64  # sets of one call: their runs are held in memory
 COMPONENTS, CAUGHT = 4, 0.999  # most principal components of a course, and the share of its variance that is enough
 CONFIDENCE = 0.95
@@ -98,22 +99,26 @@ def sobol(
     for k, interval in enumerate(intervals):
         p[1:, runs.flat.index_of(interval.name)] = interval.at(cube[:, k])
     told = told or (lambda done, total: None)
+    share = max(FEW_KEPT, KEPT // sum(len(run.edges) - 1 for run in runs.runs))
     kept, reasons = [], {}
     for number, run in enumerate(runs.runs):
         courses, stopped = _courses(
-            runs, run, p, sampling.threads, lambda n, at=number: told(at * len(p) + n, len(p) * len(runs.runs))
-        )
+            runs, run, p, (sampling.threads, _kept(run, share)),
+            lambda n, at=number: told(at * len(p) + n, len(p) * len(runs.runs)),
+        )  # fmt: skip
         kept.append(courses)
         reasons = {**stopped, **reasons}
-    groups = np.isfinite(np.concatenate(kept, axis=1)).all(axis=(1, 2))[1:].reshape(sampling.samples, -1).all(axis=1)
-    _check_enough(runs, int(groups.sum()), reasons, len(cube))
+    through = np.all([np.isfinite(courses).all(axis=(1, 2)) for courses in kept], axis=0)
+    groups = through[1:].reshape(sampling.samples, -1).all(axis=1)
+    lost, reason = int((~through[1:]).sum()), reasons[min(reasons)] if reasons else "An output is not finite."
+    if groups.sum() < FEWEST:
+        raise DataError(_too_few(runs, lost, len(cube), reason))
     here = np.concatenate([[True], np.repeat(groups, len(intervals) + 2)])
-    stretches = [_cut(courses[here], run) for courses, run in zip(kept, runs.runs, strict=True)]
+    stretches = [_cut(courses[here], run, share) for courses, run in zip(kept, runs.runs, strict=True)]
     whole = np.concatenate([part for parts in stretches for part in parts], axis=1)
     found = _Indices(len(intervals), sampling, _scales(whole))
     by_stretch = tuple(tuple(found.of(part) for part in parts) for parts in stretches)
-    reason = reasons[min(reasons)] if reasons else ""
-    return Global(found.of(whole), by_stretch, len(cube), len(reasons), reason, int(groups.sum()), sampling)
+    return Global(found.of(whole), by_stretch, len(cube), lost, reason, int(groups.sum()), sampling)
 
 
 def _sampled(count: int, sampling: Sampling) -> np.ndarray:
@@ -128,12 +133,14 @@ def _problem(count: int) -> dict:
     return {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
 
 
-def _courses(runs: Runs, run: Run, p: np.ndarray, threads: int, told) -> tuple[np.ndarray, dict[int, str]]:
+def _courses(
+    runs: Runs, run: Run, p: np.ndarray, how: tuple[int, np.ndarray], told: Callable[[int], None]
+) -> tuple[np.ndarray, dict[int, str]]:
     """Outputs of all sets at the kept instants, (sets, m, ny), nan for a set that diverged; why, by its position.
 
-    Instants are kept in each stretch alike. The nominal set stands first in each call: it decides how all are run.
+    how : on so many threads, at those samples. The nominal set stands first in each call: it decides how all are run.
     """
-    kept, step = _kept(run), AT_ONCE - 1
+    (threads, kept), step = how, AT_ONCE - 1
     answer = np.full((len(p), len(kept), len(runs.flat.outputs)), np.nan)
     reasons: dict[int, str] = {}
 
@@ -155,18 +162,15 @@ def _courses(runs: Runs, run: Run, p: np.ndarray, threads: int, told) -> tuple[n
     return answer, reasons
 
 
-def _kept(run: Run) -> np.ndarray:
+def _kept(run: Run, share: int) -> np.ndarray:
     """Samples at which outputs are kept: in every stretch as many, evenly spread."""
-    share = max(2, KEPT // (len(run.edges) - 1))
-    parts = [
-        np.linspace(a, b - 1, min(share, b - a)).astype(int) for a, b in zip(run.edges, run.edges[1:], strict=False)
-    ]
-    return np.concatenate(parts)
+    pairs = itertools.pairwise(run.edges)
+    return np.concatenate([np.linspace(a, b - 1, min(share, b - a)).astype(int) for a, b in pairs])
 
 
-def _cut(courses: np.ndarray, run: Run) -> list[np.ndarray]:
+def _cut(courses: np.ndarray, run: Run, share: int) -> list[np.ndarray]:
     """Courses (sets, m, ny) of one run by its stretches."""
-    return np.split(courses, np.searchsorted(_kept(run), run.edges[1:-1]), axis=1)
+    return np.split(courses, np.searchsorted(_kept(run, share), run.edges[1:-1]), axis=1)
 
 
 def _scales(whole: np.ndarray) -> np.ndarray:
@@ -174,13 +178,11 @@ def _scales(whole: np.ndarray) -> np.ndarray:
     return np.ptp(whole, axis=(0, 1))
 
 
-def _check_enough(runs: Runs, used: int, reasons: dict[int, str], sets: int) -> None:
-    if used >= FEWEST:
-        return
-    how = "every parameter set" if len(reasons) >= sets else f"{len(reasons)} of {sets} parameter sets"
-    raise DataError(
-        f"sensitivity: {how} of {runs.flat.name} diverged, so that there are no indices. The first: "
-        f"{reasons[min(reasons)]} Take narrower intervals."
+def _too_few(runs: Runs, lost: int, sets: int, reason: str) -> str:
+    how = "every parameter set" if lost == sets else f"{lost} of {sets} parameter sets"
+    return (
+        f"sensitivity: {how} of {runs.flat.name} diverged, which leaves too few for indices. The first: {reason} Take "
+        "narrower intervals, or more samples."
     )
 
 

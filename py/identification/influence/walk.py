@@ -28,7 +28,7 @@ FARTHEST_UNITS = 1000.0  # ... and so many units elsewhere
 REFIT = 20  # iterations of one fit of the others
 NEAR = 0.005  # half a chi-square, in units of the scale: how near that fit comes to its minimum
 MET, SECANTS = 0.02, 4  # of the root of the level: how near a crossing is met, and in how many tries
-SHORTENED = 8  # times a step is halved where runs diverge, or the cost jumps
+SHORTENED = 6  # times a step is halved where runs diverge, or the cost jumps
 JUMP = 3.0  # of the root of the level: a step to there was too far, or the fit of the others went astray
 LOWER = 0.1  # half a chi-square: a minimum that is lower by so much is another
 CROSSED, BOUND, FLAT, DIVERGES, BUDGET = "crossed", "bound", "flat", "diverges", "budget"
@@ -73,10 +73,7 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """The walk along parameter ``j`` from a minimum; scale : of the rise; sigma : in q, nan where it is unknown.
-
-    implicit : the same runs by the implicit method, for where explicit steps lose them; None where there is none.
-    """
+    """The walk along parameter ``j`` from a minimum; scale : of the rise; sigma : in q, nan where it is unknown."""
 
     shooting: Shooting
     base: Minimum
@@ -84,7 +81,6 @@ class Walk:
     scale: float
     sigma: float
     budget: Budget
-    implicit: Shooting | None = None
 
     def side(self, sign: float) -> Side:
         """Outward to one side, -1 or 1, until the level is crossed, or there is no further.
@@ -145,22 +141,25 @@ class Walk:
         return Point(found, float(np.sqrt(max(rise, 0.0) / LEVEL)))
 
     def _refitted(self, q: np.ndarray, near: Minimum) -> Minimum:
-        """The others fitted, explicitly or, where a run or its derivatives are lost that way, implicitly.
-
-        Raises SolveError where they are lost either way.
-        """
+        """The others fitted from q. Raises SolveError where a run or its derivatives are lost."""
         stayed = np.where(np.arange(len(q)) == self.j, q, near.q)  # where the straight line leads astray
-        for shooting in filter(None, (self.shooting, self.implicit)):
-            found = []
-            for start in (q, stayed):
-                held, start = _held(shooting, self.j, start)
-                with contextlib.suppress(SolveError):
-                    found.append(minimise(held, start, near.z, absolute=NEAR * max(self.scale, 1.0), most=REFIT))
-                if found and found[-1].converged and not found[-1].at.diverged.any():
-                    break
-            if whole := [m for m in found if not m.at.diverged.any()]:
-                return min(whole, key=lambda m: m.cost)
+        found = []
+        for start in (q, stayed):
+            found += self._minima(start, near)
+            if found and found[-1].converged:
+                return found[-1]
+        if found:
+            return min(found, key=lambda m: m.cost)
         raise SolveError(f"profile: the runs diverge at {self.shooting.free.names[self.j]} = {q[self.j]:.6g} (scaled).")
+
+    def _minima(self, q: np.ndarray, near: Minimum) -> list[Minimum]:
+        """Where the others end from q; nothing where a run or its derivatives are lost."""
+        held, q = _held(self.shooting, self.j, q)
+        try:
+            found = minimise(held, q, near.z, absolute=NEAR * max(self.scale, 1.0), most=REFIT)
+        except SolveError:
+            return []
+        return [] if found.at.diverged.any() else [found]
 
     def _crossing(self, points: list[Point], beyond: Point) -> Side:
         """Where the root of the rise is one, between the last point and one beyond."""

@@ -80,7 +80,8 @@ class Profile:
         if why == BUDGET:
             return f"{self.name}: {where} the profile was given up at {reached}: more fits than allowed."
         if why == DIVERGES:
-            return f"{self.name}: {where} of {reached} runs or their derivatives diverge before the recordings contradict it."
+            lost = "runs or their derivatives diverge before the recordings contradict it"
+            return f"{self.name}: {where} of {reached} {lost}."
         until = f"as far as {reached}" + (", its bound" if why == BOUND else "")
         told = f"nothing contradicts it {until}{self._made_up}"
         return f"{self.name} is not identifiable from these recordings {where}: {told}."

@@ -28,7 +28,7 @@ FARTHEST_UNITS = 1000.0  # ... and so many units elsewhere
 REFIT = 20  # iterations of one fit of the others
 NEAR = 0.005  # half a chi-square, in units of the scale: how near that fit comes to its minimum
 MET, SECANTS = 0.02, 4  # of the root of the level: how near a crossing is met, and in how many tries
-SHORTENED = 6  # times a step is halved where runs diverge, or the cost jumps
+SHORTENED = 6  # times the first step is halved, at most, where runs diverge, or the cost jumps
 JUMP = 3.0  # of the root of the level: a step to there was too far, or the fit of the others went astray
 LOWER = 0.1  # half a chi-square: a minimum that is lower by so much is another
 CROSSED, BOUND, FLAT, DIVERGES, BUDGET = "crossed", "bound", "flat", "diverges", "budget"
@@ -92,31 +92,29 @@ class Walk:
         farthest = start + sign * (FARTHEST if free.logarithmic[self.j] else FARTHEST_UNITS)
         reach = np.sqrt(LEVEL * self.scale) * self.sigma
         step = min(EVENLY * reach, BOLDEST * max(1.0, abs(start))) if reach > 0 else UNKNOWN_STEP  # nan: not known
-        points = [Point(self.base, 0.0)]
+        points, least = [Point(self.base, 0.0)], step / 2**SHORTENED
         while True:
             here = points[-1].minimum.q[self.j]
             if sign * (limit - here) <= 1e-12 * max(1.0, abs(here)):
                 return Side(BOUND, here, tuple(points))
             if sign * (here - farthest) >= 0:
                 return Side(FLAT, here, tuple(points))
-            found = self._stepped(points, sign * step, sorted((here, limit)))
+            found = self._stepped(points, sign * step, least, sorted((here, limit)))
             if found is None:
                 return Side(DIVERGES if self.budget.left else BUDGET, here, tuple(points))
             if found.root >= 1:
                 return self._crossing(points, found)
             grew = max(found.root - points[-1].root, 1e-9)
-            step = abs(found.minimum.q[self.j] - here) * np.clip(EVENLY / grew, 0.5, 2.0)
+            step = max(abs(found.minimum.q[self.j] - here) * np.clip(EVENLY / grew, 0.5, 2.0), least)
             points.append(found)
 
-    def _stepped(self, points: list[Point], step: float, within) -> Point | None:
-        """The next point, nearer where the runs diverge or the cost jumps.
+    def _stepped(self, points: list[Point], step: float, least: float, within) -> Point | None:
+        """The next point, nearer where the runs diverge or the cost jumps, but not by less than ``least``.
 
         None where they diverge even then, or the budget is spent.
         """
         here, found = points[-1].minimum.q[self.j], None
-        for _ in range(SHORTENED + 1):
-            if not self.budget.left:
-                return found
+        while abs(step) >= least and self.budget.left:
             with contextlib.suppress(SolveError):
                 found = self._at(float(np.clip(here + step, *within)), points)
                 if found.root < JUMP:

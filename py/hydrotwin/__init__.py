@@ -24,7 +24,9 @@ _WHERE = {
     "Law": "models.language",
     "Matrix": "comparison",
     "Model": "models.language",
+    "Profiles": "identification",
     "Record": "records",
+    "Sensitivity": "identification",
     "add_effect": "models.effects",
     "candidates": "models.effects",
     "check_fmu": "export",
@@ -39,11 +41,13 @@ _WHERE = {
     "learn": "learned",
     "load": "loading",
     "modelica_text": "models.language.modelica",
+    "profile": "identification",
     "published_formula": "learned",
     "read_fmu": "export",
     "read_record": "records",
     "read_scenario": "comparison",
     "run_matrix": "comparison",
+    "sensitivity": "identification",
     "simulate": "simulation",
     "simulate_many": "simulation",
     "to_control": "simulation.control_system",
@@ -53,6 +57,7 @@ _WHERE = {
     "write_model_file": "models.language.model_file",
     "write_record": "records",
     "write_report": "report",
+    "write_sensitivity": "report",
 }
 __all__ = sorted(_WHERE)
 

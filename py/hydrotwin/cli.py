@@ -24,6 +24,7 @@ from .commands import (
     inspecting,
     inverting,
     learning,
+    sensing,
     showing,
 )
 
@@ -53,7 +54,18 @@ def options(
     """Identify, learn, compare and export models of hydraulic actuators."""
 
 
-for room in (inspecting, showing, fitting, learning, inverting, discovering, comparing, exporting, demonstrating):
+for room in (
+    inspecting,
+    showing,
+    fitting,
+    sensing,
+    learning,
+    inverting,
+    discovering,
+    comparing,
+    exporting,
+    demonstrating,
+):
     room.register(app)
 
 

@@ -34,11 +34,11 @@ def answer(task: Task, minima: Sequence[Minimum], judged: Sequence[Recording], s
     """Everything a Fit knows, from the minima of the training runs, the lowest first."""
     free, flat, best = task.free, task.flat, minima[0]
     values = free.values(best.q)
-    at_bound = _at_bound(free, best)
+    at_bound = at_bounds(free, best)
     shooting, _ = whole_runs(task)
-    rows, lost = _differentiated(task, shooting, best)
+    rows, lost = differentiated(task, shooting, best)
     doubted = doubts(task, best, at_bound)
-    *weighted, errors = _weighted_rows(rows, shooting)
+    *weighted, errors = weighted_rows(rows, shooting)
     moved = moved_by_rounding(task, best, rows)
     rounded = noise_of_rounding(task, rows, moved)
     if not may_be_rounded(task, best, rounded):
@@ -115,7 +115,7 @@ def _inaccurate(accuracy: Accuracy | None, task: Task) -> list[Finding]:
     ))]  # fmt: skip
 
 
-def _differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list, list[Finding]]:
+def differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list, list[Finding]]:
     """`sensitivities` of every training run at a minimum, None and told where they are lost.
 
     Near stiffness explicit steps may carry a run and lose its derivatives, which the implicit method keeps.
@@ -208,14 +208,14 @@ def _weighing(task: Task, residuals: Sequence[OutputResidual]) -> list[Finding]:
     ))]  # fmt: skip
 
 
-def _at_bound(free: FreeParameters, best: Minimum) -> np.ndarray:
+def at_bounds(free: FreeParameters, best: Minimum) -> np.ndarray:
     """On a bound, with the cost still falling beyond it."""
     lower, upper = free.scaled(free.lower), free.scaled(free.upper)
     gradient = best.at.gradient[:, : len(best.q)].sum(axis=0)
     return ((best.q - lower <= 1e-9) & (gradient > 0)) | ((upper - best.q <= 1e-9) & (gradient < 0))
 
 
-def _weighted_rows(rows, shooting: Shooting):
+def weighted_rows(rows, shooting: Shooting):
     """Residuals, projected Jacobians, sample numbers, error of the runs per recording, under the loss."""
     residuals, jacobians, samples, errors = [], [], [], []
     error = np.nan_to_num(solver_error(shooting.recordings)) * shooting.weights

@@ -89,7 +89,7 @@ def deviations(
     record, order = filled(record, flat), [p.name for p in flat.parameters]
     kept = [k for k, name in enumerate(spread.names) if name in order]
     names = [spread.names[k] for k in kept]
-    given, measured = _starts(flat, record, start or {})
+    given, measured = given_starts(flat, record, start or {})
     starts = StartStates(flat, list(given), np.array([order.index(n) for n in names], dtype=int))
     u, p = inputs_of(flat, record), flat.parameter_vector()
     x0, by_p, by_z = starts(u[0], p, np.array([given[n] for n in starts.names]))
@@ -106,7 +106,9 @@ def deviations(
     return found
 
 
-def _starts(flat: FlatModel, record: Record, start: Mapping[str, float]) -> tuple[dict[str, float], dict[str, str]]:
+def given_starts(
+    flat: FlatModel, record: Record, start: Mapping[str, float]
+) -> tuple[dict[str, float], dict[str, str]]:
     """Start states that are given, by name, and of those that are measured the output, in the order of the states."""
     outputs = {s.name: s.measured_by for s in flat.states if s.measured_by in record and s.name not in start}
     measured = {name: output for name, output in outputs.items() if np.isfinite(record[output][0])}

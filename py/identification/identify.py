@@ -105,14 +105,14 @@ def identify(
             )  # fmt: skip
             cost = Loss("linear" if loss == "auto" else loss, loss_scale)
             task = Task(
-                flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or _processors(),
+                flat, parameters, propagator, train, by_noise(sigma), cost, initial_states, threads or processors(),
                 report, sigma,
             )  # fmt: skip
             task, minima = search(task, effort, adaptable)
-            said = []
+            said, spared_some = [], False
             if loss == "auto":
                 task, minima, strays = spared(task, minima, effort, adaptable)
-                said = strays.findings()
+                said, spared_some = strays.findings(), strays.left_out
             report("what was assumed", 0, minima[0].cost)
             change = doubted(task, minima[0], adaptable) if len(given_up) < PATIENCE else None
             if change is None:
@@ -127,7 +127,7 @@ def identify(
         report("uncertainty", 0, minima[0].cost)
         settings = {
             "loss": loss, "loss_scale": loss_scale, "initial_states": initial_states, "starts": starts, "step": step,
-            "method": method, "weights": weights,
+            "method": method, "weights": weights, "spared": spared_some,
         }  # fmt: skip
         judged = recordings(flat, validate, outputs, "validation record")
         fit = answer(undecided(task), minima, judged, settings, began)
@@ -142,6 +142,6 @@ def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndar
     return np.full(len(flat.outputs), weights == "residual")
 
 
-def _processors() -> int:
+def processors() -> int:
     """Processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

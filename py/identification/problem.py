@@ -80,8 +80,7 @@ def free_parameters(
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> FreeParameters:
     """The parameters that match the globs in ``free`` (default: those the model declares free), in model order."""
-    known = [p.name for p in flat.parameters]
-    chosen = _matching(flat, free, known)
+    chosen = matching(flat, free)
     values = flat.parameter_vector(start)
     bounds = dict(bounds or {})
     for name in bounds:
@@ -113,15 +112,21 @@ def free_parameters(
     )
 
 
-def _matching(flat: FlatModel, free: Sequence[str] | None, known: Sequence[str]) -> set[str]:
-    if free is None:
+def matching(flat: FlatModel, globs: Sequence[str] | None, argument: str = "free", option: str = "--free") -> set[str]:
+    """Names of the parameters that match the globs (default: those declared free); how they are given, for errors.
+
+    Raises DeclarationError for a glob that matches nothing, and where there is nothing.
+    """
+    known = [p.name for p in flat.parameters]
+    if globs is None:
         chosen = {p.name for p in flat.parameters if p.free}
         if not chosen:
+            example = known[0] if known else "PATH"
             raise DeclarationError(
-                f"{flat.name}: no parameter is declared free. Name some: free=['{known[0]}'] (--free {known[0]})."
+                f"{flat.name}: no parameter is declared free. Name some: {argument}=['{example}'] ({option} {example})."
             )
         return chosen
-    patterns = [free] if isinstance(free, str) else list(free)
+    patterns = [globs] if isinstance(globs, str) else list(globs)
     if not patterns and not flat.black_box:
         raise DeclarationError(f"{flat.name}: nothing to identify (got an empty list of free parameters). Name some.")
     chosen = set()

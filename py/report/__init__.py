@@ -10,6 +10,7 @@ from .matrix import matrix_page, write_matrix, write_variant
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
 from .schema import compare_schema
+from .sensitivity import sensitivity_page, write_sensitivity
 from .tables import Cell, Column, Table, counts, numbers, table, texts, warned
 from .write import comparison_page, display_units, write_report
 
@@ -45,6 +46,7 @@ __all__ = [
     "numbers",
     "parameter_rows",
     "pretty_unit",
+    "sensitivity_page",
     "shown_unit",
     "styles",
     "table",
@@ -54,5 +56,6 @@ __all__ = [
     "write_matrix",
     "write_page",
     "write_report",
+    "write_sensitivity",
     "write_variant",
 ]

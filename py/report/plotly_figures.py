@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.comparison import Comparison, Matrix
 from hydrotwin.discovery.answer.discovery import Discovery
-from hydrotwin.identification import Fit
+from hydrotwin.identification import Fit, Profiles, Sensitivity
 from hydrotwin.models.language.errors import DeclarationError
 
 from .figure import Figure, FigureGroup
@@ -18,13 +18,17 @@ from .fit import fit_section
 from .gap import gap_page
 from .matrix import matrix_page
 from .page import Section
+from .sensitivity import sensitivity_page
+from .sensitivity_figures import profile_group
 from .write import comparison_page
 
 if TYPE_CHECKING:
     import plotly.graph_objects
 
 
-def figures(found: Comparison | Matrix | Discovery | Fit) -> dict[str, plotly.graph_objects.Figure]:
+def figures(
+    found: Comparison | Matrix | Discovery | Fit | Sensitivity | Profiles,
+) -> dict[str, plotly.graph_objects.Figure]:
     """The figures that the report of ``found`` shows, by their names on the page, in the units it shows.
 
     Curves are those of the page: at most a few thousand points, 32-bit, every peak kept. Raises DeclarationError for
@@ -35,7 +39,7 @@ def figures(found: Comparison | Matrix | Discovery | Fit) -> dict[str, plotly.gr
     return {figure.id: go.Figure(_unpacked(figure.spec)) for figure in _drawn(_sections(found))}
 
 
-def _sections(found: Comparison | Matrix | Discovery | Fit) -> tuple[Section, ...]:
+def _sections(found: Comparison | Matrix | Discovery | Fit | Sensitivity | Profiles) -> tuple[Section, ...]:
     if isinstance(found, Matrix):
         return matrix_page(found, command="").sections
     if isinstance(found, Comparison):
@@ -45,8 +49,13 @@ def _sections(found: Comparison | Matrix | Discovery | Fit) -> tuple[Section, ..
         return (Section("answer", page.title, (page.picture,) if page.picture else ()), *page.sections)
     if isinstance(found, Fit):
         return (fit_section(found),)
+    if isinstance(found, Sensitivity):
+        return sensitivity_page(found, command="").sections
+    if isinstance(found, Profiles):
+        return (Section("profiles", "Profiles", (profile_group(found),)),)
     raise DeclarationError(
-        f"figures: a {type(found).__name__} has none. Give what compare, discover or identify answered."
+        f"figures: a {type(found).__name__} has none. Give what compare, discover, identify, sensitivity or "
+        "profile answered."
     )
 
 

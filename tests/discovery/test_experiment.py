@@ -15,12 +15,11 @@ from hydrotwin.discovery.diagnosis.experiment import (
     _absorbed,
     _Member,
     _rms,
-    candidates,
     next_experiment,
-    seen_limits,
 )
 from hydrotwin.discovery.fits.job import Job, Question
 from hydrotwin.discovery.fits.whole import conclude, fit
+from hydrotwin.identification.drives import candidates, seen_limits
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel, ParameterValue, Signal, StateVariable, fixed_start
 from hydrotwin.simulation import prepare

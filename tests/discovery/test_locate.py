@@ -8,8 +8,9 @@ import time as clock
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.diagnosis.locate import amount, locations
+from hydrotwin.discovery.diagnosis.locate import locations
 from hydrotwin.identification.problem import Recording
+from hydrotwin.models.language.amounts import amount
 
 from .test_regions import MACHINE, NOISE, POSITION, PRESSURE, SPEED, only, scene
 

@@ -10,13 +10,13 @@ Source: Atkinson & Fedorov, Biometrika 1975 (T-optimum design: discriminating be
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
 import scipy.linalg
 
+from hydrotwin.identification.drives import OUTSIDE, Candidate, candidates, leaves, seen_limits, span_of, varied
 from hydrotwin.identification.problem import Recording
 from hydrotwin.identification.start_states import StartStates
 from hydrotwin.models.language.errors import SolveError
@@ -25,36 +25,11 @@ from hydrotwin.simulation import prepare
 
 from ..answer.discovery import Experiment
 from ..fits.job import Question
-from .locate import amount
 
-SHORTEST, LONGEST = 10.0, 60.0  # s
-SAMPLES = 4000  # of an experiment, at most
-PAUSE = 0.05  # of the experiment at rest before it begins
-LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
 DIVERGED = 1e9  # times the noise
 FINALISTS = 9  # inputs that the sensitivities are computed for
-OUTSIDE = 0.25  # of the range of an output, by which it may be left
 CLEAR = 3.0  # times the noise: two members are told apart
 Member = tuple[str, FlatModel, Mapping[str, float], Mapping[str, float] | Sequence[Mapping[str, float]]]
-
-
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One input (n,) with what it is called and told like."""
-
-    kind: str
-    words: str
-    values: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class Limits:
-    """What the recordings saw of the input: middle, amplitude, rate [1/s]; the time axis of the experiment."""
-
-    middle: float
-    amplitude: float
-    rate: float
-    time: np.ndarray
 
 
 def next_experiment(
@@ -65,7 +40,7 @@ def next_experiment(
     members : label, model, free parameter values by path, start states by name (one set, or one per recording); all
         explain ``recordings`` equally well.
     """
-    j = _varied(flat_inputs, recordings)
+    j = varied(flat_inputs, recordings)
     if j is None or len(members) < 2:
         return None
     limits = seen_limits(recordings, j)
@@ -74,16 +49,16 @@ def next_experiment(
     runners = [_Member(*m, question) for m in members]
     now = _Now(runners, recordings)
     others = np.mean(np.concatenate([r.u for r in recordings]), axis=0)
-    span = _span(recordings)
+    span = span_of(recordings)
     tried = []
     for candidate in candidates(limits, flat_inputs[j].unit):
         u = np.tile(others, (len(limits.time), 1))
         u[:, j] = candidate.values
         runs = [m.run(limits.time, u) for m in runners]
         if all(y is not None for y in runs):
-            leaves = max(_leaves(y, span) for y in runs)
+            furthest = max(leaves(y, span) for y in runs)
             apart = _score([_rms((b - a) / question.noise)[0] for a, b in combinations(runs, 2)])
-            tried.append((leaves, apart, candidate, u))
+            tried.append((furthest, apart, candidate, u))
     inside = [row for row in tried if row[0] <= OUTSIDE] or sorted(tried, key=lambda row: row[0])[:3]
     judged = []
     for _, _, candidate, u in _finalists(inside):
@@ -101,115 +76,6 @@ def next_experiment(
         told += "; outputs then leave the range seen so far, so watch the stops"
     signal = flat_inputs[j]
     return Experiment(signal.name, signal.unit, limits.time, best.values, best.kind, separation, before, told)
-
-
-def _varied(inputs: Sequence[Signal], recordings: Sequence[Recording]) -> int | None:
-    """The first command (held between samples) that was varied, else the first input that was."""
-    moved = [
-        j for j in range(len(inputs)) if recordings and np.ptp(np.concatenate([r.u[:, j] for r in recordings])) > 0
-    ]
-    held = [j for j in moved if inputs[j].held]
-    return (held or moved or [None])[0]
-
-
-def seen_limits(recordings: Sequence[Recording], j: int) -> Limits:
-    """Amplitude and rate of input j in the recordings, and a time axis like theirs.
-
-    The middle is zero when the input was seen on either side of it.
-    """
-    u = np.concatenate([r.u[:, j] for r in recordings])
-    low, high = float(u.min()), float(u.max())
-    balanced = min(-low, high) > 0.1 * max(-low, high)
-    middle = 0.0 if balanced else 0.5 * (low + high)
-    amplitude = min(-low, high) if balanced else 0.5 * (high - low)
-    rate = max(float(np.max(np.abs(np.diff(r.u[:, j]) / np.diff(r.time)))) for r in recordings)
-    period = float(np.median(np.concatenate([np.diff(r.time) for r in recordings])))
-    length = float(np.clip(max(r.time[-1] - r.time[0] for r in recordings), SHORTEST, LONGEST))
-    period = max(period, length / SAMPLES)
-    return Limits(middle, amplitude, rate, np.arange(0.0, length, period))
-
-
-# -- inputs ------------------------------------------------------------------------------------------------------------
-def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
-    """Triangles, steps, holds, sweeps, multisines and ramps within the limits of amplitude and rate."""
-    time = limits.time
-    length = float(time[-1])
-    begin = PAUSE * length
-    t = np.maximum(time - begin, 0.0)
-    room = length - begin
-    for part in LEVELS:
-        size = _readable(part * limits.amplitude)
-        around = f"of ±{amount(size, unit)}{_about(limits.middle, unit)}"
-        for count in (1, 2, 5):
-            period = room / count
-            words = f"a {'slow ' if count < 5 else ''}triangle {around} with a period of {period:.2g} s"
-            yield _limited("triangle", words, size * _triangle(t / period), limits)
-        for count in (3, 8):
-            words = f"steps {around} with pauses between them, {room / (4 * count):.2g} s each"
-            yield _limited("steps with pauses", words, size * _steps(t / room * count), limits)
-        words = f"levels up to ±{amount(size, unit)}{_about(limits.middle, unit)}, each held for {room / 6:.2g} s"
-        yield _limited("holding levels", words, size * _levels(t / room), limits)
-        high = min(10.0, 0.05 / float(np.median(np.diff(time))))
-        words = f"a sweep {around} from {1 / room:.2g} to {high:.2g} Hz"
-        yield _limited("sweep", words, size * _sweep(t, room, 1.0 / room, high), limits)
-        for top in (0.5, 4.0):
-            words = f"a multisine {around} up to {top:.2g} Hz"
-            yield _limited("multisine", words, size * _multisine(t, room, top), limits)
-        words = f"a slow ramp over ±{amount(size, unit)}{_about(limits.middle, unit)} and back"
-        yield _limited("slow ramp", words, size * _ramp(t / room), limits)
-
-
-def _readable(size: float) -> float:
-    """The next smaller number of two digits."""
-    digit = 10.0 ** (np.floor(np.log10(size)) - 1)
-    return float(np.floor(size / digit * (1 + 1e-9)) * digit)
-
-
-def _about(middle: float, unit: str) -> str:
-    return " through zero" if middle == 0.0 else f" around {amount(middle, unit)}"
-
-
-def _limited(kind: str, words: str, shape: np.ndarray, limits: Limits) -> Candidate:
-    """The shape around the middle, moved no faster than the recordings did."""
-    values, steps = shape.copy(), limits.rate * np.diff(limits.time) * 1.000001
-    for k in np.flatnonzero(np.abs(np.diff(shape)) > steps):
-        i = k
-        while i < len(steps) and abs(shape[i + 1] - values[i]) > steps[i]:
-            values[i + 1] = values[i] + np.sign(shape[i + 1] - values[i]) * steps[i]
-            i += 1
-    return Candidate(kind, words, limits.middle + values)
-
-
-def _triangle(phase: np.ndarray) -> np.ndarray:
-    return 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * phase))
-
-
-def _steps(phase: np.ndarray) -> np.ndarray:
-    """Rest, up, rest, down; rounds of different sizes."""
-    quarter = np.floor(4.0 * phase).astype(int)
-    sign = np.array([0.0, 1.0, 0.0, -1.0])[quarter % 4]
-    return sign * np.array([1.0, 0.5, 0.75])[quarter // 4 % 3]
-
-
-def _levels(phase: np.ndarray) -> np.ndarray:
-    return np.array([0.0, 0.5, 1.0, 0.0, -0.5, -1.0])[np.minimum((6.0 * phase).astype(int), 5)]
-
-
-def _sweep(t: np.ndarray, room: float, low: float, high: float) -> np.ndarray:
-    growth = np.log(high / low) / room
-    return np.sin(2.0 * np.pi * low * (np.exp(growth * t) - 1.0) / growth)
-
-
-def _multisine(t: np.ndarray, room: float, top: float) -> np.ndarray:
-    """Eight sines of logarithmic frequencies with Schroeder's phases, largest value 1."""
-    f = np.geomspace(2.0 / room, top, 8)
-    k = np.arange(8)
-    x = np.sin(2.0 * np.pi * f * t[:, None] - np.pi * k**2 / 8.0).sum(axis=1)
-    return (x - x[0]) / np.abs(x - x[0]).max()
-
-
-def _ramp(phase: np.ndarray) -> np.ndarray:
-    return np.interp(phase, [0.0, 0.1, 0.55, 1.0], [0.0, -1.0, 1.0, -1.0])
 
 
 # -- members -----------------------------------------------------------------------------------------------------------
@@ -349,22 +215,6 @@ def _rms(difference: np.ndarray) -> tuple[float, int]:
 def _score(pairs: Sequence[float]) -> float:
     """Every pair counts: one that is told apart easily must not hide another that is not."""
     return float(np.mean(np.log1p(np.square(pairs))))
-
-
-def _span(recordings: Sequence[Recording]) -> np.ndarray:
-    """Least and largest value of every output, (2, ny), infinite where it was not measured."""
-    y = np.concatenate([r.y for r in recordings])
-    seen = np.isfinite(y)
-    return np.stack([np.where(seen, y, np.inf).min(axis=0), np.where(seen, y, -np.inf).max(axis=0)])
-
-
-def _leaves(y: np.ndarray, span: np.ndarray) -> float:
-    """By how much of its range the output that goes furthest leaves it."""
-    low, high = span
-    known = high > low
-    size = np.where(known, high - low, 1.0)
-    out = np.maximum(y.max(axis=0) - high, low - y.min(axis=0)) / size
-    return float(np.max(np.where(known, out, 0.0), initial=0.0))
 
 
 def _finalists(rows: Sequence[tuple]) -> list[tuple]:

@@ -19,8 +19,8 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from hydrotwin.identification.problem import Recording
+from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.models.language.units import display_units, from_si
 from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 
 from ..answer.discovery import Location
@@ -35,8 +35,6 @@ SMALL = 0.3  # of the largest mean: a place not worth telling
 LONGEST_LAG = 2.0  # s
 GRID = 4096  # samples of a recording that drivers are looked for on
 DRIVERS = 3
-FAST = 15.0  # rad/s from which a speed is read in rpm
-SHOWN = ("Pa", "rad", "m", "m/s", "m2", "m3", "m3/s")  # SI units that nobody reads
 
 
 @dataclass(frozen=True)
@@ -221,19 +219,6 @@ def _times(value: float) -> str:
 def correlation_time(series: Sequence[np.ndarray]) -> float:
     """Samples that count as one: 1 + 2 sum of the autocorrelation."""
     return float(2.0 * autocorrelation(series).sum() - 1.0)
-
-
-def amount(value: float, unit: str, peak: float | None = None) -> str:
-    """A value in SI in the unit a person reads: 2.1 bar, 12 mm/s, 0.4°."""
-    shown = unit
-    if unit == "rad/s":
-        shown = "rpm" if abs(value if peak is None else peak) > FAST else "deg/s"
-    elif unit in SHOWN:
-        shown = display_units(unit)[0]
-    number = float(from_si(float(value), shown)) if shown != unit else float(value)
-    digits = f"{number:.3g}" if not 999.5 <= abs(number) < 1e6 else f"{number:.0f}"
-    text = shown.replace("deg", "°")
-    return digits if text == "1" else f"{digits}°" if text == "°" else f"{digits} {text}"
 
 
 # -- what it follows ---------------------------------------------------------------------------------------------------

@@ -21,10 +21,10 @@ import scipy.linalg
 from scipy.fft import next_fast_len, rfft
 
 from hydrotwin.identification.problem import Recording
+from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.flat import FlatModel
 
 from ..answer.discovery import Unknown
-from .locate import amount
 from .regions import PERIODS, Carrier, Quantity, carriers, finite, has_gap, quantities
 
 SAMPLES = 16_000  # looked at

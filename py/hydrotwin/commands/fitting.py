@@ -124,8 +124,8 @@ def identify(
         out.print(f"Use it with its code: {origin(model)}@{output}")
 
 
-def bounds_from(limits: list[str] | None) -> dict[str, tuple[float, float]]:
-    """The ``load.mass=50:200`` of --bounds as a dictionary. Raises DeclarationError."""
+def bounds_from(limits: list[str] | None, option: str = "--bounds") -> dict[str, tuple[float, float]]:
+    """The ``load.mass=50:200`` of an option as a dictionary. Raises DeclarationError."""
     found = {}
     for limit in limits or []:
         path, _, pair = limit.partition("=")
@@ -136,7 +136,7 @@ def bounds_from(limits: list[str] | None) -> dict[str, tuple[float, float]]:
             colon = ""
         if not (path and colon and found[path][0] < found[path][1]):
             raise DeclarationError(
-                f"--bounds {limit}: no 'path=low:high' (SI, low below high). Write for example load.mass=50:200."
+                f"{option} {limit}: no 'path=low:high' (SI, low below high). Write for example load.mass=50:200."
             )
     return found
 

@@ -1,0 +1,232 @@
+"""Global sensitivities: Sobol indices of the courses of the outputs over the intervals of the parameters.
+
+    S_k = V(E(y | p_k)) / V(y),     T_k = 1 - V(E(y | all but p_k)) / V(y)
+
+S_k is the share of the variance that parameter k makes alone, T_k with everything that it acts in. Parameters are
+independent and uniform over their intervals. A course is many numbers: over a stretch of time it is told by its
+principal components, and an index is the mean over them, weighed by their variances. Of a linear model the S_k add up
+to one. SALib samples (A. Saltelli et al., Comput. Phys. Commun. 2010) and estimates; the runs go side by side.
+Source: I. Sobol, Math. Comput. Simul. 2001; M. Lamboni, H. Monod, D. Makowski, Rel. Eng. Syst. Safety 2011 (courses).
+"""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.simulation.many import run_many
+
+from .intervals import Interval
+from .local import NOTHING
+from .runs import Run, Runs
+
+FEWEST = 16  # base samples that still give an index
+KEPT, FEW_KEPT = 600, 8  # instants of all runs at which outputs are kept, and of a stretch at least
+AT_ONCE = 64  # sets of one call: their runs are held in memory
+COMPONENTS, CAUGHT = 4, 0.999  # most principal components of a course, and the share of its variance that is enough
+CONFIDENCE = 0.95
+COURSE, DEVIATION = "course", "deviation"
+OF = (COURSE, DEVIATION)
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """What is sampled: ``samples`` base points, each with one more run for every parameter and one; 0 for none.
+
+    of : "course", the outputs over time, or "deviation", the root mean square of their distance from the nominal run,
+        one number for each stretch. seed : the same seed gives the same indices.
+    """
+
+    samples: int = 512
+    of: str = COURSE
+    seed: int = 0
+    threads: int = 1
+
+    def __post_init__(self):
+        if self.of not in OF:
+            raise DeclarationError(f"sensitivity: no indices of '{self.of}'. {nearest(self.of, OF)}")
+        if self.samples and (self.samples < FEWEST or self.samples & (self.samples - 1)):
+            raise DeclarationError(
+                f"sensitivity: samples must be a power of two from {FEWEST} on, for Sobol's sequence to be balanced "
+                f"(got {self.samples}). Take {2 ** max(4, round(np.log2(max(self.samples, 1))))}, or 0 for none."
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Indices:
+    """Sobol indices of every output over one stretch of time: first, total (ny, np) with the half widths of their 95 %
+    intervals; spread (ny,), SI, the standard deviation of the output there. Nan for an output that nothing moves."""
+
+    first: np.ndarray
+    first_half: np.ndarray
+    total: np.ndarray
+    total_half: np.ndarray
+    spread: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Global:
+    """Sobol indices over all runs, and of the stretches of each.
+
+    sets : parameter sets that were run; diverged : how many of them left the finite numbers in some recording, and why
+    the first did; used : base samples of which every run went through, the others count for nothing.
+    """
+
+    whole: Indices
+    by_stretch: tuple[tuple[Indices, ...], ...]
+    sets: int
+    diverged: int
+    reason: str
+    used: int
+    sampling: Sampling
+
+
+def sobol(
+    runs: Runs, intervals: Sequence[Interval], sampling: Sampling, told: Callable[[int, int], None] | None = None
+) -> Global:
+    """Indices over the intervals. ``told(done, total)`` counts the sets times the recordings.
+
+    Raises DataError where (nearly) all sets diverge.
+    """
+    cube = _sampled(len(intervals), sampling)
+    p = np.tile(runs.p, (len(cube) + 1, 1))  # the nominal one first
+    for k, interval in enumerate(intervals):
+        p[1:, runs.flat.index_of(interval.name)] = interval.at(cube[:, k])
+    told = told or (lambda done, total: None)
+    share = max(FEW_KEPT, KEPT // sum(len(run.edges) - 1 for run in runs.runs))
+    kept, reasons = [], {}
+    for number, run in enumerate(runs.runs):
+        courses, stopped = _courses(
+            runs, run, p, (sampling.threads, _kept(run, share)),
+            lambda n, at=number: told(at * len(p) + n, len(p) * len(runs.runs)),
+        )  # fmt: skip
+        kept.append(courses)
+        reasons = {**stopped, **reasons}
+    through = np.all([np.isfinite(courses).all(axis=(1, 2)) for courses in kept], axis=0)
+    groups = through[1:].reshape(sampling.samples, -1).all(axis=1)
+    lost, reason = int((~through[1:]).sum()), reasons[min(reasons)] if reasons else "An output is not finite."
+    if groups.sum() < FEWEST:
+        raise DataError(_too_few(runs, lost, len(cube), reason))
+    here = np.concatenate([[True], np.repeat(groups, len(intervals) + 2)])
+    stretches = [_cut(courses[here], run, share) for courses, run in zip(kept, runs.runs, strict=True)]
+    whole = np.concatenate([part for parts in stretches for part in parts], axis=1)
+    found = _Indices(len(intervals), sampling, _scales(whole))
+    by_stretch = tuple(tuple(found.of(part) for part in parts) for parts in stretches)
+    return Global(found.of(whole), by_stretch, len(cube), lost, reason, int(groups.sum()), sampling)
+
+
+def _sampled(count: int, sampling: Sampling) -> np.ndarray:
+    """Shares of the intervals (sets, np): for each base sample A, A with one column of B for each parameter, and B."""
+    from SALib.sample import sobol as sampler  # pandas and matplotlib come with it: seconds
+
+    problem = _problem(count)
+    return sampler.sample(problem, sampling.samples, calc_second_order=False, seed=sampling.seed)
+
+
+def _problem(count: int) -> dict:
+    return {"num_vars": count, "names": [str(k) for k in range(count)], "bounds": [[0.0, 1.0]] * count}
+
+
+def _courses(
+    runs: Runs, run: Run, p: np.ndarray, how: tuple[int, np.ndarray], told: Callable[[int], None]
+) -> tuple[np.ndarray, dict[int, str]]:
+    """Outputs of all sets at the kept instants, (sets, m, ny), nan for a set that diverged; why, by its position.
+
+    how : on so many threads, at those samples. The nominal set stands first in each call: it decides how all are run.
+    """
+    (threads, kept), step = how, AT_ONCE - 1
+    answer = np.full((len(p), len(kept), len(runs.flat.outputs)), np.nan)
+    reasons: dict[int, str] = {}
+
+    def ran(begin: int) -> int:
+        part = np.arange(begin, min(begin + step, len(p)))
+        sets = np.concatenate([p[:1], p[part]])
+        x0 = np.array([run.start(one) for one in sets])
+        y, stops = run_many(runs.propagator, run.time, run.u, sets, x0)
+        answer[part] = y[1:, kept]
+        reasons.update({int(s): str(stop) for s, stop in zip(part, stops[1:], strict=True) if stop})
+        return len(part)
+
+    done, begins = 0, range(0, len(p), step)
+    done += ran(begins[0])
+    with ThreadPoolExecutor(threads) as pool:
+        for count in pool.map(ran, begins[1:]):
+            done += count
+            told(done)
+    return answer, reasons
+
+
+def _kept(run: Run, share: int) -> np.ndarray:
+    """Samples at which outputs are kept: in every stretch as many, evenly spread."""
+    pairs = itertools.pairwise(run.edges)
+    return np.concatenate([np.linspace(a, b - 1, min(share, b - a)).astype(int) for a, b in pairs])
+
+
+def _cut(courses: np.ndarray, run: Run, share: int) -> list[np.ndarray]:
+    """Courses (sets, m, ny) of one run by its stretches."""
+    return np.split(courses, np.searchsorted(_kept(run, share), run.edges[1:-1]), axis=1)
+
+
+def _scales(whole: np.ndarray) -> np.ndarray:
+    """Range of every output (ny,) over all sets, below a share of which nothing moves."""
+    return np.ptp(whole, axis=(0, 1))
+
+
+def _too_few(runs: Runs, lost: int, sets: int, reason: str) -> str:
+    how = "every parameter set" if lost == sets else f"{lost} of {sets} parameter sets"
+    return (
+        f"sensitivity: {how} of {runs.flat.name} diverged, which leaves too few for indices. The first: {reason} Take "
+        "narrower intervals, or more samples."
+    )
+
+
+class _Indices:
+    """Indices of courses by SALib."""
+
+    def __init__(self, count: int, sampling: Sampling, scales: np.ndarray):
+        self.count, self.sampling, self.scales = count, sampling, scales
+
+    def of(self, courses: np.ndarray) -> Indices:
+        """Of courses (1 + sets, m, ny), the nominal run first."""
+        rows = [self._output(courses[:, :, j], scale) for j, scale in enumerate(self.scales)]
+        return Indices(*(np.array(part) for part in zip(*rows, strict=True)))
+
+    def _output(self, course: np.ndarray, scale: float):
+        nominal, course = course[0], course[1:]
+        spread = float(np.sqrt(course.var(axis=0).mean()))
+        if not spread > NOTHING * scale:
+            return *np.full((4, self.count), np.nan), spread
+        if self.sampling.of == DEVIATION:
+            scores = np.sqrt(np.mean((course - nominal) ** 2, axis=1))[:, None]
+        else:
+            scores = _components(course)
+        weights = scores.var(axis=0)
+        estimated = np.array([self._score(score) for score in scores.T])
+        return *np.einsum("c,cik->ik", weights / weights.sum(), estimated), spread
+
+    def _score(self, score: np.ndarray) -> np.ndarray:
+        """First-order indices, their half widths, total indices, theirs: (4, np)."""
+        from SALib.analyze import sobol as analysis
+
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # of a resample in which a share of it is constant
+            found = analysis.analyze(
+                _problem(self.count), score, calc_second_order=False, conf_level=CONFIDENCE, seed=self.sampling.seed
+            )
+        return np.array([found[key] for key in ("S1", "S1_conf", "ST", "ST_conf")], dtype=float)
+
+
+def _components(course: np.ndarray) -> np.ndarray:
+    """Scores (sets, c) of the principal components that make nearly all of the variance of a course (sets, m)."""
+    away = course - course.mean(axis=0)
+    values, vectors = np.linalg.eigh(away.T @ away)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    caught = np.cumsum(values) / values.sum()
+    count = min(COMPONENTS, int(np.searchsorted(caught, CAUGHT)) + 1)
+    return away @ vectors[:, :count]

@@ -1,0 +1,182 @@
+"""`sensitivity`: which parameters drive which output where, over recordings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DeclarationError
+
+from ..bands import SPREAD, Spread
+from ..fit import Finding, Fit
+from ..identify import processors
+from .answer import Sensitivity, StudiedRecord
+from .information import Known, known, not_told_apart
+from .intervals import AUTO, OF_FIT, Interval, intervals
+from .local import Local, local
+from .measurements import measurements
+from .runs import Runs, runs_over
+from .sobol import COURSE, Global, Sampling, sobol
+
+STRETCHES = 6  # of time, into which a recording is cut
+TOGETHER = 0.7  # of the variance: where parameters alone make less, local sensitivities say little of their intervals
+CORRELATED = 0.7  # between parameters of a fit: their intervals then say more than their covariance
+UNSURE = 0.2  # half width of an index from which on more samples are worth a word
+
+Told = Callable[[str, int, int], None]
+
+
+def sensitivity(
+    model,
+    records: Sequence,
+    *,
+    parameters: Sequence[str] | None = None,
+    over: str = AUTO,
+    given: Mapping[str, tuple[float, float]] | None = None,
+    noise: Mapping[str, float] | None = None,
+    samples: int = 512,
+    of: str = COURSE,
+    stretches: int = STRETCHES,
+    seed: int = 0,
+    goal: Sequence[str] = (),
+    start: Mapping[str, float] | None = None,
+    interpolation: Mapping[str, str] | None = None,
+    threads: int | None = None,
+    progress: Told | None = None,
+) -> Sensitivity:
+    """Which parameters drive which output of a model where, locally and over their intervals.
+
+    Args:
+        model: a Model, FlatModel, or a Fit, whose model and intervals are then taken.
+        records: recordings with the inputs of the model; those of its outputs tell what cannot be told apart.
+        parameters: globs over parameter paths; None asks about what the model declares free.
+        over: where intervals come from: "fit", "bounds", "10%" or "auto", see `intervals`.
+        given: intervals by path, SI, in place of those.
+        noise: standard deviation by output, SI, in place of that of the fit, or of the estimate from the recordings;
+            also of outputs without recording, of which a sensor may come.
+        samples: base points of the Sobol indices, a power of two; each costs a run per parameter and two. 0: none.
+        of: "course" (outputs over time) or "deviation" (how far they are from the nominal run), see `Sampling`.
+        stretches: equal parts of the time of each recording, which are told by themselves.
+        goal: parameters or outputs that are wanted better; what to measure next is then ranked for them.
+        start: start states by name, SI, in place of measured first samples and the model's own.
+        interpolation: "hold" or "linear" by input, as in `identify`.
+        progress: a function ``(stage, done, total)``.
+
+    Raises DeclarationError (unknown parameter, an interval without width, no effect at all, an option), DataError (no
+    recording, a missing input, all sets diverge), Diverged (the model as it is does).
+    """
+    began = time.perf_counter()
+    progress = progress or (lambda stage, done, total: None)
+    thing = model.flat if isinstance(model, Fit) else model
+    flat = getattr(thing, "flat", thing)
+    asked = intervals(flat, parameters, over, given)
+    sampling = Sampling(samples, of, seed, threads or processors())
+    progress("compile", 0, 0)
+    runs = runs_over(thing, records, [i.name for i in asked], stretches, interpolation, start)
+    progress("local", 0, 0)
+    near = local(runs, asked)
+    _check_effect(runs, near)
+    errors = {**_noise_of(model), **(noise or {})}
+    sure = known(runs, near, errors)
+    far = sobol(runs, asked, sampling, lambda done, total: progress("sobol", done, total)) if samples else None
+    further = measurements(runs, near, sure, goal, errors, lambda done, total: progress("measure next", done, total))
+    return Sensitivity(
+        name=runs.flat.name,
+        parameters=asked,
+        outputs=runs.flat.outputs,
+        records=tuple(
+            StudiedRecord(r.name, r.digest, len(r.time), tuple(float(r.time[min(e, len(r.time) - 1)]) for e in r.edges))
+            for r in runs.runs
+        ),
+        local=near,
+        sobol=far,
+        known=sure,
+        measurements=further,
+        findings=(
+            *_effects(asked, near),
+            *_told_apart(runs, near, sure),
+            *_correlated(asked, sure),
+            *_of_indices(runs, far),
+        ),
+        seconds=time.perf_counter() - began,
+        settings={"over": over, "samples": samples, "of": of, "stretches": stretches, "seed": seed, "goal": list(goal)},
+    )
+
+
+def _noise_of(model) -> dict[str, float]:
+    """Noise by output, SI, where a fit tells it."""
+    if isinstance(model, Fit):
+        return dict(model.noise)
+    told = (getattr(model, "provenance", None) or {}).get(SPREAD)
+    return dict(Spread.from_told(told).noise) if told else {}
+
+
+def _check_effect(runs: Runs, near: Local) -> None:
+    if near.without_effect.all():
+        what = runs.names[0] if len(runs.names) == 1 else "none of the parameters asked about"
+        verb = "moves no output" if len(runs.names) == 1 else "moves any output"
+        raise DeclarationError(
+            f"sensitivity: {what} {verb} of {runs.flat.name} in these recordings. Ask about other parameters, or "
+            "record what excites them."
+        )
+
+
+def _effects(asked: Sequence[Interval], near: Local) -> list[Finding]:
+    return [
+        Finding("without_effect", (asked[k].name,), (
+            f"sensitivity: {asked[k].name} moves no output in these recordings. What they hold does not depend on it."
+        ))
+        for k in np.flatnonzero(near.without_effect)
+    ]  # fmt: skip
+
+
+def _told_apart(runs: Runs, near: Local, sure: Known) -> list[Finding]:
+    """What `identifiability` finds, but for parameters that move nothing at all: those are told already."""
+    if not np.isfinite(sure.worth).any():
+        return []
+    still = {runs.names[k] for k in np.flatnonzero(near.without_effect)}
+    found = [f for f in not_told_apart(runs.flat, near, sure) if not set(f.parameters) <= still]
+    return [Finding(f.kind, f.parameters, f.sentence.replace("identify:", "sensitivity:", 1)) for f in found]
+
+
+def _correlated(asked: Sequence[Interval], sure: Known) -> list[Finding]:
+    """Intervals of a fit whose errors go together, and are taken as independent."""
+    from_fit = np.array([i.source == OF_FIT for i in asked])
+    strong = np.triu(np.abs(np.nan_to_num(sure.correlation)) > CORRELATED, 1) & np.outer(from_fit, from_fit)
+    pairs = [(asked[a].name, asked[b].name) for a, b in np.argwhere(strong)]
+    if not pairs:
+        return []
+    names = dict.fromkeys(name for pair in pairs for name in pair)
+    return [Finding("correlated", tuple(names), (
+        f"sensitivity: the fit knows {', '.join(names)} better together than alone. Taken as independent over their "
+        "intervals they move outputs further than the fit allows: its band is narrower. Read who drives what."
+    ))]  # fmt: skip
+
+
+def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:
+    """What to mind about the indices."""
+    if far is None:
+        return []
+    found, outputs = [], [s.name for s in runs.flat.outputs]
+    if far.diverged:
+        found.append(Finding("diverged", (), (
+            f"sensitivity: {far.diverged} of {far.sets} parameter sets diverged, and {far.sampling.samples - far.used} "
+            f"of {far.sampling.samples} base samples count for nothing with them: the indices are those of the rest. "
+            f"The first: {far.reason} Take narrower intervals."
+        )))  # fmt: skip
+    alone = np.nansum(far.whole.first, axis=1)
+    bent = [n for n, s, v in zip(outputs, alone, far.whole.spread, strict=True) if v > 0 and 0 < s < TOGETHER]
+    if bent:
+        found.append(Finding("together", (), (
+            f"sensitivity: parameters act together on {', '.join(bent)}: one at a time they make "
+            f"{100 * min(alone[outputs.index(n)] for n in bent):.0f} % of the variance or more. Over these intervals "
+            "the local sensitivities are only a hint; read the total indices."
+        )))  # fmt: skip
+    widest = np.nanmax(far.whole.total_half, initial=0.0) if np.isfinite(far.whole.total_half).any() else 0.0
+    if widest > UNSURE:
+        found.append(Finding("unsure", (), (
+            f"sensitivity: indices are known to ±{widest:.2g} only. Take more samples ({4 * far.sampling.samples})."
+        )))  # fmt: skip
+    return found

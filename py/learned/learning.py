@@ -77,12 +77,13 @@ def learn(
     fit: str | None = None,
     **options,
 ) -> Block:
-    """Train a block of ``kind`` and run it freely on what was held out: the end of every recording.
+    """Train a block of ``kind`` and run it freely on what was held out of the recordings, see `held_out`.
 
-    ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the last sample, of the
+    ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the first sample, of the
     mean, of ARX by least squares, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of
-    these the block does not beat (``"no_better_than"``), and all of it in a sentence (``"says"``); the error one step
-    ahead, and what is left (`left_over`). The recordings of ``validate`` have no part in this.
+    these the block does not beat (``"no_better_than"``) or not for certain (``"cannot_tell"``), and all of it in a
+    sentence (``"says"``); the error of every stretch of what was held out (``"stretches"``), the error one step ahead,
+    and what is left (`left_over`). The recordings of ``validate`` have no part in this.
     Where nothing can be held out, all is trained on and the sentence says so.
 
     Args:
@@ -112,14 +113,14 @@ def learn(
     try:
         block = trained(split.fit)
     except DataError as error:
-        if not split.held_out:
+        if not split.parts:
             raise
         block = trained(records)  # its own error is about all that was given
-        split = held_out.Split(records, [], f"without it there is too little to learn from: {error}")
+        split = held_out.Split(records, why=f"without it there is too little to learn from: {error}")
     try:
         told = _card(block, split, records, named, model)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
-        told = card(held_out.Split(records, [], "the free run was interrupted"), [], Words())
+        told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
     return replace(block, provenance={**block.provenance, "free_run": told})
 
 
@@ -143,13 +144,13 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     bad, notes = _of_form(block)
     bad += _of_ending(block)
     notes += _of_drift(block)
-    if not split.held_out:
+    if not split.parts:
         return card(split, [], Words(bad, notes))
     more = yardsticks(block.provenance.get("kind", ""), split, *named)
     if model is not None:
         more = {MODEL: lambda record: simulate(model, record)} | more
     rows = judged(block, split, named[1], more, records)
-    worth = importance(block, split.held_out, named[1])
+    worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
     return card(split, rows, Words(bad, notes)) | ({"inputs": worth} if worth else {})

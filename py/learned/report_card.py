@@ -319,10 +319,8 @@ def _left(runs: Sequence[Record], signal: Signal, low: float, high: float) -> st
 
 
 def _parts(split: Split) -> str:
-    seconds, parts = sum(r.duration for r in split.held_out), len(split.parts)
-    wholes = len({id(part.whole) for part in split.parts})
-    of = f"{parts} parts of " if parts > wholes else ""
-    return f"{seconds:.3g} s of {of}{wholes} recording{'s' if wholes > 1 else ''}, run from the first sample"
+    seconds, many = sum(r.duration for r in split.held_out), len(split.parts) > 1
+    return f"{seconds:.3g} s of {len(split.parts)} recording{'s' if many else ''}, run from the first sample"
 
 
 def shown(value: float, unit: str) -> str:

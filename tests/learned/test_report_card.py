@@ -9,7 +9,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.learned import learning, read_block, write_block
-from hydrotwin.learned.held_out import split, through
+from hydrotwin.learned.held_out import Part, split, through
 from hydrotwin.learned.report_card import yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
@@ -122,29 +122,22 @@ def test_too_little_to_hold_anything_out_is_learnt_from_whole_and_said():
         ht.learn("piecewise", [rod().window(0, 1.0)], ["u"], ["y"])
 
 
-def test_of_a_recording_alone_two_parts_are_held_out_and_training_goes_on_where_it_is_quiet():
-    u = steps(1)
-    u[len(u) * 49 // 100 : len(u) * 51 // 100] = 0.0
-    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": integral(settled(u, 0.1))}, {"u": "V", "y": "m"}, "rod")
-    parts = split([record], ["u"], ["y"])
-    (first, second), (before, between) = parts.parts, parts.fit
-    at = np.searchsorted(record.time, between.time[0])
-    assert np.ptp(record["u"][at - 10 : at]) == 0.0 and abs(at / len(u) - 0.5) < 0.04
-    assert (before.time[-1], first.end, between.time[-1]) == (first.begin, between.time[0], second.begin)
-    assert second.end == record.time[-1] and len(before) + len(between) > 0.75 * len(record)
+def test_the_end_of_every_recording_is_held_out():
+    parts = split([rod(1), rod(2)], ["u"], ["y"])
+    assert [len(r) for r in parts.fit] == [961, 961] and [len(r) for r in parts.held_out] == [240, 240]
+    assert [p.begin for p in parts.parts] == [r.time[-1] for r in parts.fit]
 
 
 def test_a_run_over_a_part_is_one_that_began_with_the_recording():
-    """What stands before a part decides where its run begins; the same run serves all parts."""
     record, calls = rod(), []
 
     def summed(whole: Record) -> Record:
         calls.append(len(whole))
         return whole.with_signals({"y": np.cumsum(whole["u"])})
 
-    parts = split([record], ["u"], ["y"]).parts
+    parts = [Part(record, 4.0, 6.0), *split([record], ["u"], ["y"]).parts]
     found = through(summed, parts)
-    assert calls == [len(record)] and len(parts) == 2
+    assert calls == [len(record)]
     for run, part in zip(found, parts, strict=True):
         inside = (record.time >= part.begin) & (record.time <= part.end)
         assert np.array_equal(run["y"], np.cumsum(record["u"])[inside])

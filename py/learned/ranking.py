@@ -105,7 +105,7 @@ def learn_best(
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
-    Ctrl-C ends the trials with the best so far.
+    Ctrl-C ends the trials with the best so far. `refitted` trains the chosen kind again on all recordings.
 
     Raises:
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.

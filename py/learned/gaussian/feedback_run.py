@@ -40,11 +40,6 @@ class Lags:
         return self.outputs * (self.level + self.increments)
 
     @property
-    def past(self) -> int:
-        """Samples before the first one of a run that it depends on."""
-        return max(self.increments, self.samples - 1)
-
-    @property
     def features(self) -> int:
         return self.fed_back + self.inputs * self.samples
 
@@ -113,7 +108,7 @@ def stretches(runs: Sequence[tuple[np.ndarray, np.ndarray]], lags: Lags, step: n
         moved = np.diff(y, axis=0, prepend=y[:1]) / step
         ago = [np.maximum(np.arange(len(y)) - i, 0) for i in range(lags.increments)]
         past = np.hstack([moved[k] for k in ago] or [moved[:, :0]])
-        first = lags.past if horizon else 0
+        first = max(lags.increments, lags.samples - 1) if horizon else 0
         span = min(horizon or len(y), len(y) - 1 - first)
         starts = range(first, len(y) - span, span) if horizon else [0]
         for k in starts:

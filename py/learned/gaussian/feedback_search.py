@@ -11,7 +11,6 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..held_out import Part
 from ..training_data import choose_period
 from .feedback_run import Lags
 from .feedback_training import Data, Effort, Form, Trained, at_period, prepared, stages
@@ -62,23 +61,16 @@ class Fold:
     """What is trained on and what is held out."""
 
     fit: Task
-    held: Sequence[Part]
+    held: Sequence[Record]
 
     def misses(self, trained: Trained) -> tuple[np.ndarray, np.ndarray]:
-        """What free runs over the parts held out miss by, and what holding the first value does; (n, ny) each, SI.
-
-        A run begins as the recording does, or goes on from the past that was measured before the part.
-        """
+        """What free runs over the part held out miss by, and what holding the first value does; (n, ny) each, SI."""
         task, period = self.fit, trained.form.period
         names, missed, moved = [s.name for s in task.outputs], [], []
-        for part in self.held:
-            record = part.whole.window(None, part.end)
-            (even,), since = at_period([record], task.inputs, task.outputs, period), record.time - record.time[0]
-            first = int(np.ceil((part.begin - record.time[0]) / period - 1e-9))
-            first = first and max(first, trained.form.lags.past)
-            run = trained.run_on(even, first) if first else trained.runs([even])[0]
-            grid = period * (first + np.arange(len(run)))
-            seen = (since >= grid[0]) & (since <= grid[-1])
+        runs = trained.runs(at_period(self.held, task.inputs, task.outputs, period))
+        for record, run in zip(self.held, runs, strict=True):
+            since, grid = record.time - record.time[0], period * np.arange(len(run))
+            seen = since <= grid[-1]
             measured = record.array(names)[seen]
             missed.append(np.column_stack([np.interp(since[seen], grid, column) for column in run.T]) - measured)
             moved.append(measured - measured[0])
@@ -94,7 +86,7 @@ def folds(task: Task) -> list[Fold]:
         fit, held = [], []
         for r in task.records:
             a, b = (_quiet(r.array(task.names) / ranges, share) for share in (low, high))
-            held.append(Part(r, float(r.time[a]), float(r.time[b])))
+            held.append(r.window(r.time[a], r.time[b]))
             fit += [r.window(r.time[i], r.time[j]) for i, j in ((0, a), (b, len(r) - 1)) if j - i > len(r) // 10]
         answer.append(Fold(replace(task, records=fit), held))
     return answer

@@ -80,21 +80,10 @@ class Trained:
 
     def runs(self, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
         """Free runs over recordings (SI) from their first outputs, (n, ny) each, SI; nan from where one diverged."""
-        return [self._run(stretches([run], self.form.lags, self.data.step, None)) for run in self.data.normal(runs)]
-
-    def run_on(self, run: tuple[np.ndarray, np.ndarray], first: int) -> np.ndarray:
-        """A free run over the end of a recording (SI) from sample ``first`` on, (n - first, ny), SI.
-
-        It goes on from the past that was measured; ``first`` must have `Lags.past` samples before it.
-        """
-        lags = self.form.lags
-        (seen,) = self.data.normal([tuple(part[first - lags.past :] for part in run)])
-        return self._run(stretches([seen], lags, self.data.step, len(seen[0]) - 1 - lags.past))
-
-    def _run(self, s: Sequence[Stretch]) -> np.ndarray:
         a = self.data.arrays
-        y = np.concatenate([s[0].y, free_run(self.model, self.weights, s[0])[:, 0]])
-        return a["output_centre"] + a["output_scale"] * y
+        parts = [stretches([run], self.form.lags, self.data.step, None)[0] for run in self.data.normal(runs)]
+        found = [np.concatenate([s.y, free_run(self.model, self.weights, s)[:, 0]]) for s in parts]
+        return [a["output_centre"] + a["output_scale"] * y for y in found]
 
 
 def at_period(records: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal], period: float):

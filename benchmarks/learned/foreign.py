@@ -37,6 +37,7 @@ from hydrotwin.simulation import simulate
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HOLD, ARX, AUTO = "hold", "arx", "auto"
 SEEDS = 5
+AGAIN = " (when judged, again on all that they hold)"
 PUBLISHED = """\
 Published, with the same files and the same free run: cascaded tanks 0.33 to 0.75 V by black boxes, down to 0.18 V with
 physics (data: Schoukens and Noel, Three benchmarks addressing open challenges in nonlinear system identification,
@@ -168,16 +169,16 @@ def _foreseen(rows: Sequence[Row], task: Task) -> str:
 def scoreboard(text: str, found: Sequence[Task], given: argparse.Namespace) -> str:
     """The page that holds the table, with what it is and what others reached."""
     protocol = (
-        f"Median (range) of {given.seeds} seeds, all kinds by their defaults; processor seconds of one training. Trained on "
-        "the training files alone, run freely over the test files from their first sample; nothing is chosen on test "
-        "files. `worse`: than ARX or than holding the first sample; `silent`: and the report card did not say so; "
+        f"Median (range) of {given.seeds} seeds, all kinds by their defaults; processor seconds of one training. "
+        f"Trained on the training files alone{AGAIN if given.refit else ''}, run freely over the test files from their "
+        "first sample; nothing is chosen on test files. `worse`: than ARX or than holding the first sample; `silent`: and the report card did not say so; "
         "`doubted`: it said that the recordings cannot tell. Order of the cards: Kendall's tau between the errors on "
         "what was held out of training and those on the test."
     )
     names = " ".join(t.name for t in found) + (" --refit" if given.refit else "")
     made_by = (
-        f"Made by `make bench-learned LEARNED='--seeds {given.seeds} --data {names} --scoreboard docs/scoreboard.md'`, with "
-        "the measurements in the folder that HYDROTWIN_MEASURED_DATA names."
+        f"Made by `make bench-learned LEARNED='--seeds {given.seeds} --data {names} --scoreboard docs/scoreboard.md'`, "
+        "with the measurements in the folder that HYDROTWIN_MEASURED_DATA names."
     )
     return f"# Learned models on recordings of others\n\n{protocol}\n\n{text}\n\n{PUBLISHED}\n{made_by}\n"
 

@@ -2,8 +2,8 @@
 
 A free run over a part is a run that is going on: it begins with the first sample of the recording, as every run of a
 block does, and what it does in the part is counted. So no kind needs a start in the middle of a motion, an output that
-integrates drifts for as long as the recording is, and yardsticks are told what the block is told: inputs, and one
-sample. ARX, linear, state_nn and hybrid choose in the same way, see `linear.whole_runs`.
+integrates drifts for as long as the recording is, and yardsticks that run do it in the same way. ARX, linear, state_nn
+and hybrid choose in such runs, too (`linear.whole_runs`).
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def learn(
 ) -> Block:
     """Train a block of ``kind`` and run it freely on what was held out of the recordings, see `held_out`.
 
-    ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the first sample, of the
+    ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the last sample, of the
     mean, of ARX by least squares, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of
     these the block does not beat (``"no_better_than"``) or not for certain (``"cannot_tell"``), and all of it in a
     sentence (``"says"``); the error of every stretch of what was held out (``"stretches"``), the error one step ahead,

@@ -1,6 +1,7 @@
 """How good a block runs freely on what was held out, beside what costs little: holding, ARX, a curve.
 
-All run from the first samples of the recordings, and are counted where they were held out, see `held_out`. Where the
+All run from the first samples of the recordings, and are counted where they were held out, see `held_out`; what is held
+is the last sample before that, for a block knows from its training where the outputs had come to by then. Where the
 stretches held out disagree about which is better, the card says that it cannot tell (`verdicts`).
 
 The card is written into the block (``provenance["free_run"]``) and said in one sentence, which begins with the bad news
@@ -29,7 +30,7 @@ from .linear.arx import learn_arx
 from .piecewise.learn import learn_piecewise
 from .verdicts import BETTER, NOTHING, rms_of, surely_less
 
-HOLD, MEAN, CURVE, MODEL = "holding the first sample", "the mean", "a piecewise linear curve", "the model alone"
+HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
 ARX = "ARX"
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
@@ -175,8 +176,9 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
         if s.name in outputs
     }
     parts, measured = split.parts, split.held_out
-    yardsticks = {HOLD: _held, MEAN: lambda r: _constant(r, mean)} | dict(more)
-    apart = {name: _misses(run, parts, outputs) for name, run in yardsticks.items()}
+    apart = {HOLD: {n: [r[n][0] - r[n] for r in measured] for n in outputs}}
+    yardsticks = {MEAN: lambda r: _constant(r, mean)} | dict(more)
+    apart |= {name: _misses(run, parts, outputs) for name, run in yardsticks.items()}
     found, diverged = _runs(block, parts)
     ahead = _one_step(block, parts) if not diverged else {}
     bands = {} if diverged else {name: _band(told) for name, told in band_of(block, parts).items()}
@@ -270,11 +272,6 @@ def _moving(block: Block, records: Sequence[Record]) -> list[str]:
 
 def _rms(misses: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(misses) ** 2)))
-
-
-def _held(record: Record) -> Record:
-    """Every signal as it was at first."""
-    return _constant(record, {name: values[0] for name, values in record.signals.items()})
 
 
 def _constant(record: Record, values: Mapping[str, float]) -> Record:

@@ -44,12 +44,9 @@ def write_learned(
     shown = [replace(r, name=f"{r.name}, from {r.time[0]:.4g} s", digest=None) for r in split.held_out]
     parts = {r.name: part for r, part in zip(shown, split.parts, strict=True)}
     named = [s.name for s in block.outputs if all(s.name in r for r in shown)]
-    rivals = [
-        HoldLast([s for s in block.outputs if s.name in named]),
-        *([as_contender(model)] if model is not None else []),
-    ]
+    running = [as_contender(block), *([as_contender(model)] if model is not None else [])]
     comparison = compare(
-        [_Through(c, parts) for c in (as_contender(block), *rivals)],
+        [_Through(c, parts) for c in running] + [HoldLast([s for s in block.outputs if s.name in named])],
         shown,
         outputs=named,
         train_records=split.fit,

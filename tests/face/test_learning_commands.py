@@ -65,7 +65,7 @@ def test_the_answer_says_first_what_a_block_is_no_better_than_and_then_how_good_
     assert answer.code == 0, answer.err
     told = json.loads(answer.out)
     assert told["says"].startswith("Of position the block is no better than ")
-    assert "holding the first sample" in told["no_better_than"] == told["free_run"]["no_better_than"]
+    assert "holding the last sample" in told["no_better_than"] == told["free_run"]["no_better_than"]
     assert told["integration"]["position"]["integrates"] and "its level is learned, as asked for" in told["says"]
     screen = hydrotwin(*f"{line} --out level.toml".split())
     assert screen.said.strip().startswith("careful: Of position the block is no better than ")

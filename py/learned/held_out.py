@@ -15,7 +15,10 @@ import numpy as np
 
 from hydrotwin.records import Record
 
-WHOLE = 5  # recordings, from which on every fifth is held out as it is; of fewer, the end of each
+from .verdicts import STRETCHES
+
+FIFTH = 5  # of so many recordings one is held out as it is, where they are many
+WHOLE = STRETCHES * FIFTH  # recordings are many; of fewer, the end of each is held out: one or two tell nothing of chance
 ENDS = (0.2, 0.3, 0.4)  # share of a recording that may be its end: the first in which the outputs move
 # Ends, and nothing in between: training behind a gap would start in the middle of a motion and see shorter runs. On
 # single recordings of the C-EHA, the valve, the tanks and EMPS, what was trained with such a gap ran worse on others.
@@ -91,7 +94,7 @@ def split(records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[st
         return Split(records, why="the recordings lack a signal or samples")
     ranges = {n: float(np.ptp(np.concatenate([r[n] for r in records]))) or 1.0 for n in outputs}
     if len(records) >= WHOLE:
-        held = records[-(len(records) // WHOLE) :]
+        held = records[-(len(records) // FIFTH) :]
         if any(_moves(r, ranges) for r in held):
             return Split(records[: -len(held)], [Part.of(r) for r in held])
     fit, parts = [], []

@@ -151,8 +151,9 @@ def test_an_end_at_rest_is_no_test_and_more_is_held_out():
 
 
 def test_of_many_recordings_whole_ones_are_held_out():
-    parts = split([rod(k) for k in range(6)], ["u"], ["y"])
-    assert [r.name for r in parts.held_out] == ["run_5"] and len(parts.fit) == 5
+    parts = split([rod(k) for k in range(16)], ["u"], ["y"])
+    assert [r.name for r in parts.held_out] == ["run_13", "run_14", "run_15"] and len(parts.fit) == 13
+    assert len(split([rod(k) for k in range(6)], ["u"], ["y"]).parts) == 6, "of a few the end of each"
 
 
 def test_a_kind_of_rates_only_says_first_that_an_output_does_not_integrate():

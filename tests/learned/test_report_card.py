@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from hydrotwin.learned.held_out import Part, split, through
 from hydrotwin.learned.report_card import yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
-from hydrotwin.report.learned import learned_sections
+from hydrotwin.report.learned import learned_sections, write_learned
 from hydrotwin.simulation import predict_one_step
 from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
 
@@ -48,6 +49,15 @@ def test_the_card_is_the_free_run_over_what_took_no_part(piecewise):
     trained = [t["samples"] for t in piecewise.provenance["trained_on"]]
     assert trained == [len(r) for r in parts.fit] and max(trained) < 0.9 * len(rod())
     assert f"RMS error of y {1e3 * told['rmse']:.3g} mm" in card(piecewise)["says"]
+
+
+def test_the_page_shows_the_run_of_the_card(piecewise, tmp_path):
+    files = write_learned(piecewise, [rod(1), rod(2)], ["u"], ["y"], tmp_path)
+    rows = json.loads(files["json"].read_text(encoding="utf-8"))["scores"]
+    told = card(piecewise)["outputs"]["y"]
+    for model, error in (("piecewise", told["rmse"]), ("hold last sample", told["yardsticks"][HOLD])):
+        own = [r["rmse"] for r in rows if r["model"] == model and r["mode"] == "free run"]
+        assert len(own) == 2 and np.sqrt(np.mean(np.square(own))) == pytest.approx(error, rel=1e-9)
 
 
 def test_the_card_is_in_the_file(piecewise, tmp_path):

@@ -24,6 +24,7 @@ from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
+from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
@@ -183,7 +184,7 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
-    return card(split, rows, Words(bad, notes)) | ({"inputs": worth} if worth else {})
+    return card(split, rows, Words(bad, notes, repeats(split, named[0]))) | ({"inputs": worth} if worth else {})
 
 
 def _of_ending(block: Block) -> list[str]:

@@ -35,6 +35,10 @@ ARX = "ARX"
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
+REPEATS = (
+    "What was held out repeats commands that were trained on: it cannot tell whether the block is better than ARX, or "
+    "good at all, at other commands. Record some that do not repeat, last."
+)
 FREE, ONE_STEP = "free_run", "one_step"
 BLOCK = "the block"  # in `Row.stretches`
 OWN = "own"  # source of a band that the block brings; others are made of what was held out
@@ -126,10 +130,14 @@ def further(measured: np.ndarray, miss: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Words:
-    """Sentences of who knows the kind of block: bad news to begin with, notes to end with."""
+    """Sentences of who knows the kind of block: bad news to begin with, notes to end with.
+
+    repeats : what was held out repeats what was trained on, see `repeats`.
+    """
 
     bad: Sequence[str] = ()
     notes: Sequence[str] = ()
+    repeats: bool = False
 
 
 def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
@@ -145,7 +153,7 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
             "says": " ".join([*words.bad, says, *words.notes]),
         }
     worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
-    bad = [*words.bad]
+    bad = [*words.bad, *([REPEATS] if words.repeats else [])]
     bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
     bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
     for row in (row for row in rows if row.cannot_tell):
@@ -160,9 +168,14 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
         "outputs": {row.output.name: row.told() for row in rows},
         "bad": bool(bad),
         "no_better_than": sorted({name for than in worse.values() for name in than}),
-        "cannot_tell": sorted({name for row in rows for name in row.cannot_tell}),
+        "cannot_tell": sorted({n for row in rows for n in (_beaten(row) if words.repeats else row.cannot_tell)}),
+        "repeats": words.repeats,
         "says": " ".join([*bad, good, *filter(None, notes), *words.notes]),
     }
+
+
+def _beaten(row: Row) -> list[str]:
+    return [name for name in row.yardsticks if name not in row.no_better_than]
 
 
 def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str, Run], seen: Sequence[Record]) -> list:

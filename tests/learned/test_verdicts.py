@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.learned.held_out import Part, Split
+from hydrotwin.learned import learn
+from hydrotwin.learned.held_out import Part, Split, split
+from hydrotwin.learned.repeats import repeats
 from hydrotwin.learned.report_card import BLOCK, Row, Words, card
 from hydrotwin.learned.verdicts import STRETCHES, as_good, log_ratio, rms_of, stretches, surely_less
 from hydrotwin.models.language.flat import Signal
@@ -64,3 +66,22 @@ def test_the_card_says_nothing_of_what_is_better_everywhere_and_the_worst_of_wha
     worse = card(held, rows([0.05, 0.06, 0.05], [0.05, 0.04, 0.05]), Words())
     assert worse["no_better_than"] == ["ARX"] and worse["cannot_tell"] == []
     assert worse["says"].startswith("Of y the block is no better than ARX.")
+
+
+def periodic(noise: float) -> Record:
+    """Five periods of one motion, with what is not repeated."""
+    rng = np.random.default_rng(1)
+    u = np.tile(np.repeat(rng.uniform(-1, 1, 20), 10), 5) + noise * rng.normal(size=1000)
+    y = np.cumsum(u - u.mean()) * 0.01
+    return Record(0.02 * np.arange(1000), {"u": u, "y": y}, {"u": "V", "y": "m"}, "periods")
+
+
+def test_what_repeats_what_was_trained_on_is_told_from_other_commands():
+    assert repeats(split([periodic(0.05)], ["u"], ["y"]), ["u"])
+    assert not repeats(split([periodic(1.0)], ["u"], ["y"]), ["u"])
+
+
+def test_the_card_says_first_that_what_was_held_out_repeats_what_was_trained_on():
+    told = learn("arx", [periodic(0.01)], ["u"], ["y"]).provenance["free_run"]
+    assert told["repeats"] and told["bad"] and told["says"].startswith("What was held out repeats commands ")
+    assert set(told["cannot_tell"]) | set(told["no_better_than"]) == set(told["outputs"]["y"]["yardsticks"])

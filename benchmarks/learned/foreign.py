@@ -149,8 +149,9 @@ def table(rows: Sequence[Row], found: Sequence[Task]) -> str:
     held = [next((r.held for r in rows if r.task == t.name and np.isfinite(r.held)), float("nan")) for t in found]
     lines.append("| first sample held | " + " | ".join(f"{v:.3g}" for v in held) + " |")
     for kind in dict.fromkeys(r.kind for r in rows):
-        cells = [_cell([r for r in rows if (r.task, r.kind) == (t.name, kind)], _limit(rows, t, h))
-                 for t, h in zip(found, held, strict=True)]  # fmt: skip
+        limits = [h if kind == ARX else _limit(rows, t, h) for t, h in zip(found, held, strict=True)]
+        own = [[r for r in rows if (r.task, r.kind) == (t.name, kind)] for t in found]
+        cells = [_cell(part, limit) for part, limit in zip(own, limits, strict=True)]
         lines.append(f"| {kind} | " + " | ".join(cells) + " |")
     lines.append("| order of the cards | " + " | ".join(_foreseen(rows, t) for t in found) + " |")
     return "\n".join(lines)

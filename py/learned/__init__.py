@@ -13,7 +13,7 @@ from .hybrid.learn import learn_hybrid
 from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
 from .inverse.learn import learn_inverse
-from .learning import learn
+from .learning import learn, refitted
 from .linear.arx import learn_arx
 from .linear.learn import learn_linear
 from .network.learn import train_network
@@ -55,6 +55,7 @@ __all__ = [
     "published_formula",
     "read_block",
     "read_hybrid",
+    "refitted",
     "register_kind",
     "train_network",
     "write_block",

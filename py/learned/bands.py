@@ -13,7 +13,7 @@ Wasserman, J. American Statistical Association 113 (2018) 1094-1111 (conformal).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .block_file import LearnedBlock, assemble, learned_kinds
+from .held_out import Part, as_parts, through
 
 LEVEL = 0.95
 GOOD = (0.90, 0.99)  # coverage at `LEVEL` of a band to be trusted
@@ -68,8 +69,8 @@ def independent(z: np.ndarray) -> float:
     return len(z) / float(1 + 2 * shared[1 : ends[0] if len(ends) else len(z)].sum() / shared[0])
 
 
-def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> dict[str, dict]:
-    """How the band of every measured output holds on ``records``, by output.
+def band_of(block: Block, records: Sequence[Record | Part], level: float = LEVEL) -> dict[str, dict]:
+    """How the band of every measured output holds on ``records``, or on parts of recordings, by output.
 
     Each holds ``unit``, ``level``, ``samples``, ``source`` ("own" or "conformal"), and ``free_run`` and ``one_step``
     with the `scores` (SI). A conformal band is constant; its coverage is of parts whose misses took no part in its
@@ -80,9 +81,10 @@ def band_of(block: Block, records: Sequence[Record], level: float = LEVEL) -> di
     return band_of_all([(block, records)], level)
 
 
-def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = LEVEL) -> dict[str, dict]:
+def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record | Part]]], level: float = LEVEL) -> dict[str, dict]:
     """`band_of` of blocks with the same outputs, each on recordings of its own, taken together."""
-    first, records = pairs[0][0], [r for _, part in pairs for r in part]
+    pairs = [(block, as_parts(given)) for block, given in pairs]
+    first, records = pairs[0][0], [part.whole for _, parts in pairs for part in parts]
     own = {s.name for s in first.outputs}
     found = {}
     for signal in first.outputs:
@@ -91,7 +93,7 @@ def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = 
             found[signal.name] = {"unit": signal.unit, "level": level, "source": source}
     for mode, run in RUNS.items():
         try:
-            runs = [_filled(run(block, r), r, block) for block, part in pairs for r in part]
+            runs = [pair for block, parts in pairs for pair in _runs(run, block, parts)]
         except (Diverged, DataError) as error:
             for told in found.values():
                 told["why"] = str(error)
@@ -104,11 +106,16 @@ def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record]]], level: float = 
     return found
 
 
-def _filled(run: Record, record: Record, block: Block) -> tuple[Record, Record]:
-    """Run and recording from where the block's delay lines hold recorded inputs."""
+def _runs(run: Callable, block: Block, parts: Sequence[Part]) -> list[tuple[Record, Record]]:
+    """Run and measurement in every part, from where the block's delay lines hold recorded inputs."""
     lags = [int(s.name.rsplit(".lag_", 1)[1]) for s in block.states if ".lag_" in s.name]
-    since = record.time[0] + max(lags, default=0) * block.period
-    return (run.window(since, None), record.window(since, None)) if since < record.time[-1] else (run, record)
+    behind = max(lags, default=0) * block.period
+    answer = []
+    for found, part in zip(through(lambda r: run(block, r), parts), parts, strict=True):
+        since = part.whole.time[0] + behind
+        since = since if since < part.end else None
+        answer.append((found.window(since, None), part.seen.window(since, None)))
+    return answer
 
 
 def _judge(told: dict, mode: str, name: str, runs: Sequence[tuple[Record, Record]], level: float) -> None:
@@ -146,7 +153,7 @@ def _quantile(values: np.ndarray, level: float) -> float:
     return float(np.partition(values, rank - 1)[rank - 1])
 
 
-def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record]]]) -> LearnedBlock:
+def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record | Part]]]) -> LearnedBlock:
     """The block with deviations scaled so that they cover `LEVEL`.
 
     Misses that are alike over most of a recording are few, whatever the number of samples. Where chance may explain

@@ -14,17 +14,19 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
+from .held_out import Part, as_parts, through
+
 IDLE = 1.02  # times the error with all inputs: an input without which it grows by less is worth nothing
 
 
-def importance(block: Block, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, dict[str, float]]:
-    """RMS error of the free runs over ``records`` by input that is put at its mean, and by output, SI.
+def importance(block: Block, records: Sequence[Record | Part], outputs: Sequence[str]) -> dict[str, dict[str, float]]:
+    """RMS error of the free runs over ``records``, or parts of them, by input that is put at its mean and output, SI.
 
     Infinite where a run diverges without the input. Nothing for a block with one input: all it knows is in that.
     """
     if len(block.inputs) < 2:
         return {}
-    return {s.name: _without(block, s.name, records, outputs) for s in block.inputs}
+    return {s.name: _without(block, s.name, as_parts(records), outputs) for s in block.inputs}
 
 
 def idle(found: Mapping[str, Mapping[str, float]], errors: Mapping[str, float]) -> list[str]:
@@ -32,15 +34,16 @@ def idle(found: Mapping[str, Mapping[str, float]], errors: Mapping[str, float]) 
     return [name for name, without in found.items() if all(without[o] < IDLE * e for o, e in errors.items() if e > 0)]
 
 
-def _without(block: Block, name: str, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
-    squares, count = dict.fromkeys(outputs, 0.0), 0
-    for record in records:
-        dull = record.with_signals({name: np.full(len(record), float(np.mean(record[name])))})
-        try:
-            run = simulate(block, dull)
-        except Diverged:
-            return dict.fromkeys(outputs, float("inf"))
-        count += len(record)
-        for output in outputs:
-            squares[output] += float(np.sum((run[output] - record[output]) ** 2))
-    return {output: float(np.sqrt(total / max(count, 1))) for output, total in squares.items()}
+def _without(block: Block, name: str, parts: Sequence[Part], outputs: Sequence[str]) -> dict[str, float]:
+    def run(whole: Record) -> Record:
+        return simulate(block, whole.with_signals({name: np.full(len(whole), float(np.mean(whole[name])))}))
+
+    try:
+        found = through(run, parts)
+    except Diverged:
+        return dict.fromkeys(outputs, float("inf"))
+    return {o: _rms([r[o] - part.seen[o] for r, part in zip(found, parts, strict=True)]) for o in outputs}
+
+
+def _rms(misses: Sequence[np.ndarray]) -> float:
+    return float(np.sqrt(np.mean(np.concatenate(misses) ** 2)))

@@ -24,6 +24,7 @@ from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
+from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
@@ -44,6 +45,7 @@ FINISHED = "finished"  # what the provenance says of a training that nothing cut
 ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
 ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
 LEARNED = {True: "its rate is learned", False: "its level is learned", None: "its change from step to step is learned"}
+REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 PUBLISHED = {"nn": learn_rate_network}  # where the paper's procedure is another function
 
 
@@ -77,12 +79,13 @@ def learn(
     fit: str | None = None,
     **options,
 ) -> Block:
-    """Train a block of ``kind`` and run it freely on what was held out: the end of every recording.
+    """Train a block of ``kind`` and run it freely on what was held out of the recordings, see `held_out`.
 
     ``provenance["free_run"]`` holds by output the RMS error of that run (SI), that of holding the last sample, of the
     mean, of ARX by least squares, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of
-    these the block does not beat (``"no_better_than"``), and all of it in a sentence (``"says"``); the error one step
-    ahead, and what is left (`left_over`). The recordings of ``validate`` have no part in this.
+    these the block does not beat (``"no_better_than"``) or not for certain (``"cannot_tell"``), and all of it in a
+    sentence (``"says"``); the error of every stretch of what was held out (``"stretches"``), the error one step ahead,
+    and what is left (`left_over`). The recordings of ``validate`` have no part in this.
     Where nothing can be held out, all is trained on and the sentence says so.
 
     Args:
@@ -112,15 +115,44 @@ def learn(
     try:
         block = trained(split.fit)
     except DataError as error:
-        if not split.held_out:
+        if not split.parts:
             raise
         block = trained(records)  # its own error is about all that was given
-        split = held_out.Split(records, [], f"without it there is too little to learn from: {error}")
+        split = held_out.Split(records, why=f"without it there is too little to learn from: {error}")
     try:
         told = _card(block, split, records, named, model)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
-        told = card(held_out.Split(records, [], "the free run was interrupted"), [], Words())
+        told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
     return replace(block, provenance={**block.provenance, "free_run": told})
+
+
+def refitted(
+    block: Block,
+    kind: str,
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str] = (),
+    outputs: Sequence[Signal | str] = (),
+    *,
+    model=None,
+    fit: str | None = None,
+    **options,
+) -> Block:
+    """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
+
+    The card in ``provenance["free_run"]`` stays that of ``block``, which alone has something to be judged on, and says
+    so. Arguments and errors: those of `learn`.
+    """
+    train = trainer(kind, fit)
+    options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
+    if kind == "hybrid":
+        again = train(model, list(records), list(outputs) or None, **options)
+    else:
+        again = train(list(records), inputs, outputs, **options)
+    kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
+    told = dict(block.provenance.get("free_run", {}))
+    if told:
+        told |= {"says": f"{told['says']} {REFITTED}", "refitted": True}
+    return replace(again, provenance={**again.provenance, **kept, "free_run": told})
 
 
 def held_out_of(
@@ -143,16 +175,16 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     bad, notes = _of_form(block)
     bad += _of_ending(block)
     notes += _of_drift(block)
-    if not split.held_out:
+    if not split.parts:
         return card(split, [], Words(bad, notes))
     more = yardsticks(block.provenance.get("kind", ""), split, *named)
     if model is not None:
         more = {MODEL: lambda record: simulate(model, record)} | more
     rows = judged(block, split, named[1], more, records)
-    worth = importance(block, split.held_out, named[1])
+    worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
-    return card(split, rows, Words(bad, notes)) | ({"inputs": worth} if worth else {})
+    return card(split, rows, Words(bad, notes, repeats(split, named[0]))) | ({"inputs": worth} if worth else {})
 
 
 def _of_ending(block: Block) -> list[str]:

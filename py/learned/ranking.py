@@ -1,7 +1,8 @@
 """Try every kind of learned model on the same recordings; rank them by how well they run freely on what is held out.
 
-Each kind is trained in a process of its own, one per core, so that none can take the others with it. The held-out part
-chooses here, so the figure of the best is a little too good: as many kinds were tried as stand in the table.
+Each kind is trained in a process of its own, one per core, so that none can take the others with it. Of many kinds one
+is the best by chance: among those that are as good, by one standard error over the stretches held out (`verdicts`), the
+one with the fewest numbers is taken. What is held out chooses here, so the figure of the chosen is a little too good.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from dataclasses import dataclass, field, replace
 from multiprocessing import connection, get_context
 from pathlib import Path
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.writing import write_whole
@@ -24,6 +27,8 @@ from hydrotwin.records import Record
 from .block_file import LearnedBlock, read_block, write_block
 from .interruption import INTERRUPTED
 from .learning import KINDS, learn, takes
+from .report_card import BLOCK
+from .verdicts import as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -33,8 +38,8 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 class Tried:
     """A kind that was tried.
 
-    shares : by output, the RMS error of its free run on what was held out over the output's range. seconds : of the
-    training. failed : why there is no block, a sentence.
+    shares : by output, the RMS error of its free run on what was held out over the output's range. stretches : the same
+    by output and stretch. seconds : of the training. failed : why there is no block, a sentence.
     """
 
     kind: str
@@ -42,6 +47,22 @@ class Tried:
     shares: Mapping[str, float] = field(default_factory=dict)
     seconds: float = 0.0
     failed: str = ""
+    stretches: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    @property
+    def numbers(self) -> int:
+        """How many the block is made of: what it takes to write it down."""
+        return sum(np.size(values) for values in self.block.arrays.values()) if self.block else 0
+
+    @property
+    def errors(self) -> list[float]:
+        """By stretch, the mean over the outputs; none where there are none of some output."""
+        known = len(self.stretches) == len(self.shares) > 0
+        return [float(np.mean(part)) for part in zip(*self.stretches.values(), strict=True)] if known else []
+
+    def as_good_as(self, best: Tried) -> bool:
+        """Whether chance may be all that makes another one the best."""
+        return self is best or bool(self.errors and best.errors and as_good(self.errors, best.errors))
 
     @property
     def share(self) -> float:
@@ -51,8 +72,11 @@ class Tried:
     def told(self) -> dict:
         """For the provenance and JSON."""
         answer = {"kind": self.kind, "seconds": round(self.seconds, 2)}
+        answer |= {"numbers": self.numbers} if self.block else {}
         if self.shares:
             answer |= {"percent_of_range": {name: 100 * share for name, share in self.shares.items()}}
+        if self.stretches:
+            answer["stretches"] = {name: [100 * e for e in part] for name, part in self.stretches.items()}
         return answer | ({"failed": self.failed} if self.failed else {})
 
 
@@ -69,7 +93,9 @@ def learn_best(
 ) -> LearnedBlock:
     """Train every kind as `learn` does, and answer the block that runs best on what was held out.
 
-    ``provenance["ranking"]`` lists all kinds, the best first: mean share of the range, seconds, why one failed.
+    Of those that run as well, by one standard error over the stretches held out, it is the one with the fewest numbers.
+    ``provenance["ranking"]`` lists all kinds, the best first: share of the range in percent, over all and by stretch;
+    numbers of the block; seconds; which are ``as_good`` as the first, which is ``chosen``; why one failed.
 
     Args:
         records, inputs, outputs: as in `learn`.
@@ -79,7 +105,7 @@ def learn_best(
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
-    Ctrl-C ends the trials with the best so far.
+    Ctrl-C ends the trials with the best so far. `refitted` trains the chosen kind again on all recordings.
 
     Raises:
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
@@ -92,13 +118,15 @@ def learn_best(
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     found = _tried(chosen, (list(records), list(inputs), list(outputs), options), workers, progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
-    best = ranked[0] if ranked else None
-    if best is None or best.block is None:
+    if not ranked or ranked[0].block is None:
         reasons = " ".join(f"{t.kind}: {t.failed}" for t in found)
         raise DataError(f"learn auto: no kind could be trained. {reasons}")
-    told = {"ranking": [t.told() for t in ranked], "chosen_on": "the part of the training recordings that was held out"}
+    good = [t for t in ranked if t.block is not None and t.as_good_as(ranked[0])]
+    taken = min(good, key=lambda t: t.numbers)
+    rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
+    told = {"ranking": rows, "chosen_on": "what was held out of the training recordings"}
     stopped = {"stopped": INTERRUPTED} if len(found) < len(chosen) else {}
-    return replace(best.block, provenance={**best.block.provenance, **told, **stopped})
+    return replace(taken.block, provenance={**taken.block.provenance, **told, **stopped})
 
 
 def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Callable | None) -> list[Tried]:
@@ -152,19 +180,21 @@ def _answer(kind: str, folder: Path) -> Tried:
         return Tried(kind, failed="its process ended without an answer.")
     told = json.loads(answer.read_text(encoding="utf-8"))
     block = None if told["failed"] else read_block(folder / f"{kind}.toml")
-    return Tried(kind, block, told["shares"], told["seconds"], told["failed"])
+    return Tried(kind, block, told["shares"], told["seconds"], told["failed"], told["stretches"])
 
 
 def _try(kind: str, records, inputs, outputs, options: Mapping, folder: Path) -> None:
     """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    began, shares, failed = time.process_time(), {}, ""
+    began, shares, stretches, failed = time.process_time(), {}, {}, ""
     try:
         block = learn(kind, records, inputs, outputs, **{k: v for k, v in options.items() if takes(kind, k)})
         write_block(block, folder / f"{kind}.toml")
         rows = block.provenance["free_run"]["outputs"]
         shares = {name: row.get("percent_of_range", float("inf")) / 100 for name, row in rows.items()}
+        by_output = {name: (row["stretches"].get(BLOCK), row["range"]) for name, row in rows.items()}
+        stretches = {n: [e / range_ for e in errors] for n, (errors, range_) in by_output.items() if errors}
     except HydrotwinError as error:
         failed = str(error)
-    told = {"shares": shares, "seconds": time.process_time() - began, "failed": failed}
+    told = {"shares": shares, "stretches": stretches, "seconds": time.process_time() - began, "failed": failed}
     write_whole(folder / f"{kind}.json", json.dumps(told))

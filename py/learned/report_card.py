@@ -1,5 +1,9 @@
 """How good a block runs freely on what was held out, beside what costs little: holding, ARX, a curve.
 
+All run from the first samples of the recordings, and are counted where they were held out, see `held_out`; what is held
+is the last sample before that, for a block knows from its training where the outputs had come to by then. Where the
+stretches held out disagree about which is better, the card says that it cannot tell (`verdicts`).
+
 The card is written into the block (``provenance["free_run"]``) and said in one sentence, which begins with the bad news
 where there is some.
 """
@@ -20,18 +24,23 @@ from hydrotwin.simulation.stops import Diverged
 
 from .bands import RUNS, band_of
 from .grey_box.data import block_period
-from .held_out import Split
+from .held_out import Part, Split, through
 from .left_over import LeftOver, left_over
 from .linear.arx import learn_arx
 from .piecewise.learn import learn_piecewise
+from .verdicts import BETTER, NOTHING, rms_of, surely_less
 
 HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
 ARX = "ARX"
-BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
+REPEATS = (
+    "What was held out repeats commands that were trained on: it cannot tell whether the block is better than ARX, or "
+    "good at all, at other commands. Record some that do not repeat, last."
+)
 FREE, ONE_STEP = "free_run", "one_step"
+BLOCK = "the block"  # in `Row.stretches`
 OWN = "own"  # source of a band that the block brings; others are made of what was held out
 Run = Callable[[Record], Record]
 
@@ -43,7 +52,7 @@ class Row:
     errors : further errors of the free run by name, SI (mae, maximum, bias) and percent (fit_percent). band : how the
     95 % band holds in free run, see `bands.band_of`.
     one_step : RMS error from measured sample to sample, None where no state is the output. left : of the free run, and
-    of one step.
+    of one step. stretches : RMS errors by stretch of what was held out, of `BLOCK` and of each yardstick.
     """
 
     output: Signal
@@ -55,16 +64,31 @@ class Row:
     left: Mapping[str, LeftOver] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
     band: Mapping[str, object] = field(default_factory=dict)
+    stretches: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def no_better_than(self) -> list[str]:
         """The yardsticks that the block does not beat."""
         return [name for name, error in self.yardsticks.items() if not self.rmse < BETTER * error]
 
+    @property
+    def cannot_tell(self) -> list[str]:
+        """The yardsticks that it beats over all, but by no more than the stretches differ among each other."""
+        known = [n for n in self.yardsticks if n not in self.no_better_than and n in self.stretches]
+        return [n for n in known if not surely_less(self.stretches[BLOCK], self.stretches[n])]
+
+    def undecided(self, name: str) -> str:
+        """How the stretches disagree about the block and a yardstick, in words."""
+        apart = [
+            own / max(rival, NOTHING) for own, rival in zip(self.stretches[BLOCK], self.stretches[name], strict=True)
+        ]
+        return f"{name} (over {len(apart)} stretches it has {min(apart):.2g} to {max(apart):.2g} times its error)"
+
     def told(self) -> dict:
         """For the provenance and JSON: SI, and as a share of the range."""
         answer = {"unit": self.output.unit, "range": self.range, "yardsticks": dict(self.yardsticks)}
-        answer["no_better_than"] = self.no_better_than
+        answer |= {"no_better_than": self.no_better_than, "cannot_tell": self.cannot_tell}
+        answer["stretches"] = {name: list(errors) for name, errors in self.stretches.items()}
         if np.isfinite(self.rmse):
             answer |= {"rmse": self.rmse, "percent_of_range": 100 * self.rmse / self.range, **self.errors}
         if self.one_step is not None:
@@ -85,6 +109,9 @@ class Row:
         """In the unit that a person reads."""
         apart = ", ".join(f"{name} {shown(error, self.output.unit)}" for name, error in self.yardsticks.items())
         own = f"{shown(self.rmse, self.output.unit)}, {100 * self.rmse / self.range:.2g} % of its range"
+        if len(self.stretches.get(BLOCK, ())) > 1:
+            low, high = (shown(end(self.stretches[BLOCK]), self.output.unit) for end in (min, max))
+            own += f", {low} to {high} by stretch"
         own += f", one step ahead {shown(self.one_step, self.output.unit)}" if self.one_step is not None else ""
         return f"{self.output.name} {own} ({apart})"
 
@@ -103,10 +130,14 @@ def further(measured: np.ndarray, miss: np.ndarray) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Words:
-    """Sentences of who knows the kind of block: bad news to begin with, notes to end with."""
+    """Sentences of who knows the kind of block: bad news to begin with, notes to end with.
+
+    repeats : what was held out repeats what was trained on, see `repeats`.
+    """
 
     bad: Sequence[str] = ()
     notes: Sequence[str] = ()
+    repeats: bool = False
 
 
 def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
@@ -118,12 +149,16 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
             "outputs": {},
             "bad": True,
             "no_better_than": [],
+            "cannot_tell": [],
             "says": " ".join([*words.bad, says, *words.notes]),
         }
     worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
-    bad = [*words.bad]
+    bad = [*words.bad, *([REPEATS] if words.repeats else [])]
     bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
     bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
+    for row in (row for row in rows if row.cannot_tell):
+        than = " or ".join(row.undecided(name) for name in row.cannot_tell)
+        bad.append(f"Of {row.output.name} the recordings cannot tell whether the block is better than {than}.")
     bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
     good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
     notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
@@ -133,12 +168,18 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
         "outputs": {row.output.name: row.told() for row in rows},
         "bad": bool(bad),
         "no_better_than": sorted({name for than in worse.values() for name in than}),
+        "cannot_tell": sorted({n for row in rows for n in (_beaten(row) if words.repeats else row.cannot_tell)}),
+        "repeats": words.repeats,
         "says": " ".join([*bad, good, *filter(None, notes), *words.notes]),
     }
 
 
+def _beaten(row: Row) -> list[str]:
+    return [name for name in row.yardsticks if name not in row.no_better_than]
+
+
 def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str, Run], seen: Sequence[Record]) -> list:
-    """A `Row` for each of ``outputs``: the block and the yardsticks over ``split.held_out``.
+    """A `Row` for each of ``outputs``: the block and the yardsticks over ``split.parts``.
 
     more : yardsticks by name, each with what it answers to a recording. seen : all training recordings, for the range.
     """
@@ -147,24 +188,33 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
         for s in block.outputs
         if s.name in outputs
     }
-    yardsticks = {HOLD: _held, MEAN: lambda r: _constant(r, mean)} | dict(more)
-    apart = {name: _misses(run, split.held_out, outputs) for name, run in yardsticks.items()}
-    found, diverged = _runs(block, split.held_out)
-    ahead = _one_step(block, split.held_out) if not diverged else {}
-    bands = {} if diverged else {name: _band(told) for name, told in band_of(block, split.held_out).items()}
+    parts, measured = split.parts, split.held_out
+    apart = {HOLD: {n: [r[n][0] - r[n] for r in measured] for n in outputs}}
+    yardsticks = {MEAN: lambda r: _constant(r, mean)} | dict(more)
+    apart |= {name: _misses(run, parts, outputs) for name, run in yardsticks.items()}
+    found, diverged = _runs(block, parts)
+    ahead = _one_step(block, parts) if not diverged else {}
+    bands = {} if diverged else {name: _band(told) for name, told in band_of(block, parts).items()}
     rows = []
     for signal in (s for s in block.outputs if s.name in outputs):
         name, values = signal.name, np.concatenate([r[signal.name] for r in seen])
-        range_ = float(np.ptp(values))
-        misses = [run[name] - r[name] for run, r in zip(found, split.held_out[: len(found)], strict=True)]
-        rmse = np.inf if diverged else _rms(misses)
+        misses = [run[name] - r[name] for run, r in zip(found, measured, strict=not diverged)]
         far = diverged or _left(found, signal, values.min(), values.max())
-        errors = {yardstick: per[name] for yardstick, per in apart.items() if name in per}
-        one_step = _rms(ahead[name]) if name in ahead else None
-        left = {} if far else _all_left(block, split.held_out, misses, ahead.get(name))
-        measured = np.concatenate([r[name] for r in split.held_out])
-        more = {} if diverged else further(measured, np.concatenate(misses))
-        rows.append(Row(signal, rmse, range_, errors, far, one_step, left, more, bands.get(name, {})))
+        rivals = {yardstick: per[name] for yardstick, per in apart.items() if name in per}
+        rows.append(
+            Row(
+                signal,
+                np.inf if diverged else _rms(misses),
+                float(np.ptp(values)),
+                {yardstick: _rms(per) for yardstick, per in rivals.items()},
+                far,
+                _rms(ahead[name]) if name in ahead else None,
+                {} if far else _all_left(block, parts, misses, ahead.get(name)),
+                {} if diverged else further(np.concatenate([r[name] for r in measured]), np.concatenate(misses)),
+                bands.get(name, {}),
+                {} if diverged else {BLOCK: rms_of(misses)} | {n: rms_of(per) for n, per in rivals.items()},
+            )
+        )
     return rows
 
 
@@ -180,7 +230,7 @@ def yardsticks(kind: str, split: Split, inputs: Sequence[str], outputs: Sequence
 
     Neither where it is the kind itself, or cannot be fitted.
     """
-    if not split.held_out:
+    if not split.parts:
         return {}
     found = {} if kind == "arx" else _arx(split, inputs, outputs)
     return found if kind == "piecewise" else found | _curve(split, inputs, outputs)
@@ -190,7 +240,7 @@ def _arx(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[st
     """Of the signals that move."""
     moving = [[n for n in part if any(np.ptp(r[n]) > 0 for r in split.fit)] for part in (inputs, outputs)]
     try:
-        block = learn_arx(split.fit, *moving, refine=False)
+        block = learn_arx(split.fit, *moving)
     except DataError:
         return {}
     return {ARX: lambda record: simulate(block, record)}
@@ -208,18 +258,19 @@ def _curve(split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[
     return {CURVE: lambda record: simulate(block, record)}
 
 
-def _one_step(block: Block, records: Sequence[Record]) -> dict[str, list[np.ndarray]]:
-    """Misses (n - 1,) per recording of every output that is a state, predicted from measured sample to sample."""
+def _one_step(block: Block, parts: Sequence[Part]) -> dict[str, list[np.ndarray]]:
+    """Misses (n - 1,) per part of every output that is a state, predicted from measured sample to sample."""
     names = {s.measured_by for s in block.states} & {s.name for s in block.outputs}
     try:
-        found = [predict_one_step(block, r) for r in records] if names else []
+        found = through(lambda r: predict_one_step(block, r), parts) if names else []
     except (DataError, Diverged):
         return {}
-    return {n: [run[n][1:] - r[n][1:] for run, r in zip(found, records, strict=True)] for n in names}
+    return {n: [run[n][1:] - p.seen[n][1:] for run, p in zip(found, parts, strict=True)] for n in names}
 
 
-def _all_left(block: Block, records: Sequence[Record], misses, ahead) -> dict[str, LeftOver]:
+def _all_left(block: Block, parts: Sequence[Part], misses, ahead) -> dict[str, LeftOver]:
     """What the free run leaves, and what is left one step ahead where that is known."""
+    records = [part.seen for part in parts]
     left = {FREE: left_over([-m for m in misses], records, _moving(block, records))}
     if ahead is not None:
         left[ONE_STEP] = left_over([-m for m in ahead], [r.window(r.time[1], None) for r in records], ())
@@ -236,37 +287,35 @@ def _rms(misses: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(misses) ** 2)))
 
 
-def _held(record: Record) -> Record:
-    """Every signal as it was at first."""
-    return _constant(record, {name: values[0] for name, values in record.signals.items()})
-
-
 def _constant(record: Record, values: Mapping[str, float]) -> Record:
     return record.with_signals({name: np.full(len(record), value) for name, value in values.items()})
 
 
-def _misses(run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
-    """RMS of a yardstick by output; none where it cannot run."""
+def _misses(run: Run, parts: Sequence[Part], outputs: Sequence[str]) -> dict[str, list[np.ndarray]]:
+    """What a yardstick misses by (n,) in every part, by output; none where it cannot run."""
     try:
-        runs = [(run(r), r) for r in records]
+        runs = through(run, parts)
     except (DataError, Diverged):
         return {}
     return {
-        n: float(np.sqrt(np.mean(np.concatenate([found[n] - r[n] for found, r in runs]) ** 2)))
+        n: [found[n] - part.seen[n] for found, part in zip(runs, parts, strict=True)]
         for n in outputs
-        if all(n in found for found, _ in runs)
+        if all(n in found for found in runs)
     }
 
 
-def _runs(block: Block, records: Sequence[Record]) -> tuple[list[Record], str]:
-    """Free runs, and what ended them where they left the finite numbers."""
-    found = []
-    for record in records:
-        try:
-            found.append(simulate(block, record))
-        except Diverged as error:
-            return found, f"diverges in free run, beyond the finite numbers {error.time:g} s into '{record.name}'"
-    return found, ""
+def _runs(block: Block, parts: Sequence[Part]) -> tuple[list[Record], str]:
+    """Free runs in the parts, and what ended them where they left the finite numbers; then there are none."""
+    begun: list[str] = []
+
+    def run(whole: Record) -> Record:
+        begun.append(whole.name)
+        return simulate(block, whole)
+
+    try:
+        return through(run, parts), ""
+    except Diverged as error:
+        return [], f"diverges in free run, beyond the finite numbers {error.time:g} s into '{begun[-1]}'"
 
 
 def _left(runs: Sequence[Record], signal: Signal, low: float, high: float) -> str:
@@ -280,8 +329,8 @@ def _left(runs: Sequence[Record], signal: Signal, low: float, high: float) -> st
 
 
 def _parts(split: Split) -> str:
-    seconds = sum(r.duration for r in split.held_out)
-    return f"{seconds:.3g} s of {len(split.held_out)} recording{'s' if len(split.held_out) > 1 else ''}"
+    seconds, many = sum(r.duration for r in split.held_out), len(split.parts) > 1
+    return f"{seconds:.3g} s of {len(split.parts)} recording{'s' if many else ''}, run from the first sample"
 
 
 def shown(value: float, unit: str) -> str:

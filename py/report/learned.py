@@ -5,11 +5,12 @@ It is the page of a comparison on the held-out part: the report card said first,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from hydrotwin.comparison import HoldLast, as_contender, compare
+from hydrotwin.learned.held_out import Part
 from hydrotwin.learned.learning import held_out_of
 from hydrotwin.learned.symbolic.front import front_rows
 from hydrotwin.models.language.errors import DataError
@@ -41,13 +42,11 @@ def write_learned(
     if not split.held_out:
         raise DataError(f"{block.name}: no page. Nothing was held out of its training: {split.why}.")
     shown = [replace(r, name=f"{r.name}, from {r.time[0]:.4g} s", digest=None) for r in split.held_out]
+    parts = {r.name: part for r, part in zip(shown, split.parts, strict=True)}
     named = [s.name for s in block.outputs if all(s.name in r for r in shown)]
-    rivals = [
-        HoldLast([s for s in block.outputs if s.name in named]),
-        *([as_contender(model)] if model is not None else []),
-    ]
+    running = [as_contender(block), *([as_contender(model)] if model is not None else [])]
     comparison = compare(
-        [as_contender(block), *rivals],
+        [_Through(c, parts) for c in running] + [HoldLast([s for s in block.outputs if s.name in named])],
         shown,
         outputs=named,
         train_records=split.fit,
@@ -57,6 +56,34 @@ def write_learned(
     card = block.provenance.get("free_run", {})
     says = (card["says"],) if "says" in card else ()
     return write_report(comparison, folder, sections=learned_sections(block), says=says)
+
+
+class _Through:
+    """A contender whose runs over a part begin with the recording that it is a part of, as those of the card do.
+
+    parts : by the name of the recording that stands for it in the comparison.
+    """
+
+    def __init__(self, contender, parts: Mapping[str, Part]):
+        self._contender, self._parts = contender, parts
+
+    def __getattr__(self, name: str):
+        if name.startswith("_") or name in OF_ONE:
+            raise AttributeError(name)
+        return getattr(self._contender, name)
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> _Through:
+        return _Through(self._contender.with_inputs(changes), self._parts)
+
+    def free_run(self, record: Record) -> Record:
+        return self._run(self._contender.free_run, record)
+
+    def one_step(self, record: Record) -> Record:
+        return self._run(self._contender.one_step, record)
+
+    def _run(self, run: Callable[[Record], Record], record: Record) -> Record:
+        part = self._parts[record.name]
+        return part.cut(run(part.whole))
 
 
 def learned_sections(block) -> tuple[Section, ...]:
@@ -73,9 +100,14 @@ def learned_sections(block) -> tuple[Section, ...]:
     return tuple(section for section in made if section.parts)
 
 
+OF_ONE = ("with_starts", "estimate_start", "deviations")  # what a contender knows of a recording that begins a run
 YARDSTICKS = "Free run on what was held out. A block that is no better than a yardstick is not worth its parameters."
 INPUTS = "Free run on what was held out, with one input at its mean: what the block loses without it."
-KINDS = "All were trained on the same recordings. The best was chosen on what was held out, so its figure flatters it."
+KINDS = (
+    "All were trained on the same recordings. Of those that are as good as the first, within one standard error over "
+    "the stretches held out, the one with the fewest numbers is chosen. What was held out chose it, so its figure "
+    "flatters it."
+)
 FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
 
@@ -119,13 +151,28 @@ def _ranking(rows: Sequence[Mapping]) -> Table | None:
     if not rows:
         return None
     names = list(dict.fromkeys(name for row in rows for name in row.get("percent_of_range", {})))
-    columns = [texts("kind", "Kind", [row["kind"] for row in rows])]
+    columns = [
+        texts("kind", "Kind", [row["kind"] for row in rows]),
+        texts("choice", "", [_choice(row) for row in rows]),
+        numbers("numbers", "Numbers", [row.get("numbers") for row in rows], common=False),
+    ]
     for name in names:
         values = [row.get("percent_of_range", {}).get(name) for row in rows]
         columns.append(numbers(name, f"{name}, of its range", values, "%", best="min", common=False))
+        apart = [_apart(row.get("stretches", {}).get(name, ())) for row in rows]
+        columns.append(texts(f"{name}.stretches", "by stretch", apart))
     columns.append(numbers("seconds", "Training", [row["seconds"] for row in rows], "s", common=False))
     columns.append(texts("why", "", [row.get("failed", "") for row in rows]))
     return table("kinds", "", columns)
+
+
+def _choice(row: Mapping) -> str:
+    return "chosen" if row.get("chosen") else "as good" if row.get("as_good") else ""
+
+
+def _apart(errors: Sequence[float]) -> str:
+    """The least and the largest error of a stretch."""
+    return f"{number_text(min(errors), 3)} to {number_text(max(errors), 3)}\u00a0%" if errors else ""
 
 
 def _front(rows: Sequence[Mapping]) -> Section:

@@ -143,6 +143,20 @@ def test_wrong_words_are_answered_with_what_would_be_right(line, says):
         assert words in answer.err
 
 
+def test_a_block_is_trained_again_on_all_when_it_was_judged(here):
+    line = f"learn arx ramp_1.csv {SIGNALS} --json"
+    judged, again = (hydrotwin(*f"{line} {flag} --out refit.toml".split()) for flag in ("", "--refit"))
+    assert again.code == 0, again.err
+    before, after = json.loads(judged.out), json.loads(again.out)
+    assert after["free_run"]["outputs"] == before["free_run"]["outputs"]
+    assert (
+        after["trained_on"][0]["samples"]
+        == len(ht.read_record(here / "ramp_1.csv"))
+        > before["trained_on"][0]["samples"]
+    )
+    assert after["says"] == f"{before['says']} {learning.REFITTED}"
+
+
 def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here):
     line = f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --out judged.toml"
     good = hydrotwin(*line.split(), "--accept", "position.rmse < 20 mm", "--report", "page")
@@ -174,4 +188,5 @@ def test_every_kind_is_tried_and_the_best_is_kept(here):
     assert answer.code == 0, answer.err
     rows = json.loads(answer.out)["ranking"]
     assert sorted(row["kind"] for row in rows) == ["grey_box", "piecewise"]
-    assert ht.load("best.toml").provenance["kind"] == rows[0]["kind"]
+    (chosen,) = (row["kind"] for row in rows if row["chosen"])
+    assert ht.load("best.toml").provenance["kind"] == chosen

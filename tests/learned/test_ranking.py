@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn, ranking
+from hydrotwin.learned import learn, learn_piecewise, ranking, refitted
 from hydrotwin.learned.ranking import Tried, learn_best
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from tests.learned.toy_machine import toy_record
@@ -33,6 +35,8 @@ def test_the_best_is_what_its_kind_alone_would_have_learnt(best, records):
     assert {row["kind"] for row in rows} == {"piecewise", "grey_box"}
     shares = [row["percent_of_range"]["arm_angle"] for row in rows]
     assert shares == sorted(shares) and shares[0] < shares[1]
+    assert [row["kind"] for row in rows if row["chosen"]] == [rows[0]["kind"]]
+    assert all(row["numbers"] > 0 and len(row["stretches"]["arm_angle"]) >= 3 for row in rows)
     alone = learn(rows[0]["kind"], records, INPUTS, OUTPUTS)
     assert all(np.array_equal(block.arrays[name], alone.arrays[name]) for name in alone.arrays)
     assert block.provenance["free_run"]["outputs"]["arm_angle"]["percent_of_range"] == pytest.approx(shares[0])
@@ -43,6 +47,33 @@ def test_progress_tells_what_ended_and_what_is_best(best):
     _, told = best
     assert [words[:2] for words in told] == [(1, 2), (2, 2)]
     assert "best so far" in told[-1][2]
+
+
+@pytest.mark.parametrize(("small", "chosen"), [([0.1, 0.09, 0.098], "piecewise"), ([0.3, 0.3, 0.3], "grey_box")])
+def test_of_kinds_that_are_as_good_the_one_with_the_fewest_numbers_is_taken(best, records, monkeypatch, small, chosen):
+    block, _ = best
+    rich = replace(block, arrays=dict(block.arrays) | {"more": np.zeros(1000)})
+
+    def tried(kind, one, stretches):
+        share = float(np.sqrt(np.mean(np.square(stretches))))
+        return Tried(kind, one, {"arm_angle": share}, 1.0, "", {"arm_angle": stretches})
+
+    both = [tried("grey_box", rich, [0.1, 0.08, 0.1]), tried("piecewise", block, small)]
+    monkeypatch.setattr(ranking, "_tried", lambda *_: both)
+    rows = learn_best(records, INPUTS, OUTPUTS, kinds=("grey_box", "piecewise")).provenance["ranking"]
+    assert [row["kind"] for row in rows] == ["grey_box", "piecewise"], "the best first"
+    assert [row["kind"] for row in rows if row["chosen"]] == [chosen]
+    assert [row["as_good"] for row in rows] == [True, chosen == "piecewise"]
+
+
+def test_a_block_may_be_trained_again_on_all_and_keeps_the_card_of_what_had_not_seen_all(records):
+    block = learn("piecewise", records, INPUTS, OUTPUTS)
+    again = refitted(block, "piecewise", records, INPUTS, OUTPUTS)
+    whole = learn_piecewise(records, INPUTS, OUTPUTS)
+    assert all(np.array_equal(again.arrays[name], whole.arrays[name]) for name in whole.arrays)
+    before, after = block.provenance["free_run"], again.provenance["free_run"]
+    assert after["outputs"] == before["outputs"] and after["refitted"]
+    assert after["says"].startswith(before["says"]) and "trained again on all recordings" in after["says"]
 
 
 def test_a_kind_that_fails_costs_only_itself(records):

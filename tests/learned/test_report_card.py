@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,11 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.learned import learning, read_block, write_block
-from hydrotwin.learned.held_out import split
+from hydrotwin.learned.held_out import Part, split, through
 from hydrotwin.learned.report_card import yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
-from hydrotwin.report.learned import learned_sections
+from hydrotwin.report.learned import learned_sections, write_learned
 from hydrotwin.simulation import predict_one_step
 from tests.learned.test_integrating import PERIOD, integral, recording, settled, steps
 
@@ -35,9 +36,11 @@ def piecewise():
 
 
 def test_the_card_is_the_free_run_over_what_took_no_part(piecewise):
-    parts = split([rod(1), rod(2)], ["u"], ["y"])
-    miss = np.concatenate([ht.simulate(piecewise, r)["y"] - r["y"] for r in parts.held_out])
-    still = np.concatenate([r["y"] - r["y"][0] for r in parts.held_out])
+    parts, whole = split([rod(1), rod(2)], ["u"], ["y"]), [rod(1), rod(2)]
+    late = [r.time >= p.begin for r, p in zip(whole, parts.parts, strict=True)]
+    miss = [(ht.simulate(piecewise, r)["y"] - r["y"])[k] for r, k in zip(whole, late, strict=True)]
+    miss = np.concatenate(miss)
+    still = np.concatenate([r["y"][k] - r["y"][k][0] for r, k in zip(whole, late, strict=True)])
     told = card(piecewise)["outputs"]["y"]
     assert told["rmse"] == pytest.approx(np.sqrt(np.mean(miss**2)), rel=1e-12)
     assert told["yardsticks"][HOLD] == pytest.approx(np.sqrt(np.mean(still**2)), rel=1e-12)
@@ -48,15 +51,24 @@ def test_the_card_is_the_free_run_over_what_took_no_part(piecewise):
     assert f"RMS error of y {1e3 * told['rmse']:.3g} mm" in card(piecewise)["says"]
 
 
+def test_the_page_shows_the_run_of_the_card(piecewise, tmp_path):
+    files = write_learned(piecewise, [rod(1), rod(2)], ["u"], ["y"], tmp_path)
+    rows = json.loads(files["json"].read_text(encoding="utf-8"))["scores"]
+    told = card(piecewise)["outputs"]["y"]
+    for model, error in (("piecewise", told["rmse"]), ("hold last sample", told["yardsticks"][HOLD])):
+        own = [r["rmse"] for r in rows if r["model"] == model and r["mode"] == "free run"]
+        assert len(own) == 2 and np.sqrt(np.mean(np.square(own))) == pytest.approx(error, rel=1e-9)
+
+
 def test_the_card_is_in_the_file(piecewise, tmp_path):
     again = read_block(write_block(piecewise, tmp_path / "block.toml")[0])
     assert card(again) == card(piecewise)
 
 
 def test_what_is_held_out_changes_no_trained_number():
-    """The last tenth of the recording is replaced: the same block, another card."""
+    """The end of the recording is replaced: the same block, another card."""
     record = rod()
-    early = np.arange(len(record)) < 0.9 * len(record)
+    early = np.arange(len(record)) < 0.92 * len(record)
     bent = record.with_signals({"y": np.where(early, record["y"], np.median(record["y"]))})
     blocks = [ht.learn("piecewise", [r], ["u"], ["y"], starts=1) for r in (record, bent)]
     assert all(np.array_equal(blocks[0].arrays[k], blocks[1].arrays[k]) for k in blocks[0].arrays)
@@ -120,12 +132,25 @@ def test_too_little_to_hold_anything_out_is_learnt_from_whole_and_said():
         ht.learn("piecewise", [rod().window(0, 1.0)], ["u"], ["y"])
 
 
-def test_the_cut_lies_where_the_machine_is_quiet():
-    u = steps(1)
-    u[len(u) * 79 // 100 : len(u) * 81 // 100] = 0.0
-    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": integral(settled(u, 0.1))}, {"u": "V", "y": "m"}, "rod")
-    at = len(split([record], ["u"], ["y"]).fit[0])
-    assert np.ptp(record["u"][at - 10 : at]) == 0.0 and abs(at / len(u) - 0.8) < 0.06
+def test_the_end_of_every_recording_is_held_out():
+    parts = split([rod(1), rod(2)], ["u"], ["y"])
+    assert [len(r) for r in parts.fit] == [961, 961] and [len(r) for r in parts.held_out] == [240, 240]
+    assert [p.begin for p in parts.parts] == [r.time[-1] for r in parts.fit]
+
+
+def test_a_run_over_a_part_is_one_that_began_with_the_recording():
+    record, calls = rod(), []
+
+    def summed(whole: Record) -> Record:
+        calls.append(len(whole))
+        return whole.with_signals({"y": np.cumsum(whole["u"])})
+
+    parts = [Part(record, 4.0, 6.0), *split([record], ["u"], ["y"]).parts]
+    found = through(summed, parts)
+    assert calls == [len(record)]
+    for run, part in zip(found, parts, strict=True):
+        inside = (record.time >= part.begin) & (record.time <= part.end)
+        assert np.array_equal(run["y"], np.cumsum(record["u"])[inside])
 
 
 def test_an_end_at_rest_is_no_test_and_more_is_held_out():
@@ -136,8 +161,9 @@ def test_an_end_at_rest_is_no_test_and_more_is_held_out():
 
 
 def test_of_many_recordings_whole_ones_are_held_out():
-    parts = split([rod(k) for k in range(6)], ["u"], ["y"])
-    assert [r.name for r in parts.held_out] == ["run_5"] and len(parts.fit) == 5
+    parts = split([rod(k) for k in range(16)], ["u"], ["y"])
+    assert [r.name for r in parts.held_out] == ["run_13", "run_14", "run_15"] and len(parts.fit) == 13
+    assert len(split([rod(k) for k in range(6)], ["u"], ["y"]).parts) == 6, "of a few the end of each"
 
 
 def test_a_kind_of_rates_only_says_first_that_an_output_does_not_integrate():
@@ -174,7 +200,7 @@ def test_arx_is_a_yardstick_and_what_is_no_better_says_so_first():
 
 def test_arx_is_fitted_without_what_is_held_out():
     record = rod()
-    early = np.arange(len(record)) < 0.9 * len(record)
+    early = np.arange(len(record)) < 0.92 * len(record)
     bent = record.with_signals({"y": np.where(early, record["y"], np.median(record["y"]))})
     parts = [split([r], ["u"], ["y"]) for r in (record, bent)]
     runs = [yardsticks("", p, ["u"], ["y"])["ARX"](rod(3))["y"] for p in parts]
@@ -191,7 +217,8 @@ def test_arx_is_fitted_to_what_moves_and_is_no_yardstick_of_itself():
 
 def test_one_step_is_told_where_the_output_is_a_state(piecewise):
     told = card(piecewise)["outputs"]["y"]
-    miss = [(predict_one_step(piecewise, r)["y"] - r["y"])[1:] for r in split([rod(1), rod(2)], ["u"], ["y"]).held_out]
+    parts = split([rod(1), rod(2)], ["u"], ["y"]).parts
+    miss = [(p.cut(predict_one_step(piecewise, p.whole))["y"] - p.seen["y"])[1:] for p in parts]
     assert told["one_step"]["rmse"] == pytest.approx(np.sqrt(np.mean(np.concatenate(miss) ** 2)), rel=1e-12)
     assert "one step ahead" in card(piecewise)["says"] and 0 <= told["left"]["one_step"]["white"] <= 1
     level = ht.learn("piecewise", [rod(1)], ["u"], ["y"], starts=1, integrating=False)
@@ -200,10 +227,13 @@ def test_one_step_is_told_where_the_output_is_a_state(piecewise):
 
 def test_an_input_that_is_still_in_what_is_left_is_said_with_its_lag():
     """The machine answers a second time half a second late; the model does not look back as far."""
-    u = np.repeat(np.random.default_rng(1).uniform(-1, 1, 600), 4)
-    y = settled(u, 0.04) + settled(np.r_[np.full(25, u[0]), u[:-25]], 0.04)
-    record = Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "m"}, "twice")
-    told = card(ht.learn("arx", [record], ["u"], ["y"], period=PERIOD, lags=(1, 4), delay=0))
+
+    def twice(seed: int) -> Record:
+        u = np.repeat(np.random.default_rng(seed).uniform(-1, 1, 600), 4)
+        y = settled(u, 0.04) + settled(np.r_[np.full(25, u[0]), u[:-25]], 0.04)
+        return Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "m"}, f"twice_{seed}")
+
+    told = card(ht.learn("arx", [twice(1), twice(2)], ["u"], ["y"], period=PERIOD, lags=(1, 4), delay=0))
     follows = told["outputs"]["y"]["left"]["free_run"]["follows"]["u"]
     assert 25 <= follows["samples"] <= 28 and follows["correlation"] > follows["bound"]
     assert f"What is left of y follows 'u' {follows['samples']} samples later" in told["says"]

@@ -71,6 +71,9 @@ def learn(
         ),
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the plots")] = None,
+    refit: Annotated[
+        bool, typer.Option("--refit", help="when judged, train the kind again on all recordings, and write that")
+    ] = False,
     settings: SetOption = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
@@ -94,9 +97,11 @@ def learn(
     asked = criteria(accept, records, signals[1], options.get("model"))
     options |= named(name) | {"validate": judged, "seed": seed} | ({"select": chosen} if chosen else {})
     block = trained(f"learn {kind}", train, (records, *signals), as_json, **options)
-    written(block, output, as_json, origin(model) if model else None)
     if report:
         _write_page(block, records, signals, options.get("model"), report, as_json)
+    if refit:
+        block = _refitted(block, kind, (records, *signals), as_json, options)
+    written(block, output, as_json, origin(model) if model else None)
     if not accepted(asked, block, as_json):
         raise typer.Exit(1)
 
@@ -119,6 +124,21 @@ def _trainer(kind: str, settings, flags: dict):
         return learn_kind(kind, records, inputs, outputs, **options)
 
     return train, options | ({"fit": fit} if fit and kind in PUBLISHED else {})
+
+
+def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict):
+    """The block's kind trained again on all recordings."""
+    from hydrotwin.learned import refitted
+    from hydrotwin.learned.learning import takes
+
+    if kind == AUTO:
+        kind = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
+        options = {k: v for k, v in options.items() if takes(kind, k)}
+
+    def train(*given, **own):
+        return refitted(block, kind, *given, **own)
+
+    return trained(f"learn {kind}, on all recordings", train, arguments, silent, **options)
 
 
 def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:

@@ -147,7 +147,7 @@ def _block(form: Form, one: DeployedProcess, two: DeployedProcess, counted: dict
 
 
 def _judged(form: Form, one: DeployedProcess, two: DeployedProcess, counted: dict, records) -> list:
-    """The block as it is without the end of every recording, and those ends, to judge its band on."""
+    """The block as it is without what is held out, and that, to judge its band on."""
     split = held_out.split(records, *([s.name for s in part] for part in (form.inputs, form.outputs)))
     rows = thinned_rows(form, split)
     if rows is None:
@@ -155,7 +155,7 @@ def _judged(form: Form, one: DeployedProcess, two: DeployedProcess, counted: dic
     spool = _spool(rows, counted["lead"])
     seen = one.on_part(rows.features, spool), two.on_part(spool[:, None], rows.slopes[:, 1])
     block = _block(form, *seen, counted, split.fit, name="part", provenance={})
-    return [(with_run_noise(block, split.fit, form.outputs[1:]), split.held_out)]
+    return [(with_run_noise(block, split.fit, form.outputs[1:]), split.parts)]
 
 
 def _slopes_at(splines: dict[str, np.ndarray], spools: np.ndarray) -> np.ndarray:

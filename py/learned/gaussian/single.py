@@ -172,7 +172,7 @@ def with_run_noise(block: LearnedBlock, records: Sequence[Record], outputs: Sequ
 
 
 def _judged(form: Form, trained: Sequence[DeployedProcess], records: Sequence[Record], rate: bool) -> list:
-    """The block as it is without the end of every recording, and those ends, to judge its band on."""
+    """The block as it is without what is held out, and that, to judge its band on."""
     split = held_out.split(records, *([s.name for s in part] for part in (form.inputs, form.outputs)))
     rows = thinned_rows(form, split)
     if rows is None:
@@ -180,12 +180,12 @@ def _judged(form: Form, trained: Sequence[DeployedProcess], records: Sequence[Re
     targets = rows.slopes if rate else rows.levels
     seen = [p.on_part(rows.features, targets[:, j]) for j, p in enumerate(trained)]
     block = _block(form, seen, split.fit, name="part", provenance={})
-    return [(with_run_noise(block, split.fit, form.outputs), split.held_out)]
+    return [(with_run_noise(block, split.fit, form.outputs), split.parts)]
 
 
 def thinned_rows(form: Form, split: held_out.Split) -> Rows | None:
     """At most `PART_ROWS` of the rows that are not held out; None where nothing is, or they are too few."""
-    parts = form.rows(split.fit) if split.held_out else []
+    parts = form.rows(split.fit) if split.parts else []
     rows = Rows.joined(parts) if parts else None
     if rows is None or len(rows) < FEWEST:
         return None

@@ -1,0 +1,55 @@
+"""Whether one free run is better than another, by the stretches of what was held out.
+
+Over S stretches with the RMS errors a and b, the mean of d = log(a / b) and its standard error tell what another
+recording might have shown:
+
+    mean d + sd(d) / sqrt(S) < 0      a is better on more than chance
+
+Source: L. Breiman and others, Classification and Regression Trees (1984), section 3.4.3 (one standard error).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+STRETCHES = 3  # at least: parts that are fewer are cut, for of two alone nothing tells how far they are apart by chance
+NOTHING = 1e-300  # an error that is none, for its logarithm
+BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
+
+
+def stretches(misses: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Misses (n,) of every part held out, in `STRETCHES` stretches or more: parts, or equal pieces of them."""
+    pieces = -(-STRETCHES // max(len(misses), 1))
+    return [piece for miss in misses for piece in np.array_split(miss, pieces) if len(piece)]
+
+
+def rms_of(misses: Sequence[np.ndarray]) -> list[float]:
+    """RMS error of every stretch."""
+    return [float(np.sqrt(np.mean(piece**2))) for piece in stretches(misses)]
+
+
+def log_ratio(errors: Sequence[float], rival: Sequence[float]) -> tuple[float, float]:
+    """Mean of log(errors / rival) over stretches, and its standard error; infinite where one run diverges."""
+    d = np.log(np.maximum(errors, NOTHING)) - np.log(np.maximum(rival, NOTHING))
+    if len(d) < 2 or not np.isfinite(d).all():
+        return (float(np.mean(d)) if len(d) else float("nan")), float("inf")
+    return float(d.mean()), float(d.std(ddof=1) / np.sqrt(len(d)))
+
+
+def surely_less(errors: Sequence[float], rival: Sequence[float]) -> bool:
+    """Whether the errors are less than the rival's by more than one standard error over the stretches."""
+    mean, error = log_ratio(errors, rival)
+    return mean + error < 0
+
+
+def as_good(errors: Sequence[float], best: Sequence[float]) -> bool:
+    """Whether errors may be those of the best: within one standard error of the difference, and of the best's own.
+
+    The second is that of its mean square, so that what fails in one stretch is not as good, whatever it does elsewhere.
+    """
+    mean, error = log_ratio(errors, best)
+    squares = np.square(best)
+    bound = squares.mean() + squares.std(ddof=1) / np.sqrt(len(squares)) if len(squares) > 1 else squares.mean()
+    return bool(mean <= error and np.mean(np.square(errors)) <= bound)

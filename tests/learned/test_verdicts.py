@@ -1,0 +1,87 @@
+"""Whether one run is better than another on more than chance, by the stretches of what was held out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.learned import learn
+from hydrotwin.learned.held_out import Part, Split, split
+from hydrotwin.learned.repeats import repeats
+from hydrotwin.learned.report_card import BLOCK, Row, Words, card
+from hydrotwin.learned.verdicts import STRETCHES, as_good, log_ratio, rms_of, stretches, surely_less
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+
+def test_few_parts_are_cut_into_enough_stretches_and_many_are_left_whole():
+    one = np.arange(90.0)
+    assert [len(s) for s in stretches([one])] == [30, 30, 30]
+    assert len(stretches([one, one])) >= STRETCHES and sum(map(len, stretches([one, one]))) == 180
+    assert [len(s) for s in stretches([one] * 4)] == [90] * 4
+    assert rms_of([np.r_[np.full(30, 3.0), np.zeros(30), np.full(30, -4.0)]]) == [3.0, 0.0, 4.0]
+
+
+def test_a_ratio_that_is_the_same_everywhere_is_certain():
+    mean, error = log_ratio([0.5, 1.0, 2.0], [1.0, 2.0, 4.0])
+    assert mean == pytest.approx(np.log(0.5)) and error == pytest.approx(0.0, abs=1e-12)
+    assert surely_less([0.5, 1.0, 2.0], [1.0, 2.0, 4.0])
+
+
+def test_stretches_that_disagree_are_not_certain():
+    assert not surely_less([0.2, 1.5, 1.2], [1.0, 1.0, 1.0])
+    assert surely_less([0.2, 0.9, 0.8], [1.0, 1.0, 1.0])
+    assert not surely_less([0.5], [1.0]), "one stretch tells nothing of chance"
+    assert not surely_less([np.inf, 0.1, 0.1], [1.0, 1.0, 1.0])
+
+
+def test_what_is_as_good_as_the_best_neither_loses_everywhere_nor_fails_somewhere():
+    best = [1.0, 1.2, 0.8, 1.0]
+    assert as_good(best, best) and as_good([1.1, 1.1, 0.9, 0.95], best)
+    assert not as_good([1.2 * e for e in best], best), "a little worse, but everywhere"
+    assert not as_good([0.5, 0.6, 0.4, 5.0], best), "better in three stretches, lost in one"
+
+
+def rows(errors, arx):
+    rms = [float(np.sqrt(np.mean(np.square(part)))) for part in (errors, arx)]
+    return [Row(Signal("y", "m"), rms[0], 1.0, {"ARX": rms[1]}, stretches={BLOCK: errors, "ARX": arx})]
+
+
+@pytest.fixture
+def held():
+    record = Record(np.arange(100.0), {"y": np.arange(100.0)}, {"y": "m"}, "run")
+    return Split([record], [Part(record, 40.0, 60.0), Part(record, 90.0, 99.0)])
+
+
+def test_the_card_says_first_that_it_cannot_tell(held):
+    told = card(held, rows([0.01, 0.06, 0.05], [0.09, 0.04, 0.05]), Words())
+    assert told["says"].startswith("Of y the recordings cannot tell whether the block is better than ARX (over 3 ")
+    assert "0.11 to 1.5 times its error" in told["says"]
+    assert told["bad"] and told["cannot_tell"] == ["ARX"] and told["no_better_than"] == []
+
+
+def test_the_card_says_nothing_of_what_is_better_everywhere_and_the_worst_of_what_is_not(held):
+    fine = card(held, rows([0.01, 0.02, 0.03], [0.03, 0.05, 0.05]), Words())
+    assert not fine["bad"] and fine["cannot_tell"] == [] and "10 mm to 30 mm by stretch" in fine["says"]
+    worse = card(held, rows([0.05, 0.06, 0.05], [0.05, 0.04, 0.05]), Words())
+    assert worse["no_better_than"] == ["ARX"] and worse["cannot_tell"] == []
+    assert worse["says"].startswith("Of y the block is no better than ARX.")
+
+
+def periodic(noise: float) -> Record:
+    """Five periods of one motion, with what is not repeated."""
+    rng = np.random.default_rng(1)
+    u = np.tile(np.repeat(rng.uniform(-1, 1, 20), 10), 5) + noise * rng.normal(size=1000)
+    y = np.cumsum(u - u.mean()) * 0.01
+    return Record(0.02 * np.arange(1000), {"u": u, "y": y}, {"u": "V", "y": "m"}, "periods")
+
+
+def test_what_repeats_what_was_trained_on_is_told_from_other_commands():
+    assert repeats(split([periodic(0.05)], ["u"], ["y"]), ["u"])
+    assert not repeats(split([periodic(1.0)], ["u"], ["y"]), ["u"])
+
+
+def test_the_card_says_first_that_what_was_held_out_repeats_what_was_trained_on():
+    told = learn("arx", [periodic(0.01)], ["u"], ["y"]).provenance["free_run"]
+    assert told["repeats"] and told["bad"] and told["says"].startswith("What was held out repeats commands ")
+    assert set(told["cannot_tell"]) | set(told["no_better_than"]) == set(told["outputs"]["y"]["yardsticks"])

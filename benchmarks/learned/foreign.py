@@ -116,7 +116,7 @@ def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
             chosen = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
         else:
             block = learn(kind, records, *names, **seeded)
-        if refit:
+        if refit or kind == AUTO:  # as the command does
             own = chosen or kind
             block = refitted(block, own, records, *names, **{k: v for k, v in seeded.items() if takes(own, k)})
     except HydrotwinError as error:

@@ -13,7 +13,7 @@ from .hybrid.learn import learn_hybrid
 from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
 from .inverse.learn import learn_inverse
-from .learning import learn, refitted
+from .learning import learn
 from .linear.arx import learn_arx
 from .linear.learn import learn_linear
 from .network.learn import train_network
@@ -21,6 +21,7 @@ from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .published_formula import published_formula
 from .ranking import learn_best
+from .refit import refitted
 from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
 from .training_data import DomainShare, domain_share

@@ -45,7 +45,6 @@ FINISHED = "finished"  # what the provenance says of a training that nothing cut
 ONLY_RATES = ("dual_gaussian_process", "rate_network")  # kinds of block that hold no level
 ANY_FORM = ("gp", "nn", "grey_box", "symbolic")
 LEARNED = {True: "its rate is learned", False: "its level is learned", None: "its change from step to step is learned"}
-REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 PUBLISHED = {"nn": learn_rate_network}  # where the paper's procedure is another function
 
 
@@ -124,35 +123,6 @@ def learn(
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
         told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
     return replace(block, provenance={**block.provenance, "free_run": told})
-
-
-def refitted(
-    block: Block,
-    kind: str,
-    records: Sequence[Record],
-    inputs: Sequence[Signal | str] = (),
-    outputs: Sequence[Signal | str] = (),
-    *,
-    model=None,
-    fit: str | None = None,
-    **options,
-) -> Block:
-    """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
-
-    The card in ``provenance["free_run"]`` stays that of ``block``, which alone has something to be judged on, and says
-    so. Arguments and errors: those of `learn`.
-    """
-    train = trainer(kind, fit)
-    options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
-    if kind == "hybrid":
-        again = train(model, list(records), list(outputs) or None, **options)
-    else:
-        again = train(list(records), inputs, outputs, **options)
-    kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
-    told = dict(block.provenance.get("free_run", {}))
-    if told:
-        told |= {"says": f"{told['says']} {REFITTED}", "refitted": True}
-    return replace(again, provenance={**again.provenance, **kept, "free_run": told})
 
 
 def held_out_of(

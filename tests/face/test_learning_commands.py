@@ -10,7 +10,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.commands.learning import KINDS
-from hydrotwin.learned import learning
+from hydrotwin.learned import learning, refit
 from hydrotwin.records import Record
 from tests.face.command_line import hydrotwin
 
@@ -154,7 +154,7 @@ def test_a_block_is_trained_again_on_all_when_it_was_judged(here):
         == len(ht.read_record(here / "ramp_1.csv"))
         > before["trained_on"][0]["samples"]
     )
-    assert after["says"] == f"{before['says']} {learning.REFITTED}"
+    assert after["says"] == f"{before['says']} {refit.REFITTED}"
 
 
 def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn, learn_piecewise, ranking, refitted
+from hydrotwin.learned import learn, learn_piecewise, ranking, refit, refitted
 from hydrotwin.learned.ranking import Tried, learn_best
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from tests.learned.toy_machine import toy_record
@@ -98,3 +98,15 @@ def test_kinds_that_cannot_be_tried_are_refused(records):
     for kind in ("hybrid", "nm"):
         with pytest.raises(DeclarationError, match="to try"):
             learn_best(records, INPUTS, OUTPUTS, kinds=(kind,))
+
+
+def test_what_runs_worse_over_what_it_has_seen_is_not_kept(best, records):
+    """The judged block is said to have missed by a tenth of what the kind reaches."""
+    block, _ = best
+    card = block.provenance["free_run"]
+    good = {name: row | {"rmse": 0.1 * row["rmse"]} for name, row in card["outputs"].items()}
+    judged = replace(block, provenance=block.provenance | {"free_run": card | {"outputs": good}})
+    again = refitted(judged, "piecewise", records, INPUTS, OUTPUTS)
+    assert again.arrays is judged.arrays and again.provenance["ranking"] == judged.provenance["ranking"]
+    assert again.provenance["free_run"]["says"].endswith(refit.KEPT)
+    assert again.provenance["free_run"]["refitted"] is False

@@ -72,8 +72,12 @@ def learn(
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the plots")] = None,
     refit: Annotated[
-        bool, typer.Option("--refit", help="when judged, train the kind again on all recordings, and write that")
-    ] = False,
+        bool | None,
+        typer.Option(
+            "--refit/--no-refit",
+            help="when judged, train the kind again on all recordings, and write that where it is no worse; auto does",
+        ),
+    ] = None,
     settings: SetOption = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
@@ -99,7 +103,7 @@ def learn(
     block = trained(f"learn {kind}", train, (records, *signals), as_json, **options)
     if report:
         _write_page(block, records, signals, options.get("model"), report, as_json)
-    if refit:
+    if kind == AUTO if refit is None else refit:
         block = _refitted(block, kind, (records, *signals), as_json, options)
     written(block, output, as_json, origin(model) if model else None)
     if not accepted(asked, block, as_json):
@@ -127,7 +131,7 @@ def _trainer(kind: str, settings, flags: dict):
 
 
 def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict):
-    """The block's kind trained again on all recordings."""
+    """The block's kind trained again on all recordings; the block where that is worse, or interrupted."""
     from hydrotwin.learned import refitted
     from hydrotwin.learned.learning import takes
 
@@ -138,7 +142,10 @@ def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict):
     def train(*given, **own):
         return refitted(block, kind, *given, **own)
 
-    return trained(f"learn {kind}, on all recordings", train, arguments, silent, **options)
+    try:
+        return trained(f"learn {kind}, on all recordings", train, arguments, silent, **options)
+    except KeyboardInterrupt:  # what was judged is not lost
+        return block
 
 
 def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:

@@ -84,6 +84,18 @@ def test_a_part_is_not_told_before_every_effect_was_looked_at(table):
     assert said.best.members[0].id == "coulomb_friction", "what comes closest is known"
 
 
+def test_what_leaves_a_little_has_no_name_while_what_nobody_looked_at_is_more_probable(table):
+    said = fitted(table, all_seen=False, base=30.0, coulomb_friction=1.3)
+    assert said.told()["not looked at"] > 0.5 and said.verdict == "unknown" and said.kept is table.entry()
+    seen(table)
+    assert standing(table).verdict == "named", "nothing else is left that could be better"
+
+
+def test_what_leaves_nothing_is_named_though_others_were_not_looked_at(table):
+    said = fitted(table, all_seen=False, base=30.0, coulomb_friction=1.0)
+    assert said.verdict == "named" and said.probability(said.best.key[0]) < 0.7
+
+
 def test_what_closes_less_than_half_of_the_gap_is_not_told_as_a_part(table):
     said = fitted(table, base=30.0, coulomb_friction=25.0)
     assert said.verdict == "unknown" and not said.part and said.kept is table.entry()

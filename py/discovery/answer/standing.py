@@ -9,7 +9,7 @@ from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..evidence.gaps import gap_closed
-from ..evidence.posterior import NOTHING, Key, Posterior
+from ..evidence.posterior import NOTHING, Key, Posterior, temperature
 from ..structures.table import Entry, Table
 
 UNSEEN = "not looked at"  # the key of effects that nobody looked at, among probabilities
@@ -75,7 +75,7 @@ def standing(table: Table) -> Standing:
     class_, part = tuple(k for k in posterior.class_() if k != NOTHING), False
     if nothing >= max(posterior.else_, sum(effects.values())):
         verdict = "none"
-    elif posterior.else_ > sum(effects.values()):
+    elif max(posterior.else_, _better_unseen(posterior, best, scores)) > sum(effects.values()):
         verdict = "unknown"
         best = table.entries[max(effects, key=posterior.beside.__getitem__)] if effects else None
         part = best is not None and table.seen_all() and closed(table, best) >= DECIDING.part
@@ -84,6 +84,12 @@ def standing(table: Table) -> Standing:
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
     return Standing(table, posterior, verdict, best, order, class_, part)
+
+
+def _better_unseen(posterior: Posterior, best: Entry | None, scores: Mapping[Key, float]) -> float:
+    """Probability of what nobody looked at, where it may be better than the best: not where that leaves nothing."""
+    better = best is None or scores[best.key] > temperature(scores[NOTHING])
+    return posterior.unseen if better else 0.0
 
 
 def closed(table: Table, entry: Entry) -> float:

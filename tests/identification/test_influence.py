@@ -7,6 +7,7 @@ import pytest
 
 import hydrotwin
 from hydrotwin.identification import identify, sensitivity
+from hydrotwin.identification.influence import sobol
 from hydrotwin.models.language import DataError, DeclarationError
 from hydrotwin.simulation import simulate
 from tests.identification.influences import (
@@ -157,6 +158,38 @@ def test_sets_that_diverge_are_counted_and_told():
     assert found.sobol.used < 64 and np.isfinite(found.sobol.whole.total).all()
     told = next(f for f in found.findings if f.kind == "diverged")
     assert f"{found.sobol.diverged} of {found.sobol.sets} parameter sets diverged" in told.sentence
+
+
+def test_sets_that_nearly_diverge_in_the_steps_of_the_nominal_one_are_run_as_they_need(monkeypatch):
+    driven = [record(u=1.0, v=0.5)]
+    asked = {**ALL, "over": "10%", "samples": 64, "stretches": 1}
+    right, plain = sensitivity(weighted(), driven, **asked).sobol.whole, sobol.run_many
+
+    def wild(propagator, time, u, p, x0):
+        y, stops = plain(propagator, time, u, p, x0)
+        y[3, 50:] *= 1e9
+        return y, stops
+
+    monkeypatch.setattr(sobol, "run_many", wild)
+    found = sensitivity(weighted(), driven, **asked).sobol
+    assert found.whole.total == pytest.approx(right.total, abs=1e-6) and found.diverged == 0
+
+
+def test_nothing_is_said_to_drive_an_output_of_which_a_few_sets_make_the_variance(monkeypatch):
+    """They are told to be accurate: as near a pole of the equations."""
+    plain = sobol.run_many
+
+    def wild(propagator, time, u, p, x0):
+        y, stops = plain(propagator, time, u, p, x0)
+        y[3, 50:, 0] *= 1e9
+        return y, stops
+
+    monkeypatch.setattr(sobol, "run_many", wild)
+    monkeypatch.setattr(sobol, "_run_far_ones_again", lambda *_: None)
+    found = sensitivity(weighted(), [record(u=1.0, v=0.5)], **ALL, over="10%", samples=64, stretches=1)
+    assert found.sobol.whole.vague.tolist() == [True, False]
+    assert np.isnan(found.shares[0]).all() and found.sentences() == ["z is driven by a (99 %)."]
+    assert next(f for f in found.findings if f.kind == "vague").sentence.count("what drives y:") == 1
 
 
 def test_all_sets_diverge_is_an_error():

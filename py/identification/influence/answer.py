@@ -57,10 +57,10 @@ class Sensitivity:
     def shares(self) -> np.ndarray:
         """What each parameter does to each output, (ny, np): total Sobol indices, else shares of the local squares.
 
-        Nan for an output that nothing moves.
+        Nan for an output that nothing moves, and where the samples do not tell (`Indices.vague`).
         """
         if self.sobol:
-            return self.sobol.whole.total
+            return np.where(self.sobol.whole.vague[:, None], np.nan, self.sobol.whole.total)
         squares = self.local.moved**2
         whole = squares.sum(axis=1, keepdims=True)
         return np.where(whole > 0, squares / np.where(whole > 0, whole, 1.0), np.nan)
@@ -74,7 +74,8 @@ class Sensitivity:
     def sentences(self) -> list[str]:
         """What drives each output, one sentence for those driven alike."""
         alike: dict[str, list[str]] = {}
-        for signal in self.outputs:
+        unknown = self.sobol.whole.vague if self.sobol else np.zeros(len(self.outputs), dtype=bool)
+        for signal in (s for s, vague in zip(self.outputs, unknown, strict=True) if not vague):
             told = [f"{name} ({100 * share:.0f} %)" for name, share in self.drivers(signal.name)[:NAMED]]
             alike.setdefault(_listed(told), []).append(signal.name)
         return [

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.simulation.many import run_many
+from hydrotwin.simulation.many import controlled_many, run_many
 
 from .intervals import Interval
 from .local import NOTHING
@@ -31,6 +31,8 @@ KEPT, FEW_KEPT = 600, 8  # instants of all runs at which outputs are kept, and o
 AT_ONCE = 64  # sets of one call: their runs are held in memory
 COMPONENTS, CAUGHT = 4, 0.999  # most principal components of a course, and the share of its variance that is enough
 CONFIDENCE = 0.95
+FAR = 10.0  # ranges of the nominal run: a set that goes further away is run again, with its own accuracy
+VAGUE = 0.5  # half width of a total index from which on nothing is told of who drives an output
 COURSE, DEVIATION = "course", "deviation"
 OF = (COURSE, DEVIATION)
 
@@ -68,6 +70,16 @@ class Indices:
     total: np.ndarray
     total_half: np.ndarray
     spread: np.ndarray
+
+    @property
+    def vague(self) -> np.ndarray:
+        """Outputs (ny,) of which the samples do not tell what drives them: a few sets make most of the variance.
+
+        Total indices add up to one at least; an estimate that does not, within its errors, is none.
+        """
+        moved = np.isfinite(self.total).any(axis=1)
+        most = np.nansum(self.total + self.total_half, axis=1)
+        return moved & ((np.nan_to_num(self.total_half).max(axis=1) > VAGUE) | (most < 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +161,7 @@ def _courses(
         sets = np.concatenate([p[:1], p[part]])
         x0 = np.array([run.start(one) for one in sets])
         y, stops = run_many(runs.propagator, run.time, run.u, sets, x0)
+        _run_far_ones_again(runs, run, (sets, x0), y, stops)
         answer[part] = y[1:, kept]
         reasons.update({int(s): str(stop) for s, stop in zip(part, stops[1:], strict=True) if stop})
         return len(part)
@@ -160,6 +173,22 @@ def _courses(
             done += count
             told(done)
     return answer, reasons
+
+
+def _run_far_ones_again(runs: Runs, run: Run, given: tuple[np.ndarray, np.ndarray], y: np.ndarray, stops: list) -> None:
+    """Put into y and stops what sets far from the nominal one, the first, give when each is run as it needs.
+
+    They may be stiffer than that, and nearly diverge in its steps. What no method runs accurately counts as diverged.
+    """
+    apart = np.ptp(y[0], axis=0) + NOTHING
+    far = [s for s in range(1, len(y)) if stops[s] is None and (np.abs(y[s] - y[0]).max(axis=0) > FAR * apart).any()]
+    if not far:
+        return
+    p, x0 = given
+    for s, ran in zip(far, controlled_many(runs.propagator, run.time, run.u, p[far], x0[far]), strict=True):
+        accurate = ran.accuracy is None or ran.accuracy.reached
+        stops[s] = ran.stop or (None if accurate else "No method runs it accurately: it nearly diverges.")
+        y[s] = np.nan if stops[s] else ran.y
 
 
 def _kept(run: Run, share: int) -> np.ndarray:

@@ -167,12 +167,20 @@ def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:
             f"The first: {far.reason} Take narrower intervals."
         )))  # fmt: skip
     alone = np.nansum(far.whole.first, axis=1)
-    bent = [n for n, s, v in zip(outputs, alone, far.whole.spread, strict=True) if v > 0 and 0 < s < TOGETHER]
+    sure = (far.whole.spread > 0) & ~far.whole.vague
+    bent = [n for n, s, v in zip(outputs, alone, sure, strict=True) if v and 0 < s < TOGETHER]
     if bent:
         found.append(Finding("together", (), (
             f"sensitivity: parameters act together on {', '.join(bent)}: one at a time they make "
             f"{100 * min(alone[outputs.index(n)] for n in bent):.0f} % of the variance or more. Over these intervals "
             "the local sensitivities are only a hint; read the total indices."
+        )))  # fmt: skip
+    vague = [n for n, unknown in zip(outputs, far.whole.vague, strict=True) if unknown]
+    if vague:
+        found.append(Finding("vague", (), (
+            f"sensitivity: the samples do not tell what drives {', '.join(vague)}: a few sets move them so far that "
+            "these make most of the variance. Take narrower intervals, so that no run comes near a singularity or a stop, or "
+            f"more samples ({4 * far.sampling.samples}); the local sensitivities hold near the values of the model."
         )))  # fmt: skip
     widest = np.nanmax(far.whole.total_half, initial=0.0) if np.isfinite(far.whole.total_half).any() else 0.0
     if widest > UNSURE:

@@ -179,8 +179,8 @@ def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:
     if vague:
         found.append(Finding("vague", (), (
             f"sensitivity: the samples do not tell what drives {', '.join(vague)}: a few sets move them so far that "
-            "these make most of the variance. Take narrower intervals, so that no run comes near a singularity or a stop, or "
-            f"more samples ({4 * far.sampling.samples}); the local sensitivities hold near the values of the model."
+            "these make most of the variance. Take narrower intervals, so that no run comes near a singularity or a "
+            f"stop, or more samples ({4 * far.sampling.samples}). The local sensitivities hold near the model's values."
         )))  # fmt: skip
     widest = np.nanmax(far.whole.total_half, initial=0.0) if np.isfinite(far.whole.total_half).any() else 0.0
     if widest > UNSURE:

@@ -152,7 +152,7 @@ def answer_of(discovery, settings: Mapping = MappingProxyType({})) -> Answer:
             "untried": list(discovery.untried),
             "screened": discovery.screened,
             "fitted": discovery.fitted,
-            "rmse_fit": {o.output: o.rmse_after for o in discovery.outputs["train"]},
+            "rmse_fit": {o.output: o.rmse_after for o in discovery.outputs.get("train", ())},
             "candidates": [_looked_at(r) for r in ranked],
         },
         dict(discovery.probabilities),

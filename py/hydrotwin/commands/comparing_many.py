@@ -11,7 +11,7 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 
 from .shared import err, mark, out, progress_bar, table
 
-KEPT = ".runs"  # folder of finished runs: a second call makes only what is new
+KEPT = ".runs"  # folder of finished runs, where they are many: a second call makes only what is new
 AUTO = "auto"
 MANY = 40  # models x variants x recordings from which on processes are worth their start
 
@@ -32,7 +32,6 @@ def run(described, resolve: Callable[[str], object], output: Path, how: Runs):
     from hydrotwin.report import write_variant
     from hydrotwin.report.comparison_figures import CURVES
     from hydrotwin.work.executor import KINDS, executor_for
-    from hydrotwin.work.memory import Memory
 
     count = len(described.models) * max(1, len(described.variants)) * len(described.validate)
     spec = how.executor if how.executor != AUTO else "processes" if count >= MANY else "here"
@@ -42,11 +41,8 @@ def run(described, resolve: Callable[[str], object], output: Path, how: Runs):
         spec = "processes"
     if how.executor != AUTO and not how.executor.startswith("dask://") and how.executor not in KINDS:
         raise DeclarationError(f"executor: no '{how.executor}'. {nearest(how.executor, (AUTO, *KINDS))}")
-    memory = Memory(output / KEPT)
-    if not how.resume:
-        memory.remove()
-    elif len(memory) and not how.silent:
-        err.print(f"{len(memory)} runs of an earlier call are kept (--fresh begins anew)", style="dim")
+    many = bool(described.variants) or count >= MANY or spec != "here"
+    memory = _finished(output, how) if many else None
 
     def done(found) -> None:
         if described.variants:
@@ -57,10 +53,24 @@ def run(described, resolve: Callable[[str], object], output: Path, how: Runs):
             where = Where(pool, memory, told, CURVES)
             matrix = run_matrix(described, resolve, where, on_variant=done if described.variants else None)
     except KeyboardInterrupt:
-        err.print(f"stopped; finished runs kept: {len(memory)}. The same command goes on from there.", style="dim")
+        if memory is not None:
+            err.print(f"stopped; finished runs kept: {len(memory)}. The same command goes on from there.", style="dim")
         raise
-    memory.forget_others()
+    if memory is not None:
+        memory.forget_others()
     return matrix
+
+
+def _finished(output: Path, how: Runs):
+    """The `Memory` of runs that an earlier call has finished."""
+    from hydrotwin.work.memory import Memory
+
+    memory = Memory(output / KEPT)
+    if not how.resume:
+        memory.remove()
+    elif len(memory) and not how.silent:
+        err.print(f"finished runs of an earlier call: {len(memory)} (--fresh begins anew)", style="dim")
+    return memory
 
 
 @contextlib.contextmanager

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from .held_out import Split
 
@@ -32,6 +31,8 @@ def repeats(split: Split, inputs: Sequence[str]) -> bool:
 
 def _apart(held: np.ndarray, trained: Sequence[np.ndarray]) -> float:
     """The least d(k) over the stretches of ``trained`` (n, nu); infinite where none is long enough or nothing moves."""
+    from scipy.signal import fftconvolve  # takes most of a second, and most blocks are not learnt here
+
     m, moved = len(held), float(((held - held.mean(axis=0)) ** 2).sum())
     found = [np.inf]
     for u in (u for u in trained if len(u) >= m and moved > 0):

@@ -77,9 +77,9 @@ def test_a_block_may_be_trained_again_on_all_and_keeps_the_card_of_what_had_not_
 
 
 def test_a_kind_that_fails_costs_only_itself(records):
-    block = learn_best(records, ["command", "motor_speed"], OUTPUTS, kinds=("piecewise", "gp"))
+    block = learn_best(records, ["command", "motor_speed"], OUTPUTS, kinds=("piecewise", "arx"))
     last = block.provenance["ranking"][-1]
-    assert block.provenance["ranking"][0]["kind"] == "gp" and last["kind"] == "piecewise"
+    assert block.provenance["ranking"][0]["kind"] == "arx" and last["kind"] == "piecewise"
     assert "piecewise" in last["failed"] and "percent_of_range" not in last
 
 

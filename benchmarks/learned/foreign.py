@@ -173,9 +173,10 @@ def scoreboard(text: str, found: Sequence[Task], given: argparse.Namespace) -> s
         f"Seeds: {given.seeds} (median, and range of several), all kinds by their defaults; processor seconds of one "
         "training, on a machine that may have been shared. "
         f"Trained on the training files alone{AGAIN if given.refit else ''}, run freely over the test files from their "
-        "first sample; nothing is chosen on test files. `worse`: than ARX or than holding the first sample; `silent`: "
-        "and the report card did not say so; `doubted`: it said that the recordings cannot tell. Order of the cards: "
-        "Kendall's tau between the errors on what was held out of training and those on the test."
+        "first sample; no training chooses on test files; who develops this has seen such figures. `worse`: than ARX "
+        "or than holding the first sample; `silent`: and the report card did not say so; `doubted`: it said that the "
+        "recordings cannot tell. Order of the cards: Kendall's tau between the errors on what was held out of training "
+        "and those on the test."
     )
     names = " ".join(t.name for t in found) + f" --kinds {' '.join(given.kinds)}" + (" --refit" if given.refit else "")
     made_by = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,6 +18,7 @@ from .comparison import MEAN, Comparison, Score, mean_known
 from .criteria import Criterion, Judged, criterion, judge
 from .tags import groups, of_group
 
+VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
 SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
 SUFFIX = ".json"  # of an earlier comparison that a criterion names
 FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
@@ -113,19 +114,32 @@ def check_wanted(wanted: Wanted, models: Sequence[str], outputs: Sequence[Signal
         if one.group and not of_group(records, one.group):
             raise _no_group(one, records)
         if one.than.endswith(SUFFIX):
-            earlier(wanted.base / one.than)
+            earlier(wanted.base / one.than).check_recordings(records)
         elif one.than:
             _known(one.than, models)
     if wanted.against:
-        earlier(wanted.against)
+        earlier(wanted.against).check_recordings(records)
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """An earlier comparison: mean scores by (model, output, mode)."""
+    """An earlier comparison: mean scores by (model, output, mode); its recordings, names by hash, where told."""
 
     path: Path
     means: dict[tuple[str, str, str], dict]
+    recordings: Mapping[str, str] = field(default_factory=dict)
+
+    def check_recordings(self, records: Sequence[Record]) -> None:
+        """Raises DeclarationError where it was made on other recordings: means over those say nothing of these."""
+        now = {r.digest: r.name for r in records}
+        if not self.recordings or None in now or "" in now or now.keys() == self.recordings.keys():
+            return
+        apart = [f"{name} is new" for digest, name in now.items() if digest not in self.recordings]
+        apart += [f"{name} is gone" for digest, name in self.recordings.items() if digest not in now]
+        raise DeclarationError(
+            f"accept: {self.path} is of other recordings, or of others of the same name ({', '.join(apart[:4])}): what "
+            "became better cannot be told. Compare on the same ones, or make the earlier comparison again on these."
+        )
 
     def against(self, comparison: Comparison) -> tuple[tuple[Change, ...], tuple[str, ...], tuple[str, ...]]:
         """Changes of what both have, models that are new, and models that are gone."""
@@ -149,6 +163,8 @@ def earlier(path: Path, variant: str = "") -> Earlier:
         _check_format(path, told.get("format", FORMAT))  # a file without one is older, with the same means
         rows = _means(told, variant) if variant else told["means"]
         means = {(s["model"], s["output"], s["mode"]): s for s in rows}
+        judged = [r for r in told.get("recordings", ()) if r.get("role", VALIDATE) == VALIDATE]
+        recordings = {r["sha256"]: r["name"] for r in judged} if all(r.get("sha256") for r in judged) else {}
         if not all(isinstance(s["rmse"], float | int) for s in means.values()):
             raise ValueError("a mean without rmse")
     except OSError as error:
@@ -159,7 +175,7 @@ def earlier(path: Path, variant: str = "") -> Earlier:
         raise DataError(
             f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
         ) from None
-    return Earlier(path, means)
+    return Earlier(path, means, recordings)
 
 
 def _means(told: dict, variant: str) -> list[dict]:

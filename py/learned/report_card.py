@@ -36,8 +36,8 @@ BEYOND = 0.4  # of the range seen in training: a free run further outside it has
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
 REPEATS = (
-    "What was held out repeats commands that were trained on: it cannot tell whether the block is better than ARX, or "
-    "good at all, at other commands. Record some that do not repeat, last."
+    "What was held out repeats commands that were trained on: it cannot tell how good the block is at other "
+    "commands, beside ARX or anything else. Record some that do not repeat, last."
 )
 FREE, ONE_STEP = "free_run", "one_step"
 BLOCK = "the block"  # in `Row.stretches`

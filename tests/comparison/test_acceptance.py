@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -102,6 +103,21 @@ def test_an_earlier_comparison_shows_what_became_better_and_worse(folder, tmp_pa
     assert acceptance(comparison, kept).passed
     with pytest.raises(DeclarationError, match="has no motor_speed of 'good'"):
         acceptance(comparison, Wanted(("motor_speed not worse than compare.json",), "good", base=tmp_path))
+
+
+@pytest.mark.parametrize("more", [{"against": "compare.json"}, {"accept": ["motor_speed not worse than compare.json"]}])
+def test_an_earlier_comparison_of_other_recordings_judges_nothing(folder, tmp_path, more):
+    """The same file names with other content, and one recording less."""
+    before, _ = run(folder, "bad")
+    write_report(before, tmp_path)
+    others = tmp_path / "others"
+    others.mkdir()
+    for file in sorted(folder.glob("load*.csv"))[1:]:
+        shutil.copy(file, others)
+    write_record(recording(99), others / "load2_stroke2.csv")
+    wanted = {name: tmp_path / value if isinstance(value, str) else value for name, value in more.items()}
+    with pytest.raises(DeclarationError, match=r"load2_stroke2 is new, load1_stroke1 is gone, load2_stroke2 is gone"):
+        run(others, "good", base=tmp_path, **wanted)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"means": [{"model": "a"}]}', '{"means": 3}'])

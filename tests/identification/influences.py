@@ -23,6 +23,13 @@ def ishigami():
     return small_model("ishigami", ["x"], {"a": 1.0, "b": 1.0, "c": 1.0}, equations, outputs=("y",))
 
 
+def waves():
+    """y = b sin(a t): the frequency and the size act together, and no few shapes make the courses."""
+    return small_model(
+        "waves", ["x"], {"a": 10.0, "b": 1.0}, lambda t, x, u, p: (-x, p[1] * ca.sin(p[0] * t)), outputs=("y",)
+    )
+
+
 def weighted(idle: bool = False):
     """y = a u + b v, z = a u; with ``idle`` a parameter that nothing depends on."""
 

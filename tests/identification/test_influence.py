@@ -19,6 +19,7 @@ from tests.identification.influences import (
     product,
     record,
     steps,
+    waves,
     weighted,
 )
 
@@ -52,6 +53,19 @@ def test_shares_of_a_linear_course_are_those_of_its_terms():
     assert found.drivers("z") == [("a", pytest.approx(1.0, abs=0.02))]
     exact = found.local.moved[0] ** 2 / np.sum(found.local.moved[0] ** 2)
     assert exact == pytest.approx([share(slice(None)), 1 - share(slice(None))], rel=1e-9)
+
+
+def test_indices_of_courses_of_many_shapes_are_those_of_all_instants():
+    """Against the integrals over the intervals: E(y | a) = sin(a t), E(y | b) = b times the mean of sin(a t)."""
+    run, intervals = record(seconds=4.0), {"a": (2.0, 20.0), "b": (0.2, 1.8)}
+    found = sensitivity(waves(), [run], **ALL, given=intervals, samples=1024, stretches=1).sobol.whole
+    a, kept = np.linspace(2.0, 20.0, 4001), run.time
+    of_a, of_b = np.sin(np.outer(kept, a)), 1.6**2 / 12
+    whole = (1 + of_b) * (of_a**2).mean(axis=1) - of_a.mean(axis=1) ** 2
+    alone = [of_a.var(axis=1).sum() / whole.sum(), (of_b * of_a.mean(axis=1) ** 2).sum() / whole.sum()]
+    assert found.first[0] == pytest.approx(alone, abs=0.02)
+    assert found.total[0] == pytest.approx([1 - alone[1], 1 - alone[0]], abs=0.02)
+    assert (found.total_half[0] < 0.05).all()
 
 
 def test_the_deviation_is_told_as_one_number():

@@ -226,7 +226,8 @@ def test_the_exported_code_runs_as_the_block_does(tmp_path):
         ({"period": 0.0}, "period must be positive"),
         ({"lags": (1, 0)}, r"lags\[1\] must be a whole number from 1 up"),
         ({"delay": -1}, "delay must be a whole number from 0 up"),
-        ({"lags": (1,)}, "past values and samples of every input"),
+        ({"lags": (1,)}, "past values, and samples of every input"),
+        ({"lags": 5}, r"got 5\). Write 2,6"),
     ],
 )
 def test_impossible_options_are_refused(options, says):

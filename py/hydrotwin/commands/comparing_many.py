@@ -69,7 +69,8 @@ def _finished(output: Path, how: Runs):
     if not how.resume:
         memory.remove()
     elif len(memory) and not how.silent:
-        err.print(f"finished runs of an earlier call: {len(memory)} (--fresh begins anew)", style="dim")
+        told = f"an earlier call left {len(memory)} runs: those of the same data and models stand (--fresh: none)"
+        err.print(told, style="dim")
     return memory
 
 

@@ -3,16 +3,20 @@
     S_k = V(E(y | p_k)) / V(y),     T_k = 1 - V(E(y | all but p_k)) / V(y)
 
 S_k is the share of the variance that parameter k makes alone, T_k with everything that it acts in. Parameters are
-independent and uniform over their intervals. A course is many numbers: over a stretch of time it is told by its
-principal components, and an index is the mean over them, weighed by their variances. Of a linear model the S_k add up
-to one. SALib samples (A. Saltelli et al., Comput. Phys. Commun. 2010) and estimates; the runs go side by side.
-Source: I. Sobol, Math. Comput. Simul. 2001; M. Lamboni, H. Monod, D. Makowski, Rel. Eng. Syst. Safety 2011 (courses).
+independent and uniform over their intervals. A course is many numbers: V is the sum of their variances over a stretch
+of time, so an index is the mean over the instants, weighed by the variances there. Of a linear model the S_k add up to
+one. SALib samples; the runs go side by side. With y from base samples A and B and from A with column k of B (AB), all
+about their mean,
+
+    V S_k = mean(y_B . (y_AB - y_A)),     V T_k = mean |y_A - y_AB|^2 / 2
+
+Source: I. Sobol, Math. Comput. Simul. 2001; A. Saltelli et al., Comput. Phys. Commun. 2010 (estimators); F. Gamboa, A.
+Janon, T. Klein, A. Lagnoux, Electron. J. Statist. 8 (2014) 575-603 (courses).
 """
 
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -29,8 +33,7 @@ from .runs import Run, Runs
 FEWEST = 16  # base samples that still give an index
 KEPT, FEW_KEPT = 600, 8  # instants of all runs at which outputs are kept, and of a stretch at least
 AT_ONCE = 64  # sets of one call: their runs are held in memory
-COMPONENTS, CAUGHT = 4, 0.999  # most principal components of a course, and the share of its variance that is enough
-CONFIDENCE = 0.95
+RESAMPLES, SIGMAS = 200, 1.96  # of the base samples, for the half widths of 95 % intervals
 FAR = 10.0  # ranges of the nominal run: a set that goes further away is run again, with its own accuracy
 VAGUE = 0.5  # half width of a total index from which on nothing is told of who drives an output
 COURSE, DEVIATION = "course", "deviation"
@@ -232,30 +235,25 @@ class _Indices:
         if not spread > NOTHING * scale:
             return *np.full((4, self.count), np.nan), spread
         if self.sampling.of == DEVIATION:
-            scores = np.sqrt(np.mean((course - nominal) ** 2, axis=1))[:, None]
-        else:
-            scores = _components(course)
-        weights = scores.var(axis=0)
-        estimated = np.array([self._score(score) for score in scores.T])
-        return *np.einsum("c,cik->ik", weights / weights.sum(), estimated), spread
+            course = np.sqrt(np.mean((course - nominal) ** 2, axis=1))[:, None]
+        return *self._estimated(course - course.mean(axis=0)), spread
 
-    def _score(self, score: np.ndarray) -> np.ndarray:
-        """First-order indices, their half widths, total indices, theirs: (4, np)."""
-        from SALib.analyze import sobol as analysis
+    def _estimated(self, away: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """First-order indices, their half widths, total indices, theirs, (np,), of courses about their mean (sets, m).
 
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # of a resample in which a share of it is constant
-            found = analysis.analyze(
-                _problem(self.count), score, calc_second_order=False, conf_level=CONFIDENCE, seed=self.sampling.seed
-            )
-        return np.array([found[key] for key in ("S1", "S1_conf", "ST", "ST_conf")], dtype=float)
+        Sets come by base sample: A, A with a column of B for each parameter, B.
+        """
+        groups = away.reshape(-1, self.count + 2, away.shape[1])
+        a, mixed, b = groups[:, 0], groups[:, 1:-1], groups[:, -1]
+        gained = np.einsum("nm,nkm->nk", b, mixed) - np.einsum("nm,nm->n", b, a)[:, None]
+        apart = 0.5 * np.stack([((a - mixed[:, k]) ** 2).sum(axis=1) for k in range(self.count)], axis=1)
+        squares = 0.5 * ((a**2).sum(axis=1) + (b**2).sum(axis=1))
+        off = float((np.concatenate([a, b]).mean(axis=0) ** 2).sum())  # of these alone from the mean of all
 
+        def indices(chosen) -> np.ndarray:
+            return np.array([gained[chosen].mean(axis=0), apart[chosen].mean(axis=0)]) / (squares[chosen].mean() - off)
 
-def _components(course: np.ndarray) -> np.ndarray:
-    """Scores (sets, c) of the principal components that make nearly all of the variance of a course (sets, m)."""
-    away = course - course.mean(axis=0)
-    values, vectors = np.linalg.eigh(away.T @ away)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    caught = np.cumsum(values) / values.sum()
-    count = min(COMPONENTS, int(np.searchsorted(caught, CAUGHT)) + 1)
-    return away @ vectors[:, :count]
+        found, rng = indices(slice(None)), np.random.default_rng(self.sampling.seed)
+        again = [indices(rng.integers(0, len(a), len(a))) for _ in range(RESAMPLES)]
+        half = SIGMAS * np.std(again, axis=0, ddof=1)
+        return found[0], half[0], found[1], half[1]

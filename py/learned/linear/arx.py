@@ -247,8 +247,10 @@ def _check_options(period, lags, delay) -> None:
         raise DeclarationError(f"learn_arx: period must be positive (got {period}). Give seconds, such as 0.01.")
     counts = {"delay": (0 if delay is None else delay, 0)}
     if lags is not None:
-        if len(lags) != 2:
-            raise DeclarationError(f"learn_arx: lags are past values and samples of every input (got {lags}).")
+        if np.shape(lags) != (2,):
+            raise DeclarationError(
+                f"learn_arx: lags are two: past values, and samples of every input (got {lags}). Write 2,6."
+            )
         counts |= {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1)}
     for option, (value, least) in counts.items():
         if int(value) != value or value < least:

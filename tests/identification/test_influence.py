@@ -68,6 +68,14 @@ def test_indices_of_courses_of_many_shapes_are_those_of_all_instants():
     assert (found.total_half[0] < 0.05).all()
 
 
+def test_local_sensitivities_that_do_not_hold_over_the_intervals_are_told():
+    """After 4 s the phase of b sin(a t) has gone through many periods."""
+    for low, high, told in ((2.0, 20.0, ["beyond"]), (9.9, 10.1, [])):
+        asked = {"given": {"a": (low, high), "b": (0.9, 1.1)}, "samples": 64, "stretches": 1}
+        found = sensitivity(waves(), [record(seconds=4.0)], **ALL, **asked)
+        assert [f.kind for f in found.findings if f.kind == "beyond"] == told
+
+
 def test_the_deviation_is_told_as_one_number():
     """The root mean square of y - y_nominal is |a - 1| |u| where a acts alone: a has it all."""
     found = sensitivity(

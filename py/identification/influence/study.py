@@ -23,6 +23,7 @@ from .sobol import COURSE, Global, Sampling, sobol
 STRETCHES = 6  # of time, into which a recording is cut
 TOGETHER = 0.7  # of the variance: where parameters alone make less, local sensitivities say little of their intervals
 CORRELATED = 0.7  # between parameters of a fit: their intervals then say more than their covariance
+BEYOND = 2.0  # times the spread of the sampled runs that local sensitivities may make it, or the other way round
 UNSURE = 0.2  # half width of an index from which on more samples are worth a word
 
 Told = Callable[[str, int, int], None]
@@ -98,7 +99,7 @@ def sensitivity(
             *_effects(asked, near),
             *_told_apart(runs, near, sure),
             *_correlated(asked, sure),
-            *_of_indices(runs, far),
+            *_of_indices(runs, far, near),
         ),
         seconds=time.perf_counter() - began,
         settings={"over": over, "samples": samples, "of": of, "stretches": stretches, "seed": seed, "goal": list(goal)},
@@ -155,7 +156,7 @@ def _correlated(asked: Sequence[Interval], sure: Known) -> list[Finding]:
     ))]  # fmt: skip
 
 
-def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:
+def _of_indices(runs: Runs, far: Global | None, near: Local) -> list[Finding]:
     """What to mind about the indices."""
     if far is None:
         return []
@@ -174,6 +175,15 @@ def _of_indices(runs: Runs, far: Global | None) -> list[Finding]:
             f"sensitivity: parameters act together on {', '.join(bent)}: one at a time they make "
             f"{100 * min(alone[outputs.index(n)] for n in bent):.0f} % of the variance or more. Over these intervals "
             "the local sensitivities are only a hint; read the total indices."
+        )))  # fmt: skip
+    linear = np.sqrt((near.moved**2).sum(axis=1) / 3)  # spread of a linear model over uniform intervals
+    beyond = [n for n, s, there, sure in zip(outputs, linear, far.whole.spread, sure, strict=True)
+              if sure and not there / BEYOND < s < BEYOND * there]  # fmt: skip
+    if beyond:
+        found.append(Finding("beyond", (), (
+            f"sensitivity: over these intervals {', '.join(beyond)} are far from linear: the local sensitivities would "
+            f"spread them more than {BEYOND:g} times as far as the sets do, or not half as far. They are derivatives "
+            "at the model's values; the Sobol indices say what the intervals do. Take narrower ones to compare them."
         )))  # fmt: skip
     vague = [n for n, unknown in zip(outputs, far.whole.vague, strict=True) if unknown]
     if vague:

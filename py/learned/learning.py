@@ -97,6 +97,7 @@ def learn(
     train = trainer(kind, fit)
     if options.get("select") and not takes(kind, "select"):
         raise DeclarationError(f"learn {kind}: nothing is chosen by recordings here. Leave --select out.")
+    check_select(kind, records, options.get("select"))
     if (kind == "hybrid") != (model is not None):
         raise DeclarationError(
             f"learn {kind}: a model goes with hybrid (got {model}). Give learn('hybrid', model=...)."
@@ -123,6 +124,17 @@ def learn(
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
         told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
     return replace(block, provenance={**block.provenance, "free_run": told})
+
+
+def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] | None) -> None:
+    """Raises DeclarationError for a recording, by its hash, that is both trained on and to choose."""
+    trained = {r.digest for r in records} - {None, ""}
+    twice = [r.name for r in select or () if r.digest in trained]
+    if twice:
+        raise DeclarationError(
+            f"learn {kind}: {', '.join(twice)} is trained on: choosing on it, too, says nothing of others. Give "
+            "--select others."
+        )
 
 
 def held_out_of(

@@ -26,11 +26,13 @@ from hydrotwin.records import Record
 
 from .block_file import LearnedBlock, read_block, write_block
 from .interruption import INTERRUPTED
-from .learning import KINDS, learn, takes
+from .learning import KINDS, check_select, learn, takes
 from .report_card import BLOCK
 from .verdicts import as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
+GRACE = 15.0  # s beyond its budget after which a kind that looks at no clock itself is ended: its process starts, too
+TOO_LATE = "it was ended, for its budget was over and it knows no best so far. Give it longer, or no --budget."
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -101,7 +103,7 @@ def learn_best(
         records, inputs, outputs: as in `learn`.
         kinds: names of `KINDS`; None: all that need nothing else.
         workers: processes; None: one per core.
-        budget: s that each kind may train; None: as long as it takes.
+        budget: s that each kind may train; None: as long as it takes. What looks at no clock is ended soon after.
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
@@ -116,6 +118,7 @@ def learn_best(
     for kind in chosen:
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
+    check_select("auto", records, options.get("select"))
     found = _tried(chosen, (list(records), list(inputs), list(outputs), options), workers, progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
@@ -132,18 +135,22 @@ def learn_best(
 def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Callable | None) -> list[Tried]:
     """What became of each kind, in the order of their ends; those that ended before Ctrl-C."""
     found: list[Tried] = []
-    waiting, running = list(kinds), {}
+    waiting, running, began = list(kinds), {}, {}
+    budget = given[-1].get("budget")
     workers = workers or len(os.sched_getaffinity(0))
     with tempfile.TemporaryDirectory() as folder:
         try:
             while waiting or running:
                 while waiting and len(running) < workers:
                     kind = waiting.pop(0)
-                    running[kind] = _start(kind, given, Path(folder))
-                connection.wait([child.sentinel for child in running.values()])
-                for kind in [k for k, child in running.items() if not child.is_alive()]:
+                    running[kind], began[kind] = _start(kind, given, Path(folder)), time.monotonic()
+                connection.wait([child.sentinel for child in running.values()], budget and 1.0)
+                late = [k for k in running if budget and _late(k, time.monotonic() - began[k], budget)]
+                for kind in late:
+                    running[kind].terminate()
+                for kind in [k for k, child in running.items() if not child.is_alive() or k in late]:
                     running.pop(kind).join()
-                    found.append(_answer(kind, Path(folder)))
+                    found.append(Tried(kind, failed=TOO_LATE) if kind in late else _answer(kind, Path(folder)))
                     if progress:
                         best = min(found, key=lambda t: t.share)
                         progress(len(found), len(kinds), f"{kind} ended, best so far {best.kind}")
@@ -155,6 +162,11 @@ def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Ca
                 child.terminate()
                 child.join()
     return found
+
+
+def _late(kind: str, seconds: float, budget: float) -> bool:
+    """Whether a kind that does not look at the time itself has had its budget."""
+    return not takes(kind, "budget") and seconds > budget + GRACE
 
 
 def _start(kind: str, given: tuple, folder: Path):

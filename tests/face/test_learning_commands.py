@@ -132,6 +132,8 @@ def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
         (f"learn gp ramp_1.csv {SIGNALS} --set lagz=3 --out a.toml", ["learn gp: has no option 'lagz'", "'lags'"]),
         (f"learn piecewise ramp_1.csv {SIGNALS} --hidden 3 --out a.toml", ["has no option 'hidden'", "dead_time"]),
         (f"learn gp ramp_1.csv {SIGNALS} --set lags --out a.toml", ["--set takes NAME=VALUE"]),
+        (f"learn nn ramp_1.csv {SIGNALS} --select ramp_1.csv --out a.toml", ["ramp_1 is trained on"]),
+        (f"learn auto ramp_1.csv {SIGNALS} --select ramp_1.csv --out a.toml", ["ramp_1 is trained on"]),
         ("invert ramp_1.csv a.toml --input current --output position --out b.toml", ["one model, or recordings"]),
         (f"compensate ramp_1.csv {SIGNALS} --waypoint fast --out b.toml", ["COMMAND=RATE", "got 'fast'"]),
     ],

@@ -110,3 +110,9 @@ def test_what_runs_worse_over_what_it_has_seen_is_not_kept(best, records):
     assert again.arrays is judged.arrays and again.provenance["ranking"] == judged.provenance["ranking"]
     assert again.provenance["free_run"]["says"].endswith(refit.KEPT)
     assert again.provenance["free_run"]["refitted"] is False
+
+
+def test_a_kind_that_looks_at_no_clock_is_ended_when_its_budget_is_over(records, monkeypatch):
+    monkeypatch.setattr(ranking, "GRACE", -1.0)
+    with pytest.raises(DataError, match=r"gp: it was ended, for its budget was over"):
+        learn_best(records, INPUTS, OUTPUTS, kinds=("gp",), budget=1.0)

@@ -112,17 +112,8 @@ class FmuBlock:
         """What its runs depend on."""
         with open(self.path, "rb") as file:
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        known = self.description
-        return (
-            digest,
-            self.inputs,
-            self.outputs,
-            self.starts,
-            self.values,
-            self.resting,
-            known.record_names,
-            known.scales,
-        )
+        names, scales = self.description.record_names, self.description.scales
+        return digest, self.inputs, self.outputs, self.starts, self.values, self.resting, names, scales
 
     def to_travel(self) -> FmuBlock:
         """The same for another process; whoever runs it there must have the file at the same path."""

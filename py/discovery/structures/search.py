@@ -21,7 +21,6 @@ from hydrotwin.models.language.errors import HydrotwinError, SolveError
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, temperature
-from ..evidence.score import score
 from ..fits.job import Fitted, Job, Look
 from ..fits.whole import led, step
 from .ends import Freed, OutOfTime, Surprised
@@ -147,18 +146,17 @@ class Search:
     def _fit_base(self, base: Entry) -> None:
         """Fit the base from where its windows ended, or where that leaves more than they did from all it came by.
 
-        It may be so stiff there that a step takes seconds, and a minimum near: each start has a little time, the best
-        goes on.
+        It may be so stiff there that a step takes seconds: each start has a little time, the best goes on.
         """
         starts = different(self.jobs.whole(base).starts if base.look else ({},))
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
         for some in (starts[:1], starts[1:]):
             settings = {"size": size, "states": states, "seconds": self.effort.look}
-            found = self._ran([self.jobs.of(base, [start], **settings) for start in some])
-            known = [f for f in (*found, base.fitted) if isinstance(f, Fitted)]
-            base.fitted = min(known, key=lambda f: score(f.left, self.table.floor()), default=None)
+            for found in self._ran([self.jobs.of(base, [start], **settings) for start in some]):
+                self._keep_better(base, found)
             if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
                 break
+        base.failed = "" if base.fitted else base.failed
         if base.fitted and not base.fitted.converged:
             (found,) = self._ran([self.jobs.further(base)])
             self._keep_better(base, found)

@@ -120,6 +120,15 @@ def test_an_earlier_comparison_of_other_recordings_judges_nothing(folder, tmp_pa
         run(others, "good", base=tmp_path, **wanted)
 
 
+def test_an_earlier_comparison_of_more_recordings_judges_nothing(folder, tmp_path):
+    before, _ = run(folder, "bad")
+    write_report(before, tmp_path)
+    (tmp_path / "few").mkdir()
+    shutil.copy(next(iter(sorted(folder.glob("load*.csv")))), tmp_path / "few")
+    with pytest.raises(DeclarationError, match="load1_stroke2 is gone"):
+        run(tmp_path / "few", "good", against=tmp_path / "compare.json")
+
+
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"means": [{"model": "a"}]}', '{"means": 3}'])
 def test_a_file_that_is_no_comparison_is_refused(tmp_path, text):
     (tmp_path / "compare.json").write_text(text)

@@ -192,3 +192,19 @@ def test_a_search_stops_where_windows_say_that_a_structure_is_right_and_longer_r
     while search.go():
         pass
     assert len(search.surprises) == 2 and search.complete
+
+
+def test_each_start_of_the_base_has_a_look_s_time_and_the_best_goes_on_where_it_has_not_come_to_rest():
+    search, asked = begun(records(2, dry=30.0), SOME), []
+    done = search.run
+
+    def run(function, jobs, stage):
+        asked.extend(jobs)
+        return [dataclasses.replace(f, converged=False) if hasattr(f, "converged") else f
+                for f in done(function, jobs, stage)]  # fmt: skip
+
+    search.run = run
+    search.identify()
+    *starts, further = [job for job in asked if job.stages is None]
+    assert starts and {job.seconds for job in starts} == {search.effort.look}
+    assert further.seconds == search.effort.seconds and further.starts == (search.table.entry().fitted.values,)

@@ -131,3 +131,10 @@ def test_the_same_effect_at_two_places_is_named_and_no_class():
     said = standing(table)
     assert said.verdict == "named" and len(said.class_) == 2
     assert {c.site.name for c in said.members(said.order[0])} == {"rate", "other"}
+
+
+def test_what_leaves_nothing_stays_named_however_many_were_not_looked_at(table, monkeypatch):
+    """None of them can be better."""
+    monkeypatch.setattr(type(table), "unseen", lambda self: 50.0)
+    said = fitted(table, all_seen=False, base=30.0, coulomb_friction=1.0)
+    assert said.told()["not looked at"] > 0.9 and said.verdict == "named"

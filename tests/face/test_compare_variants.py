@@ -117,3 +117,11 @@ def test_what_cannot_be_is_refused_in_a_sentence_with_nothing_written(folder, tm
     answer = hydrotwin("compare", path, "--out", tmp_path / "out", *words)
     assert (answer.code, says in answer.said) == (2, True), answer.said
     assert not (tmp_path / "out").exists() and not Path("a.ssp").exists()
+
+
+def test_runs_are_kept_where_they_are_many(folder, monkeypatch, tmp_path):
+    line = ("compare", "--model", "eq17", "--validate", folder / "validate_1.csv", "--mode", "free run", "--out")
+    assert hydrotwin(*line, tmp_path / "few", "--executor", "here").code == 0
+    monkeypatch.setattr("hydrotwin.commands.comparing_many.MANY", 1)
+    assert hydrotwin(*line, tmp_path / "many", "--executor", "here").code == 0
+    assert not (tmp_path / "few" / ".runs").exists() and (tmp_path / "many" / ".runs").is_dir()

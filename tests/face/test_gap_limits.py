@@ -151,7 +151,7 @@ def test_what_an_answer_so_far_looks_at_the_search_does_not_see(at_once, monkeyp
     made, sizes = so_far.answer, []
 
     def curious(search, *words):
-        assert search.pause is None
+        assert search.pause is None and search.jobs.further(search.table.entry()).iterations == 1
         search.table.entry(search.table.candidates)
         return made(search, *words)
 

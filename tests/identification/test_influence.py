@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from hydrotwin.identification import identify, sensitivity
 from hydrotwin.identification.influence import sobol
 from hydrotwin.models.language import DataError, DeclarationError
 from hydrotwin.simulation import simulate
+from hydrotwin.simulation.many import run_many
 from tests.identification.influences import (
     ISHIGAMI_FIRST,
     ISHIGAMI_TOTAL,
@@ -25,6 +28,13 @@ from tests.identification.influences import (
 
 ALL = {"parameters": ["*"]}
 LOCAL = {**ALL, "samples": 0, "stretches": 2}
+
+
+def one_wild_set(*asked):
+    """`run_many`, of whose sets one nearly diverges in y, as in steps that are too long for it."""
+    y, stops = run_many(*asked)
+    y[3, 50:, 0] *= 1e9
+    return y, stops
 
 
 def test_indices_of_ishigami_are_those_on_paper():
@@ -185,28 +195,41 @@ def test_sets_that_diverge_are_counted_and_told():
 def test_sets_that_nearly_diverge_in_the_steps_of_the_nominal_one_are_run_as_they_need(monkeypatch):
     driven = [record(u=1.0, v=0.5)]
     asked = {**ALL, "over": "10%", "samples": 64, "stretches": 1}
-    right, plain = sensitivity(weighted(), driven, **asked).sobol.whole, sobol.run_many
+    right = sensitivity(weighted(), driven, **asked).sobol.whole
 
-    def wild(propagator, time, u, p, x0):
-        y, stops = plain(propagator, time, u, p, x0)
-        y[3, 50:] *= 1e9
-        return y, stops
-
-    monkeypatch.setattr(sobol, "run_many", wild)
+    monkeypatch.setattr(sobol, "run_many", one_wild_set)
     found = sensitivity(weighted(), driven, **asked).sobol
     assert found.whole.total == pytest.approx(right.total, abs=1e-6) and found.diverged == 0
 
 
+def test_an_output_at_rest_makes_no_set_far(monkeypatch):
+    monkeypatch.setattr(sobol, "controlled_many", lambda *_: pytest.fail("a set is run again"))
+    for u in (1.0, 0.0):
+        sensitivity(weighted(), [record(u=u, v=0.5)], **ALL, over="10%", samples=16, stretches=1)
+
+
+def test_what_no_method_runs_accurately_counts_as_diverged(monkeypatch):
+    controlled = sobol.controlled_many
+
+    def coarse(*asked):
+        return [ran._replace(accuracy=replace(ran.accuracy, error=1.0)) for ran in controlled(*asked)]
+
+    monkeypatch.setattr(sobol, "run_many", one_wild_set)
+    monkeypatch.setattr(sobol, "controlled_many", coarse)
+    found = sensitivity(weighted(), [record(u=1.0, v=0.5)], **ALL, over="10%", samples=64, stretches=1).sobol
+    assert found.diverged == -(-found.sets // (sobol.AT_ONCE - 1)) and "nearly diverges" in found.reason
+
+
+def test_total_indices_that_add_up_to_less_than_one_are_none():
+    half, spread = np.full((2, 2), 0.01), np.ones(2)
+    total = np.array([[0.46, 0.0], [0.99, 0.0]])
+    assert sobol.Indices(total, half, total, half, spread).vague.tolist() == [True, False]
+
+
 def test_nothing_is_said_to_drive_an_output_of_which_a_few_sets_make_the_variance(monkeypatch):
     """They are told to be accurate: as near a pole of the equations."""
-    plain = sobol.run_many
 
-    def wild(propagator, time, u, p, x0):
-        y, stops = plain(propagator, time, u, p, x0)
-        y[3, 50:, 0] *= 1e9
-        return y, stops
-
-    monkeypatch.setattr(sobol, "run_many", wild)
+    monkeypatch.setattr(sobol, "run_many", one_wild_set)
     monkeypatch.setattr(sobol, "_run_far_ones_again", lambda *_: None)
     found = sensitivity(weighted(), [record(u=1.0, v=0.5)], **ALL, over="10%", samples=64, stretches=1)
     assert found.sobol.whole.vague.tolist() == [True, False]

@@ -116,3 +116,7 @@ def test_a_kind_that_looks_at_no_clock_is_ended_when_its_budget_is_over(records,
     monkeypatch.setattr(ranking, "GRACE", -1.0)
     with pytest.raises(DataError, match=r"gp: it was ended, for its budget was over"):
         learn_best(records, INPUTS, OUTPUTS, kinds=("gp",), budget=1.0)
+
+
+def test_a_kind_that_looks_at_the_time_itself_is_left_to_write_its_card():
+    assert ranking._late("gp", 100.0, 1.0) and not ranking._late("nn", 100.0, 1.0)

@@ -34,7 +34,7 @@ FEWEST = 16  # base samples that still give an index
 KEPT, FEW_KEPT = 600, 8  # instants of all runs at which outputs are kept, and of a stretch at least
 AT_ONCE = 64  # sets of one call: their runs are held in memory
 RESAMPLES, SIGMAS = 200, 1.96  # of the base samples, for the half widths of 95 % intervals
-FAR = 10.0  # ranges of the nominal run: a set that goes further away is run again, with its own accuracy
+FAR = 10.0  # ranges of the nominal run, sizes of an output at rest: a set further away is run again as it needs
 VAGUE = 0.5  # half width of a total index from which on nothing is told of who drives an output
 COURSE, DEVIATION = "course", "deviation"
 OF = (COURSE, DEVIATION)
@@ -183,7 +183,9 @@ def _run_far_ones_again(runs: Runs, run: Run, given: tuple[np.ndarray, np.ndarra
 
     They may be stiffer than that, and nearly diverge in its steps. What no method runs accurately counts as diverged.
     """
-    apart = np.ptp(y[0], axis=0) + NOTHING
+    moved, size = np.ptp(y[0], axis=0), np.abs(y[0]).max(axis=0)
+    size = np.where(size > 0, size, [s.nominal for s in runs.flat.outputs])
+    apart = np.where(moved > NOTHING * size, moved, size)  # an output at rest tells its size alone
     far = [s for s in range(1, len(y)) if stops[s] is None and (np.abs(y[s] - y[0]).max(axis=0) > FAR * apart).any()]
     if not far:
         return

@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from types import NoneType, UnionType
+from typing import Annotated, Union, get_args, get_origin, get_type_hints
 
 import typer
 
@@ -26,9 +27,10 @@ def named(name: str | None) -> dict[str, str]:
 
 def options_of(what: str, function: Callable, settings, flags: dict, *more: Callable) -> dict:
     """Options by name from flags and ``NAME=VALUE``, each one that ``function`` (or one of ``more``) has."""
-    known: dict[str, inspect.Parameter] = {}
+    known: dict[str, object] = {}
     for one in (function, *more):
-        known |= {k: p for k, p in inspect.signature(one).parameters.items() if p.kind is p.KEYWORD_ONLY}
+        kinds, parameters = get_type_hints(one), inspect.signature(one).parameters
+        known |= {k: kinds.get(k, object) for k, p in parameters.items() if p.kind is p.KEYWORD_ONLY}
     found = dict(flags)
     for text in settings or ():
         key, equals, value = text.partition("=")
@@ -36,10 +38,37 @@ def options_of(what: str, function: Callable, settings, flags: dict, *more: Call
             raise DeclarationError(f"{what}: --set takes NAME=VALUE (got '{text}'). Write --set lags=5.")
         found[key.strip()] = _value(value.strip())
     own = [k for k in known if k not in OWN]
-    for key in found:
+    for key, value in found.items():
         if key not in own:
             raise DeclarationError(f"{what}: has no option '{key}'. {nearest(key, own)} It has: {', '.join(own)}.")
+        if not _fits(value, known[key]):
+            given = ",".join(map(str, value)) if isinstance(value, tuple) else value
+            raise DeclarationError(f"{what}: {key} cannot be '{given}'. It takes {_words(known[key])}.")
     return found
+
+
+def _fits(value, kind) -> bool:
+    """Whether a value is of a kind, as an annotation says it; whole numbers are numbers, too."""
+    from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+    try:
+        TypeAdapter(kind, config=ConfigDict(arbitrary_types_allowed=True)).validate_python(value)
+    except ValidationError:
+        return False
+    return True
+
+
+def _words(kind) -> str:
+    """A kind of value as one writes it on the command line."""
+    plain = {int: "a whole number", float: "a number", bool: "true or false", str: "a word", NoneType: "none"}
+    if kind in plain:
+        return plain[kind]
+    parts = get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return " or ".join(_words(part) for part in parts)
+    if get_origin(kind) is tuple and ... not in parts:
+        return f"{len(parts)} values with commas between them"
+    return "values with a comma behind each" if parts else str(kind)
 
 
 def _value(text: str):

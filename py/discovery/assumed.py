@@ -48,7 +48,7 @@ def fairly(
     """
     given_up: list[Change] = []
     search = begin(asked)
-    moving = Change() if search.explained() else _questioned(search, search.table.entry())
+    moving = Change() if search.table.explained() else _questioned(search, search.table.entry())
     if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
         given_up.append(moving)
         asked = again(asked.model, "free")
@@ -103,7 +103,7 @@ def _in_doubt(search: Search, said: Standing) -> bool:
 
     What acts by a time alone is what an input between its samples would look like.
     """
-    if not (search.complete and said.kept.members and search.explained()):
+    if not (search.complete and said.kept.members and search.table.explained()):
         return search.complete
     units = {p.name: p.unit for p in search.table.model(said.kept).flat.parameters}
     return any(units[n] == "s" for c in said.kept.members for n in c.free)

@@ -114,9 +114,9 @@ def doubting(monkeypatch, best, doubt):
 
     def begin(asked):
         begun.append(asked.initial_states)
-        table = SimpleNamespace(entry=lambda: None)
+        table = SimpleNamespace(entry=lambda: None, explained=lambda: False)
         return SimpleNamespace(
-            go=lambda: None, explained=lambda: False, complete=True, until=np.inf, table=table,
+            go=lambda: None, complete=True, until=np.inf, table=table,
             take_looks=lambda before: None,
         )  # fmt: skip
 

@@ -35,7 +35,7 @@ def extent(table, gap):
         return as_look(Fitted({}, (), spectrum(residuals(question, gap)), (), True, 1))
 
     table.entry().fitted = Fitted({}, (), spectrum(residuals(table.question, gap)), (), True, 1)
-    question, look = enough_of(table, left)
+    question, look = enough_of(table, left, as_look(table.entry().fitted))
     assert look.left.counts.sum() == sum(len(r.time) for r in question.fit)
     return len(question.fit[0].time)
 
@@ -55,7 +55,7 @@ def test_a_small_gap_takes_all(table):
 
 def test_a_base_that_diverges_in_a_part_takes_all(table):
     table.entry().fitted = Fitted({}, (), spectrum(residuals(table.question, np.ones_like)), (), True, 1)
-    question, look = enough_of(table, lambda q: "slide: diverged.")
+    question, look = enough_of(table, lambda q: "slide: diverged.", as_look(table.entry().fitted))
     assert question is table.question and isinstance(look, Look)
 
 

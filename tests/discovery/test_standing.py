@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from hydrotwin.discovery.answer.standing import standing
@@ -31,10 +32,13 @@ def fitted(table, all_seen=True, **times):
 
 
 def seen(table):
-    """Every single effect has been looked at, and those not fitted come to nothing."""
+    """Every single effect has been looked at, also in the place of those that are fitted, and comes to nothing."""
     for c in table.candidates:
         entry = table.entry([c])
         entry.failed = "" if entry.fitted else "it diverges"
+    for best in table.fitted:
+        for other in (table.entry(members) for one in best.members for members in table.instead(best, one)):
+            other.beside = np.nan if other.fitted else 1.0
 
 
 def test_a_base_at_the_noise_lacks_nothing(table):

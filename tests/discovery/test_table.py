@@ -85,7 +85,7 @@ def test_the_base_is_scored_by_noise_alone_and_a_right_law_may_keep_a_fiftieth_o
     told.entry().fitted, one.fitted, other.fitted = leaving(60.0), leaving(1.2), leaving(6.0)
     assert told.score(told.entry()) == pytest.approx(0.5 * 1800 * np.log(60.0**2), rel=0.1)
     assert told.score(one) < 5.0, "1.2 is the root of 1 + (0.02 60)^2 at most"
-    assert told.score(other) > 500.0 > told.score(other, law=0.1)
+    assert told.score(other) > 500.0 > told.scores(law=0.1)[other.key]
     assert told.share(one) < 0.001 < 0.1 < told.share(other) < 0.4
     assert told.scores().keys() == {(), one.key, other.key}
 
@@ -139,5 +139,44 @@ def test_of_effects_that_nobody_looked_at_as_many_explain_all_as_of_the_others(t
     other.fitted = leaving(1.0)
     assert told.unseen() == pytest.approx(1 * 1.5 / 3), "a twin: where there is one, there may be more"
     assert 0.1 < told.posterior().unseen < 0.5
-    third.failed = "it diverges"
+    third.look = seen(20.0, 30.0)
+    assert told.unseen() == pytest.approx(0.5), "from a base that is bent even the right one may promise nothing"
+    third.beside = 0.9
     assert told.unseen() == 0.0 == told.posterior().unseen
+
+
+def test_before_anything_explains_all_what_was_looked_at_is_seen(told):
+    one, other, third = singles(told)
+    told.entry().fitted = leaving(30.0)
+    one.look, other.failed = seen(20.0, 30.0), "it diverges"
+    assert told.unseen() == pytest.approx(0.5 / 3)
+    third.look = seen(20.0, 30.0)
+    assert told.unseen() == 0.0 and told.seen_all()
+
+
+def test_in_the_place_of_each_of_a_pair_the_others_count(told):
+    one, other, third = told.candidates
+    told.entry().fitted, told.entry([one, other]).fitted = leaving(30.0), leaving(1.0)
+    assert told.unseen() == pytest.approx(2 * 0.5 / 2)
+    told.entry([one, third]).beside = 2.0
+    assert told.unseen() == pytest.approx(1 * 0.5 / 3)
+
+
+def coloured(times):
+    """A fit that leaves white noise and a slow error of so many times its size."""
+    runs = [NOISE * (np.random.default_rng(k).standard_normal(600) + times * np.sin(np.arange(600) / 40))[:, None]
+            for k in range(3)]  # fmt: skip
+    return Fitted({}, (), spectrum(runs), (), True, 1)
+
+
+def test_no_more_of_the_noise_is_coloured_than_the_best_fit_leaves(told):
+    """Rounding would allow a slow error: where one of two structures leaves none, the other has no excuse."""
+    one, other, third = singles(told)
+    told.coloured = np.array([0.5 * NOISE])
+    told.entry().fitted, one.fitted = coloured(5.0), coloured(0.7)
+    assert told.score(one) < 5.0, "as rounding may leave it"
+    before = told.score(told.entry())
+    other.fitted = third.fitted = coloured(0.0)
+    assert told.score(one) > 10.0 and told.score(other) < 1.0
+    assert told.score(told.entry()) >= before
+    assert told.explained([other]) and not told.explained([one])

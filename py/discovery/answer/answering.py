@@ -90,7 +90,7 @@ def answer(search: Search, data: Split, model: Model) -> Discovery:
         experiment=_experiment(search, said, data) if said.verdict == "class" and not flat.black_box else None,
         findings=(*data.findings, *findings_of(search, said, doubts), *_of_fit(finals.after, said.verdict)),
         not_testable=_not_testable(said),
-        screened=sum(bool(e.look or e.fitted) for e in table.entries.values() if len(e.key) == 1),
+        screened=sum(bool(e.seen and not e.failed) for e in table.entries.values() if len(e.key) == 1),
         fitted=len({label for e in table.fitted for label in e.key}),
         probabilities=said.told(),
         untried=tuple(" + ".join(e.key) for e in search.waiting()[:5]) if not search.complete else (),

@@ -75,7 +75,7 @@ def findings_of(search: Search, said: Standing, doubts: Iterable[str]) -> list[s
             "motion in both directions, with pauses."
         )
     if not search.complete:
-        looked = sum(bool(e and (e.look or e.fitted)) for _, e in alone)
+        looked = sum(bool(e and e.seen) for _, e in alone)
         found.append(
             f"gap: the time limit ended the search: {looked} of {len(alone)} candidates were looked at, "
             f"{len(table.fitted) - 1} structures fitted. The answer is the best of those. Give --time-limit more, or "

@@ -77,6 +77,8 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
         return "cannot be added", entry.failed
     if not testable(entry, c):
         return "not testable", "it would not show in these recordings, whatever its size"
+    if not entry.fitted and entry.asked:
+        return "not fitted", "a few steps from where the best ended, it leaves more of the gap than what was fitted"
     if not entry.fitted:
         return "not fitted", "in short windows it promises less than what was fitted" if entry.look else "not looked at"
     return "rejected", "leaves more than what is told, or no less for more parameters"
@@ -95,7 +97,9 @@ def _most(c: Candidate, name: str) -> float:
 
 
 def _share(table: Table, entry: Entry) -> float:
-    return float(np.clip(1 - table.promise(entry), 0.0, 1.0)) if entry.look else np.nan
+    if not (entry.look or entry.asked):
+        return np.nan
+    return float(np.clip(1 - (entry.beside if entry.asked else table.promise(entry)), 0.0, 1.0))
 
 
 def _as_fitted(table: Table, entry: Entry, candidate: Candidate) -> tuple[EffectParameter, ...]:

@@ -74,7 +74,7 @@ def _counted(search: Search) -> str:
     """How far it is."""
     table = search.table
     alone = [table.entries.get((c.label,)) for c in table.candidates]
-    looked = sum(bool(e and (e.look or e.fitted)) for e in alone)
+    looked = sum(bool(e and e.seen) for e in alone)
     fitted = sum(bool(e.members) for e in table.fitted)
     structures = "1 structure" if fitted == 1 else f"{fitted} structures"
     return f"{looked} of {len(alone)} candidates were looked at so far, {structures} fitted"

@@ -73,18 +73,23 @@ class Floor:
 
     noise : of the sensors (ny,), SI; coloured : what of it is no white noise (ny,), SI: rounding, accuracy of the runs.
     base : mean squares (scales, ny) that the base leaves, of which a right law keeps the share ``law`` (of the root).
+    shown : mean squares (scales, ny) that the best fit leaves: no more of the noise than this is coloured.
     """
 
     noise: np.ndarray
     coloured: np.ndarray
     base: np.ndarray | None = None
     law: float = DECIDING.law
+    shown: np.ndarray | None = None
 
     def variance(self, counts: np.ndarray) -> np.ndarray:
         """f (scales, ny) for so many coefficients, SI squared."""
         scales = np.arange(len(counts))[:, None]
         chance = DECIDING.known + DECIDING.chance * np.sqrt(2 / np.maximum(counts, 1))
-        noise = np.square(self.noise) * (1 + chance) + np.square(self.coloured) * 2.0**scales
+        white = np.square(self.noise)
+        noise = white * (1 + chance) + np.square(self.coloured) * 2.0**scales
+        if self.shown is not None:
+            noise = np.fmin(noise, np.fmax(self.shown[: len(counts)], white) * (1 + chance))
         return noise if self.base is None else noise + self.law**2 * self.base
 
 
@@ -99,6 +104,13 @@ def by_output(left: Spectrum, floor: Floor) -> np.ndarray:
         ratio = left.variance / floor.variance(left.counts)
         used = (left.counts > 0) & np.isfinite(floor.noise)
         return np.where(used, 0.5 * left.counts * np.log(np.maximum(ratio, 1.0)), 0.0).sum(axis=0)
+
+
+def least(fits: Sequence[Spectrum], noise: np.ndarray) -> np.ndarray | None:
+    """Mean squares (scales, ny) of the likeliest of fits to the same recordings; None where none came to an end."""
+    ended = [s for s in fits if np.isfinite(s.squares).all()]
+    white = Floor(noise, np.zeros_like(noise))
+    return min(ended, key=lambda s: score(s, white)).variance if ended else None
 
 
 def sharper(noise: np.ndarray, fits: Sequence[Spectrum], told: np.ndarray, least: np.ndarray) -> np.ndarray:

@@ -71,9 +71,9 @@ def glance(job: Job) -> Look | str:
 
     Pure and picklable.
     """
-    began = time.perf_counter()
+    began, few = time.perf_counter(), min(FEW, job.iterations)
     try:
-        task, found = _first(dataclasses.replace(job.beginning(), iterations=FEW), ROUGHLY, few_runs=True)
+        task, found = _first(dataclasses.replace(job.beginning(), iterations=few), ROUGHLY, few_runs=True)
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)

@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING
-from ..evidence.score import Floor, score
+from ..evidence.score import score
 from ..fits.job import WINDOWS, Look, Question
-from ..fits.whole import as_look
 from .table import Table
 
 SHORT = 2  # lengths of windows in which a large gap shows
@@ -48,14 +47,14 @@ def beginnings(question: Question, part: float) -> Question:
     return dataclasses.replace(question, fit=tuple(cut))
 
 
-def enough_of(table: Table, look: Callable[[Question], object]) -> tuple[Question, Look]:
-    """The shortest beginnings of the recordings that show the gap well, and what the base leaves there.
+def enough_of(table: Table, look: Callable[[Question], object], whole: Look) -> tuple[Question, Look]:
+    """The shortest beginnings of the recordings that show the gap well, and what is left there.
 
-    Where twice as much would be too long for a look, a fair share of the gap is enough. look : of the base through the
-    recordings of a question, from where its fit ended.
+    Where twice as much would be too long for a look, a fair share of the gap is enough. look : of a structure through
+    the recordings of a question; whole : what that left of all of them.
     """
-    base = table.entry()
-    total, floor = table.score(base), Floor(table.noise, table.coloured)
+    floor = table.floor()
+    total = score(whole.left, floor)
     samples = sum(len(r.time) for r in table.question.fit)
     for part in PARTS:
         enough = ENOUGH if 2 * part * samples <= LONG else 0.0
@@ -65,4 +64,4 @@ def enough_of(table: Table, look: Callable[[Question], object]) -> tuple[Questio
         found = look(question)
         if isinstance(found, Look) and score(found.left, floor) > max(enough, FAIR * part * total):
             return question, found
-    return table.question, as_look(base.fitted)
+    return table.question, whole

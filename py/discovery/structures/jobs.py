@@ -13,7 +13,7 @@ from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.posterior import NOTHING
-from ..fits.job import Job, Question
+from ..fits.job import Job, Look, Question
 from ..fits.whole import trajectories
 from .starts import diagonal, looks, seen_by, small, usual
 from .table import Entry, Table
@@ -125,12 +125,29 @@ class Jobs:
         known = part.fitted
         return self.of(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
 
+    def soon(self, entry: Entry, look: Look) -> Job:
+        """The fit from where a look from the right base ended."""
+        seconds = SOON * self.effort.look
+        return self.of(entry, [look.values], states=look.states, size=look.size, seconds=seconds)
+
     def from_there(self, entry: Entry, best: Entry) -> Job:
         """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
         known, own, names = best.fitted, self.starts(entry), self.table.names(entry)
         begin = {n: v for n, v in known.values.items() if n in names}
         starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
         return self.of(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
+
+    def left_by(self, entry: Entry, best: Entry, question: Question) -> Job:
+        """A run through the recordings of a question of a part of the best structure, as that has its values."""
+        known, names = best.fitted, self.table.names(entry)
+        begin = {n: v for n, v in known.values.items() if n in names}
+        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
+        return dataclasses.replace(self.of(entry, [begin], **settings), question=question, iterations=0)
+
+    def glance_from(self, best: Entry, entry: Entry, question: Question) -> Job:
+        """A few steps through the recordings of a question from where the best ended, effects at usual sizes."""
+        job = self.from_there(entry, best)
+        return dataclasses.replace(job, question=question, stages=(0, 0), seconds=self.effort.look)
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
         """Starts of a structure: each of its effects at usual values, the base where its user put it."""

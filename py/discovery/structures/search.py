@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,12 +17,12 @@ from hydrotwin.identification.frequencies import detuned
 from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.problem import free_parameters
 from hydrotwin.models.effects import Candidate
-from hydrotwin.models.language.errors import HydrotwinError, SolveError
+from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.deciding import DECIDING
-from ..evidence.posterior import NOTHING, temperature
-from ..fits.job import Fitted, Job, Look
-from ..fits.whole import led, step
+from ..fits.job import Fitted, Job, Look, Question
+from ..fits.whole import as_look, led, step
+from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
 from .extent import SHORT, enough_of, telling, with_fewer_windows
 from .jobs import Effort, Jobs
@@ -32,7 +32,7 @@ from .table import Entry, Table
 BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
 FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
-INSTEAD = 0.5  # of it: what leaves or promises less may stand in the place of what explains all
+FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
 EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
 LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
@@ -62,6 +62,9 @@ class Search:
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
+        # the time limit is seen between batches
+        self.batch = self.effort.batch if np.isinf(self.until) else self.effort.together
+        self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
     def go(self) -> Entry | None:
         """Search until nothing promises to improve the answer, or the time is over.
@@ -81,17 +84,18 @@ class Search:
             chosen = [e for e in seen if self.table.promise(e) < EARLY][: self.effort.together]
             chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
             self._take(chosen, self._ran([self.jobs.whole(e) for e in chosen]))
-            self._without_each()
+            best = self.alternatives.best  # what fits as well without one of its effects says less
+            self.alternatives.fit_from(best, [e for e in self.alternatives.less(best) if not e.fitted])
         return None
 
     def _go(self) -> None:
-        if self.explained([self.identify()]):
+        if self.table.explained([self.identify()]):
             return
         if not (self.first and self._through(min(self.most, BY_WINDOWS))):
             self._to_whole_recordings()
         self._through(self.most)
         self._climb(list(self.table.entries.values()))
-        self._settle()
+        self.alternatives.settle()
 
     def _through(self, most: int) -> bool:
         """Go through structures of up to ``most`` effects until one explains all; whether any of them promises much."""
@@ -102,7 +106,7 @@ class Search:
             if not self.first:
                 self._climb(entries)
             seen += entries
-            if self.explained():
+            if self.table.explained():
                 break
         return any(table.promise(e) < EARLY for e in seen)
 
@@ -114,9 +118,11 @@ class Search:
         table, base = self.table, self.table.entry()
         self.jobs.windows = table.question if table.question.lengths else self.jobs.windows
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
-        self.jobs.extent, base.look = enough_of(
-            table, lambda question: self._ran([self.jobs.glance(base, question)])[0]
-        )
+
+        def look(question: Question):
+            return self._ran([self.jobs.glance(base, question)])[0]
+
+        self.jobs.extent, base.look = enough_of(table, look, as_look(base.fitted))
         table.look_anew()
 
     def identify(self) -> Entry:
@@ -153,13 +159,13 @@ class Search:
         for some in (starts[:1], starts[1:]):
             settings = {"size": size, "states": states, "seconds": self.effort.look}
             for found in self._ran([self.jobs.of(base, [start], **settings) for start in some]):
-                self._keep_better(base, found)
+                self.table.keep_better(base, found)
             if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
                 break
         base.failed = "" if base.fitted else base.failed
         if base.fitted and not base.fitted.converged:
             (found,) = self._ran([self.jobs.further(base)])
-            self._keep_better(base, found)
+            self.table.keep_better(base, found)
 
     def _lead(self, base: Entry, lengths: int) -> None:
         """Lead the base through the first ``lengths`` of windows, where it has not gone through them."""
@@ -202,26 +208,22 @@ class Search:
 
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
-        return sorted((e for e in self.table.entries.values() if e.open and e.members), key=self.table.promise)
-
-    def explained(self, by: Sequence[Entry] = ()) -> bool:
-        """Whether one of these structures, else any, leaves no more than what names would cost."""
-        scores, table = self.table.scores(), self.table
-        T = temperature(scores.get(NOTHING, 0.0))
-        keys = [e.key for e in by] or list(scores)
-        return any(scores[key] < T * table.prices.of(1, 1) / 2 for key in keys)
+        open_ = (e for e in self.table.entries.values() if e.open and e.members and not e.asked)
+        return sorted(open_, key=self.table.promise)
 
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:
-        """Look at structures; those that promise everything are fitted as soon as they are seen, the best first."""
-        size = self.effort.batch if np.isinf(self.until) else self.effort.together  # the limit is seen between batches
-        for batch in _batches([e for e in entries if e.open and not e.look], size):
+        """Look at structures; those that promise everything are fitted as soon as they are seen, the best first.
+
+        Where one explains all, the others are asked from where it ended: see `Alternatives`.
+        """
+        for batch in batches([e for e in entries if e.open and not e.look], self.batch):
             self._advance(batch, self.first)
             while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
                 level = SAME + min(self.table.promise(e) for e in early)
                 self._advance([e for e in early if self.table.promise(e) < level])
-                if self.explained():
-                    break
+                if self.table.explained():
+                    return
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
@@ -234,7 +236,7 @@ class Search:
             best = min(done, key=table.share, default=None)
             level = SAME + max(table.share(best), table.promise(best)) if best else -1.0
             near = [e for e in waiting if table.promise(e) < level]
-            if not near and (self.explained() or beyond >= self.effort.fits):
+            if not near and (self.table.explained() or beyond >= self.effort.fits):
                 return
             chosen = (near or waiting)[: self.effort.together]
             self._advance(chosen)
@@ -261,63 +263,21 @@ class Search:
         """Share of what the base leaves that a structure leaves, or promises to."""
         return min(self.table.promise(e, self.first), self.table.share(e) if e.fitted else np.inf)
 
-    def _settle(self) -> None:
-        """Fit what stands beside the best structure from where that ended, too, until the best stays the best.
-
-        A fit of its own may have ended in a local minimum of the base.
-        """
-        tried: set = set()
-        while True:
-            best = self.table.entries[self.table.posterior().best]
-            beside = {e.key: e for e in self._beside(best) if (e.key, best.key) not in tried and self._usable(e)}
-            tried |= {(key, best.key) for key in beside}
-            if not beside:
-                return
-            for entry, found in zip(
-                beside.values(), self._ran([self.jobs.from_there(e, best) for e in beside.values()]), strict=True
-            ):
-                self._keep_better(entry, found)
-
-    def _without_each(self) -> None:
-        """Fit the best structure without each of its effects, where nobody has: what fits as well says less."""
-        best = self.table.entries[self.table.posterior().best]
-        parts = [self.table.entry([m for m in best.members if m is not one]) for one in best.members]
-        parts = [e for e in parts if e.members and not e.fitted and self._usable(e)]
-        for entry, found in zip(parts, self._ran([self.jobs.from_there(e, best) for e in parts]), strict=True):
-            self._keep_better(entry, found)
-
-    def _beside(self, best: Entry) -> list[Entry]:
-        """What says less than the best: without an effect, or a plainer form of it; and others in its place.
-
-        Others are asked only where the best explains all and they promise to; what leaves as little is not.
-        """
-        table, found = self.table, []
-        others = self._promising()[: self.effort.together] if self.explained() else []
-        for one in best.members:
-            rest = [m for m in best.members if m is not one]
-            found += [table.entry(rest)] if rest else []
-            free = [c for c in table.candidates if c not in best.members and compatible([*rest, c])]
-            found += [table.entry([*rest, c]) for c in free if one.refines(c)]
-            instead = [table.entry([*rest, c]) for c in others if c in free and not one.refines(c)]
-            found += [e for e in instead if self._worth(e) < INSTEAD]
-        enough = table.score(best) + 1.0
-        return [e for e in found if not (e.fitted and table.score(e) < enough)]
-
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
         """Lead structures on: a new one through the ``first`` lengths of windows, then the next; after the last, fit.
 
         The base goes through all that are left at once. One that does worse than a part of it goes on from that.
         """
-        known = [e for e in entries if e.open and self._usable(e)]
+        known = [e for e in entries if e.open and self.table.usable(e)]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
-        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.explained([e])]
+        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained([e])]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
-            self._keep_better(entry, found)
+            self.table.keep_better(entry, found)
         self._free_base(known)
         worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
-            self._keep_better(entry, found)
+            self.table.keep_better(entry, found)
         self._wonder(known)
 
     def _free_base(self, entries: Sequence[Entry]) -> None:
@@ -325,12 +285,12 @@ class Search:
         table, base = self.table, self.table.entry()
         best = min((e for e in entries if e.fitted and e.members), key=table.score, default=None)
         before = table.score(base) if best else 0.0
-        if not best or table.score(best) >= INSTEAD * min(before, self.least):
+        if not best or table.score(best) >= FREED * min(before, self.least):
             return
         self.least = table.score(best)
         (found,) = self._ran([self.jobs.from_there(base, best)])
-        self._keep_better(base, found)
-        if table.score(base) > INSTEAD * before:
+        self.table.keep_better(base, found)
+        if table.score(base) > FREED * before:
             return
         if self.first and best.look:
             (look,) = self._ran([self.jobs.through_windows_of(best)])
@@ -343,7 +303,7 @@ class Search:
         """Raise Surprised for a structure that explains all in some windows and not in longer runs, a few times."""
         right = [e for e in entries if e.members and e.look and self.table.was_right(e, SAME)]
         for e in right:
-            if len(self.surprises) >= ASKED or self.explained():
+            if len(self.surprises) >= ASKED or self.table.explained():
                 return
             if e.open and self.table.promise(e) > EARLY:
                 self._take([e], self._ran([self.jobs.whole(e)]))
@@ -361,16 +321,6 @@ class Search:
             else:
                 entry.failed = found
 
-    def _keep_better(self, entry: Entry, found) -> None:
-        """Take a further fit of a structure where it leaves less; one that failed says why there is none."""
-        before = entry.fitted
-        if not isinstance(found, Fitted):
-            entry.failed = entry.failed or ("" if before else found)
-            return
-        score = self.table.score(entry) if before else np.inf
-        entry.fitted = found
-        entry.fitted = found if self.table.score(entry) < score else before
-
     def _better_part(self, entry: Entry) -> Entry | None:
         """A structure that this one contains and that leaves less."""
         parts = self.table.parts(entry)
@@ -385,15 +335,3 @@ class Search:
         if self.pause:
             self.pause(self)
         return self.run(function or step, jobs, "search")
-
-    def _usable(self, entry: Entry) -> bool:
-        try:
-            _ = self.table.model(entry).flat
-        except HydrotwinError as error:
-            entry.failed = str(error)
-        return not entry.failed
-
-
-def _batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:
-    for k in range(0, len(entries), size):
-        yield entries[k : k + size]

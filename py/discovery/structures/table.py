@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.model import Model
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior, temperature
-from ..evidence.score import Floor, Spectrum, score, sharper
+from ..evidence.score import Floor, Spectrum, least, score, sharper
 from ..fits.job import Fitted, Look, Question
+from .starts import compatible
 
 
 @dataclass(eq=False)
 class Entry:
-    """One structure. look, fitted : None until they are made; failed : why it cannot be fitted."""
+    """One structure. look, fitted : None until they are made; failed : why it cannot be fitted.
+
+    beside : share of a gap that a few steps from where the best structure ended left of it, in the place of one of its
+    effects; nan where nobody asked.
+    """
 
     members: tuple[Candidate, ...]
     look: Look | None = None
     fitted: Fitted | None = None
     failed: str = ""
+    beside: float = np.nan
 
     @property
     def key(self) -> Key:
@@ -33,6 +40,16 @@ class Entry:
     def open(self) -> bool:
         """Whether there is still something to try."""
         return not (self.fitted or self.failed)
+
+    @property
+    def seen(self) -> bool:
+        """Whether anything is known of it."""
+        return bool(self.look or self.fitted or self.failed or self.asked)
+
+    @property
+    def asked(self) -> bool:
+        """Whether it was tried from where the best structure ended."""
+        return not np.isnan(self.beside)
 
 
 @dataclass(eq=False)
@@ -56,6 +73,11 @@ class Table:
         order = {c.label: i for i, c in enumerate(self.candidates)}
         chosen = tuple(sorted(members, key=lambda c: order[c.label]))
         return self.entries.setdefault(tuple(c.label for c in chosen), Entry(chosen))
+
+    def key(self, members: Iterable[Candidate]) -> Key:
+        """The key of a structure, which may have no entry."""
+        labels = {c.label for c in members}
+        return tuple(c.label for c in self.candidates if c.label in labels)
 
     def model(self, entry: Entry) -> Model:
         """The base with the effects of a structure."""
@@ -88,17 +110,30 @@ class Table:
 
     def _seen(self) -> int:
         alone = (self.entries.get((c.label,)) for c in self.candidates)
-        return sum(bool(e and (e.look or e.fitted or e.failed)) for e in alone)
+        return sum(bool(e and e.seen) for e in alone)
+
+    def instead(self, best: Entry, one: Candidate) -> list[tuple[Candidate, ...]]:
+        """Members of structures that have another effect in the place of ``one`` of the best's."""
+        rest = tuple(m for m in best.members if m is not one)
+        others = (c for c in self.candidates if c not in best.members)
+        return [(*rest, c) for c in others if compatible((*rest, c))]
 
     def unseen(self) -> float:
-        """How many effects that explain all are to be expected among those that nobody looked at.
+        """How many structures that explain all are to be expected among those that nobody looked at.
 
-        As large a share as of others, beside the one that is right. Source: Jeffreys, Proc. R. Soc. A 186 (1946).
+        As large a share as of others, beside the one that is right. Where one explains all, others were looked at if
+        they were asked from where it ended: from a base that is bent even the right one may promise nothing.
+        Source: Jeffreys, Proc. R. Soc. A 186 (1946).
         """
-        seen, scores = self._seen(), self.scores()
-        enough = temperature(scores[NOTHING]) * self.prices.of(1, 1) / 2
-        twins = max(sum(len(key) == 1 and score < enough for key, score in scores.items()), 1) - 1
-        return (len(self.candidates) - seen) * (twins + 0.5) / (seen + 1)
+        scores, enough = self.scores(), self._enough()
+        right = [e for e in self.fitted if e.members and scores[e.key] < enough]
+        if not right:
+            return (len(self.candidates) - self._seen()) / (2 * self._seen() + 2)
+        best = min(right, key=lambda e: scores[e.key])
+        others = [self.entries.get(self.key(members)) for one in best.members for members in self.instead(best, one)]
+        seen = 1 + sum(bool(e and (e.fitted or e.failed or e.asked)) for e in others)
+        twins = sum(e in others for e in right)
+        return (len(others) + 1 - seen) * (twins + 0.5) / (seen + 1)
 
     # -- what the fits say ---------------------------------------------------------------------------------------
     @property
@@ -110,21 +145,53 @@ class Table:
         """Of the sensors (ny,), SI, as all fits together show it."""
         return sharper(self.question.noise, [e.fitted.left for e in self.fitted], self.told, self.coloured)
 
-    def floor(self, law: float = DECIDING.law) -> Floor:
+    def floor(self, law: float = 0.0) -> Floor:
         """What a right structure, whose law differs by this share, may leave of whole recordings."""
-        base = self.entries.get(NOTHING)
-        known = base.fitted.left.variance if base and base.fitted else None
+        base, noise = self.entries.get(NOTHING), self.noise
+        known = base.fitted.left.variance if law and base and base.fitted else None
         known = known if known is not None and np.isfinite(known).all() else None
-        return Floor(self.noise, self.coloured, known, law)
+        return Floor(noise, self.coloured, known, law, least([e.fitted.left for e in self.fitted], noise))
 
-    def score(self, entry: Entry, law: float = DECIDING.law) -> float:
+    def score(self, entry: Entry) -> float:
         """S of a fit, nats."""
-        own = Floor(self.noise, self.coloured) if entry.key == NOTHING else self.floor(law)
-        return score(entry.fitted.left, own)
+        return score(entry.fitted.left, self.floor(DECIDING.law if entry.members else 0.0))
 
-    def scores(self) -> dict[Key, float]:
-        """S of every fit, nats."""
-        return {e.key: self.score(e) for e in self.fitted}
+    def scores(self, law: float = DECIDING.law) -> dict[Key, float]:
+        """S of every fit, nats; the base has no law."""
+        own, others = self.floor(), self.floor(law)
+        return {e.key: score(e.fitted.left, others if e.members else own) for e in self.fitted}
+
+    @property
+    def temperature(self) -> float:
+        """Nats of difference in score that count as one."""
+        base = self.entries.get(NOTHING)
+        return temperature(self.score(base) if base and base.fitted else 0.0)
+
+    def explained(self, by: Sequence[Entry] = ()) -> bool:
+        """Whether one of these structures, else any, leaves no more than what names would cost."""
+        scores, enough = self.scores(), self._enough()
+        return any(scores[e.key] < enough for e in (by or self.fitted))
+
+    def _enough(self) -> float:
+        return self.temperature * self.prices.of(1, 1) / 2
+
+    def usable(self, entry: Entry) -> bool:
+        """Whether the model of a structure can be made; it failed if not."""
+        try:
+            _ = self.model(entry).flat
+        except HydrotwinError as error:
+            entry.failed = str(error)
+        return not entry.failed
+
+    def keep_better(self, entry: Entry, found: Fitted | str) -> None:
+        """Take a further fit of a structure where it leaves less; one that failed says why there is none."""
+        before = entry.fitted
+        if not isinstance(found, Fitted):
+            entry.failed = entry.failed or ("" if before else found)
+            return
+        score = self.score(entry) if before else np.inf
+        entry.fitted = found
+        entry.fitted = found if self.score(entry) < score else before
 
     @property
     def prices(self) -> Prices:
@@ -133,7 +200,7 @@ class Table:
     def posterior(self) -> Posterior:
         """What all fits together say."""
         parameters = {e.key: self.parameters(e) for e in self.fitted}
-        rough, beside = ({e.key: self.score(e, law) for e in self.fitted} for law in (DECIDING.rough, DECIDING.beside))
+        rough, beside = self.scores(DECIDING.rough), self.scores(DECIDING.beside)
         return posterior(self.scores(), rough, beside, parameters, self.prices, self.unseen())
 
     # -- what the windows promise ----------------------------------------------------------------------------------

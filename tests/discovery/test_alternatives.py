@@ -1,0 +1,90 @@
+"""Alternatives: where a structure explains all, every other effect is asked from where that ended."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.discovery.answer.standing import standing
+from hydrotwin.discovery.structures.search import OutOfTime
+from tests.discovery.slides import begun, records
+
+EFFECTS = ("coulomb_friction", "presliding_friction", "null_bias", "dead_time", "sensor_scale", "command_saturation")
+
+
+def entry(search, name):
+    return search.table.entry([next(c for c in search.table.candidates if c.id == name)])
+
+
+@pytest.fixture
+def right():
+    """A search among recordings with 60 N of dry friction that has fitted the base and the friction alone."""
+    search = begun(records(3, dry=60.0), EFFECTS)
+    search.identify()
+    friction = entry(search, "coulomb_friction")
+    while friction.open:
+        search._advance([friction])
+    return search
+
+
+def test_before_the_others_are_asked_the_right_one_is_far_from_sure(right):
+    said = standing(right.table)
+    assert said.best is entry(right, "coulomb_friction")
+    assert said.probability(said.best.key[0]) < 0.5 < said.told()["not looked at"] + said.probability(said.best.key[0])
+
+
+def test_every_other_effect_is_asked_from_where_the_right_one_ended(right):
+    right.alternatives.settle()
+    others = [entry(right, name) for name in EFFECTS if name != "coulomb_friction"]
+    assert all(e.asked and not e.look for e in others), "no look from the bent base was needed"
+    assert entry(right, "null_bias").beside > 0.5 and not entry(right, "null_bias").fitted
+    assert standing(right.table).probability(entry(right, "coulomb_friction").key[0]) > 0.9
+    assert right.table.unseen() == 0.0 and not right.waiting()
+
+
+def test_what_promised_nothing_from_a_bent_base_is_found_from_the_right_one(right):
+    """A twin is what leaves as little; its look had stood far behind."""
+    twin = entry(right, "presliding_friction")
+    right.alternatives.settle()
+    assert twin.beside < 0.1 and twin.fitted
+    assert right.table.score(twin) < 100.0 < 0.1 * right.table.score(right.table.entry())
+
+
+def test_the_others_are_asked_anew_only_from_what_leaves_clearly_less(right):
+    right.alternatives.settle()
+    asked, run = [], right.alternatives.run
+    right.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
+    right.alternatives.settled.clear()
+    right.alternatives.settle()
+    assert not asked
+
+
+def test_what_the_limit_left_unasked_counts_as_not_looked_at(right):
+    right.alternatives.batch = 1
+    run, done = right.alternatives.run, []
+
+    def limited(jobs):
+        done.extend(jobs)
+        if len(done) > 5:
+            raise OutOfTime
+        return run(jobs)
+
+    right.alternatives.run = limited
+    with pytest.raises(OutOfTime):
+        right.alternatives.settle()
+    left = [e for e in right.table.entries.values() if len(e.key) == 1 and not e.seen]
+    assert left and 0.0 < standing(right.table).told()["not looked at"] < 0.9
+
+
+def test_a_run_that_diverges_from_there_costs_only_itself(right):
+    run = right.alternatives.run
+
+    def diverging(jobs):
+        return ["slide: diverged." if "dead_time" in job.label else found
+                for job, found in zip(jobs, run(jobs), strict=True)]  # fmt: skip
+
+    right.alternatives.run = diverging
+    right.alternatives.settle()
+    late = entry(right, "dead_time")
+    assert late.asked and np.isinf(late.beside) and not late.fitted
+    assert standing(right.table).verdict == "named" and right.table.unseen() == 0.0

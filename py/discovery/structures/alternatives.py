@@ -20,7 +20,7 @@ from .extent import enough_of
 from .jobs import Jobs
 from .table import Entry, Table
 
-LIKELY = 0.5  # of the gap that the best structure closes: an effect that a few steps left more of is not fitted
+LIKELY = 0.25  # of the gap that the best structure closes: an effect that a few steps left more of is not fitted
 
 
 @dataclass(eq=False)
@@ -72,6 +72,7 @@ class Alternatives:
         for one in best.members:
             others = [self.table.entry(members) for members in self.table.instead(best, one)]
             others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
+            others.sort(key=self.table.promise)
             question, gap = self._gap(best, one)
             seen: list[tuple[Entry, Look]] = []
             for batch in batches(others, self.batch):

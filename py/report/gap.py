@@ -141,7 +141,7 @@ def _where(discovery: Discovery, shown: Mapping[str, str]) -> Section:
 
 def _candidates(discovery: Discovery) -> Section:
     lead = (
-        "Every effect of the catalogue at every place it fits. Promise: the part of the gap that short windows promise "
+        "Every effect of the catalogue at every place it fits. Promise: the part of the gap that a few steps promise "
         "it would close, – where nobody looked. What promises most is fitted to whole recordings together with the "
         "base parameters. Gap closed is the share of the squared gap on the recordings of the fit."
     )

@@ -40,7 +40,7 @@ class EffectParameter:
 class Ranked:
     """One effect at one site beside those named before it, with what speaks for and against it.
 
-    share : part of what the model before leaves in windows that it promises to close, 0..1; nan where nobody looked.
+    share : part of the gap that a look promises it would close, 0..1; nan where nobody looked.
     left : nats S that it leaves of whole recordings (nan when not fitted): none is a right structure's.
     gap_closed : 1 - (MSE_after - noise^2)/(MSE_before - noise^2), pooled over outputs; nan when not fitted.
     probability : that it is missing. fate : one of FATES; ``reason`` says in a sentence why.

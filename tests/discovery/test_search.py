@@ -208,3 +208,15 @@ def test_each_start_of_the_base_has_a_look_s_time_and_the_best_goes_on_where_it_
     *starts, further = [job for job in asked if job.stages is None]
     assert starts and {job.seconds for job in starts} == {search.effort.look}
     assert further.seconds == search.effort.seconds and further.starts == (search.table.entry().fitted.values,)
+
+
+def test_what_windows_show_in_part_is_fitted_before_pairs_are_made_of_it(monkeypatch):
+    """Load-dependent flow promised a quarter in short windows and explained all of whole recordings."""
+    search, pairs = begun(records(3, dry=200.0), SOME[:3], most=2), []
+    search.identify()
+    monkeypatch.setattr(type(search), "_larger", lambda self, size: pairs.append(size) or [])
+    monkeypatch.setattr(search, "_looked", lambda entries: search._advance([e for e in entries if e.open], 1))
+    search._through(2)
+    assert one(search, "coulomb_friction").fitted and search.table.explained() and not pairs
+    rest = [one(search, name) for name in SOME[1:3]]
+    assert all(e.open or search.table.share(e) <= search.table.promise(e) for e in rest)

@@ -47,8 +47,9 @@ class Alternatives:
         while (best := self.best).key not in self.settled:
             self.settled.add(best.key)
             self.fit_from(best, self.less(best))
-            if best.members and self.table.explained([best]) and self.table.score(best) < self.least:
-                self.least = self.table.score(best) - self.table.temperature
+            left = self.table.score(best)
+            if self.best is best and best.members and self.table.explained([best]) and left < self.least:
+                self.least = left - self.table.temperature
                 self._instead(best)
 
     def less(self, best: Entry) -> list[Entry]:

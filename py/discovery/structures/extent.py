@@ -15,7 +15,7 @@ SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in what is looked through: more would cost time and tell no more
 FEWEST = 40  # windows of a length
 LONG = 15000  # samples of all recordings from which on a look goes through no more of them than it must
-PARTS = (1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
+PARTS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
 FAIR = 0.5  # of the gap in all recordings, in proportion: what acts later than in such a part is looked for in all
 
 

@@ -103,7 +103,9 @@ class Search:
         for size in range(1, min(most, len(table.candidates)) + 1):
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
             self._looked(entries)
-            if not self.first:
+            if self.first:
+                self._fit_as_they_stand(entries)
+            else:
                 self._climb(entries)
             seen += entries
             if self.table.explained():
@@ -224,6 +226,19 @@ class Search:
                 self._advance([e for e in early if self.table.promise(e) < level])
                 if self.table.explained():
                     return
+
+    def _fit_as_they_stand(self, entries: Sequence[Entry]) -> None:
+        """Fit the most promising to whole recordings: short windows may not show all that they explain.
+
+        A fit that leaves more than promised is none yet: longer windows may lead it elsewhere.
+        """
+        if self.table.explained():
+            return
+        seen = sorted((e for e in entries if e.open and e.look), key=self.table.promise)[: self.effort.together]
+        for entry, found in zip(seen, self._ran([self.jobs.whole(e) for e in seen]), strict=True):
+            entry.fitted = found if isinstance(found, Fitted) else None
+            if entry.fitted and self.table.share(entry) > self.table.promise(entry):
+                entry.fitted = None
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.

@@ -19,7 +19,7 @@ from .starts import diagonal, looks, seen_by, small, usual
 from .table import Entry, Table
 
 TOGETHER = 6  # starts of several effects, of all combinations of theirs
-SOON = 2.0  # looks that a fit from where a good one ended may take
+SOON = 2.0  # looks that a fit may take which is soon done if it is right
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,10 @@ class Jobs:
         seen = entry.look
         starts = [seen.values, *seen.trail, *self.starts(entry)]
         return self.of(entry, starts, size=seen.size, states=seen.states)
+
+    def whole_soon(self, entry: Entry) -> Job:
+        """The same with as much time as a fit takes that explains all."""
+        return dataclasses.replace(self.whole(entry), seconds=SOON * self.effort.look)
 
     def further(self, entry: Entry) -> Job:
         """The fit that goes on from where it stopped."""

@@ -230,12 +230,13 @@ class Search:
     def _fit_as_they_stand(self, entries: Sequence[Entry]) -> None:
         """Fit the most promising to whole recordings: short windows may not show all that they explain.
 
-        A fit that leaves more than promised is none yet: longer windows may lead it elsewhere.
+        That is soon done where one explains all. What leaves more than promised is no fit yet: longer windows may lead
+        it elsewhere.
         """
         if self.table.explained():
             return
         seen = sorted((e for e in entries if e.open and e.look), key=self.table.promise)[: self.effort.together]
-        for entry, found in zip(seen, self._ran([self.jobs.whole(e) for e in seen]), strict=True):
+        for entry, found in zip(seen, self._ran([self.jobs.whole_soon(e) for e in seen]), strict=True):
             entry.fitted = found if isinstance(found, Fitted) else None
             if entry.fitted and self.table.share(entry) > self.table.promise(entry):
                 entry.fitted = None

@@ -264,12 +264,12 @@ def _with_results(task: Task, parameters: Sequence[FittedParameter]):
 
 
 def _unrecorded(task: Task, rows, slope: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean of dy dy^T over all samples for each output without a recording, y in its nominal, p in q."""
+    """Mean of dy dy^T over all samples for each output without a recording, y in SI, p in q."""
     k, mean = len(task.free.names), {}
     for j, signal in enumerate(task.flat.outputs):
         if task.weights[j] > 0:
             continue
-        moved = [dy[:, j, :k] * (slope / abs(signal.nominal)) for _, _, dy in rows]
+        moved = [dy[:, j, :k] * slope for _, _, dy in rows]
         mean[signal.name] = sum(m.T @ m for m in moved) / sum(len(m) for m in moved)
     return mean
 

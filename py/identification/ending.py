@@ -15,13 +15,14 @@ from .descent import Task, undecided, whole_runs
 from .fit import Finding
 from .least_squares import DampedStep, Minimum, without_blocked
 from .shooting import Shooting
-from .uncertainty import LEAST_SIGHT
 
 AXES = 3  # of the ellipsoid that are run, the shortest and the longest among them
 FARTHEST = 0.1  # of a parameter, or of its unit: what is known worse is tried nearer, where a parabola may still hold
 TELLING = 0.02  # half a chi-square: what a point so near must still promise to tell anything
 REACH = (1.0, 3.0)  # sigmas: a cost that is rough on the scale of one may follow further out
 FOLLOWS = (0.04, 25.0)  # times what the derivatives say: within it a sigma is right within a factor of five
+DAMPING = 1e-9  # of the diagonal of the information: lets a direction be solved for that nothing shows
+SEEN = 100 * DAMPING  # of unit columns: an axis that is known no better is made of that damping
 UNFINISHED = 2.0  # half a chi-square: what is still promised where the minimum is two sigmas away
 
 
@@ -34,7 +35,7 @@ def doubts(task: Task, best: Minimum, at_bound: np.ndarray) -> list[Finding]:
     here = shooting.cost(best.q, best.z)
     unit = max(1.0, 2 * here / shooting.count)  # sigmas grow with what is left
     at = without_blocked(best.at, shooting, best.z)
-    step = DampedStep(at, len(best.q), np.einsum("sii->si", at.hessian), 1e-9)
+    step = DampedStep(at, len(best.q), np.einsum("sii->si", at.hessian), DAMPING)
     promised = _promised(task, best, step, at.gradient)
     if promised > UNFINISHED * unit:
         return [_unfinished(np.sqrt(2 * promised / unit))]
@@ -69,7 +70,7 @@ def _axes(information: np.ndarray) -> np.ndarray:
     """Half-axes of the ellipsoid of one sigma, the shortest, some between and the longest that is seen."""
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    seen = np.flatnonzero(values > LEAST_SIGHT)[::-1]
+    seen = np.flatnonzero(values > SEEN)[::-1]
     chosen = seen[np.unique(np.linspace(0, len(seen) - 1, AXES).round().astype(int))] if len(seen) else seen
     return (vectors[:, chosen] / size[:, None] / np.sqrt(values[chosen])).T
 

@@ -3,6 +3,7 @@
     J = U S V^T with unit columns: a small singular value is a direction in which parameters trade places unseen.
 
 The next step comes from the outputs that were not recorded: the one that such a trade moves most would separate them.
+It must not see them as parallel as the recorded ones do, and more of it than a sensor's noise, whatever its unit.
 """
 
 from __future__ import annotations
@@ -15,12 +16,13 @@ from hydrotwin.models.language.flat import FlatModel
 
 from .fit import Finding
 from .problem import FreeParameters
+from .uncertainty import LEAST_SIGHT
 
 INVISIBLE = 1.0  # a change of 100 % that moves the recordings by less than one sigma in all has no effect
 VAGUE = 0.2  # a direction known worse than this (relative to the start) ...
 PARALLEL = 0.05  # ... and with a singular value below this is a trade, not just a weak effect
 MEMBER = 0.2
-REVEALING = 1e-3
+REVEALING = 1e-3  # of what the parameter that moves an output most does: what a sensor of it must see at least
 
 
 def identifiability(
@@ -29,8 +31,8 @@ def identifiability(
 ) -> list[Finding]:  # fmt: skip
     """Findings from J^T J in scaled parameters (np, np).
 
-    ``unrecorded`` maps each output without a recording to the mean of dy dy^T over the samples, y in its nominal
-    (np, np); ``held`` marks parameters at a bound.
+    ``unrecorded`` maps each output without a recording to the mean of dy dy^T over the samples, SI (np, np); ``held``
+    marks parameters at a bound.
     """
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     invisible = size < INVISIBLE
@@ -43,7 +45,8 @@ def identifiability(
     for value, vector in zip(values, vectors.T, strict=True):
         singular = np.sqrt(max(value, 1e-16))
         step = vector / size[seen] / singular
-        if singular > PARALLEL or np.abs(step).max() < VAGUE:
+        known = value > LEAST_SIGHT and np.abs(step).max() < VAGUE
+        if singular > PARALLEL or known:
             continue
         members = np.flatnonzero(np.abs(vector) > MEMBER * np.abs(vector).max())
         if len(members) < 2:
@@ -77,9 +80,16 @@ def _confused(free, members, unit, direction, unrecorded) -> Finding:
 
 
 def _or_record(direction: np.ndarray, unrecorded: dict[str, np.ndarray]) -> str:
-    moved = {name: float(direction @ G @ direction) for name, G in unrecorded.items()}
-    best = max(moved, key=moved.get, default=None)
-    return f", or record {best}" if best is not None and moved[best] > REVEALING**2 else ""
+    shown = {name: _shown(direction, G) for name, G in unrecorded.items()}
+    best = max(shown, key=shown.get, default=None)
+    return f", or record {best}" if best is not None and shown[best] > REVEALING**2 else ""
+
+
+def _shown(direction: np.ndarray, G: np.ndarray) -> float:
+    """Square of what a trade moves an output, over that of the parameter that moves it most; 0 where it is parallel."""
+    moved, each = float(direction @ G @ direction), np.diag(G)
+    apart = moved > PARALLEL**2 * float(each @ direction**2)
+    return moved / each.max() if apart and each.max() > 0 else 0.0
 
 
 def bounds_reached(names: Sequence[str], values, lower, upper, units, at_bound) -> list[Finding]:

@@ -117,6 +117,6 @@ def not_told_apart(flat: FlatModel, found: Local, known: Known) -> list[Finding]
     for j, signal in enumerate(flat.outputs):
         if not np.isfinite(known.noise[j]):
             whole = sum(r.all[j, :n, :n] for r in found.information) / sum(r.samples for r in found.information)
-            unrecorded[signal.name] = whole * np.outer(slope, slope) / signal.nominal**2
+            unrecorded[signal.name] = whole * np.outer(slope, slope)
     held = np.zeros(n, dtype=bool)
     return identifiability(flat, known.free, known.matrix, unrecorded, held)

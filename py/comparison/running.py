@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.records import Reading, Record, read_record
+from hydrotwin.records import Reading, Record, read_record, require_once
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
 
@@ -90,6 +90,7 @@ def read_all(scenario: Scenario, pool: Executor) -> tuple[list[Record], list[Rec
     alone = cores_of(pool) == 1 or len(paths) < MANY  # workers elsewhere do not have our files
     found = list(mapped(Here() if alone else pool, _read, [(path, scenario.reading) for path in paths]))
     count = len(scenario.validate)
+    require_once(found[:count])
     tagged = [scenario.tags.put(r, path) for r, path in zip(found[:count], scenario.validate, strict=True)]
     return tagged, found[count:]
 

@@ -255,13 +255,14 @@ def _located(model: str, path: Path) -> str:
 
 
 def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:
-    """The recordings named; a pattern stands for all files it matches, sorted."""
-    found: list[Path] = []
+    """The recordings named, each once; a pattern that is no file stands for all files it matches, sorted."""
+    found: dict[Path, None] = {}
     for name in names:
-        matches = sorted(path.parent.glob(name)) if "*" in name or "?" in name else [path.parent / name]
+        is_pattern = ("*" in name or "?" in name) and not (path.parent / name).is_file()
+        matches = sorted(path.parent.glob(name)) if is_pattern else [path.parent / name]
         if not matches or not matches[0].exists():
             raise DataError(f"{path.name}: no recording '{name}'. {_nearest_file(path.parent / name)}")
-        found += matches
+        found |= dict.fromkeys(matches)
     return tuple(found)
 
 

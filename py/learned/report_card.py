@@ -225,6 +225,12 @@ def _band(told: Mapping) -> dict:
     return {"source": told["source"], "trustworthy": told["trustworthy"], **free, **modes}
 
 
+def yardsticks_of(kind: str, with_model: bool) -> list[str]:
+    """Names of all that a block of ``kind`` may be held against."""
+    own = [*([] if kind == "arx" else [ARX]), *([] if kind == "piecewise" else [CURVE])]
+    return [HOLD, MEAN, *own, *([MODEL] if with_model else [])]
+
+
 def yardsticks(kind: str, split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
     """What a block of ``kind`` is measured by, fitted on what is trained on: ARX and a piecewise linear curve.
 

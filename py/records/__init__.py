@@ -5,7 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import Gap, Record, distinct
-from .require import as_needed, known_inputs, require
+from .require import as_needed, known_inputs, require, require_once
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
@@ -28,6 +28,7 @@ __all__ = [
     "read_record",
     "reading_of",
     "require",
+    "require_once",
     "savitzky_golay",
     "steps_over",
     "write_record",

@@ -108,3 +108,15 @@ def _scales(shown: str, signal: Signal) -> str:
 
 def _divided(unit: str, over: str) -> str:
     return f"{unit}/{over}" if unit and "/" not in unit else f"({unit})/{over}"
+
+
+def require_once(records: Sequence[Record]) -> None:
+    """DataError when two were read from files that hold the same: it would count twice, in every fit and every mean."""
+    first: dict[str, Record] = {}
+    for record in records:
+        same = first.setdefault(record.digest or str(id(record)), record)
+        if same is not record:
+            raise DataError(
+                f"{record.source or record.name}: the same recording as {same.source or same.name}. It would count "
+                "twice. Name each recording once."
+            )

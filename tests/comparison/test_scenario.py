@@ -55,6 +55,21 @@ def test_a_scenario_reads_with_paths_beside_its_file(folder):
     assert found.reading.scale["command"].unit == "V/%" and found.reading.scale["command"].factor == 0.05
 
 
+def test_a_file_is_found_whatever_stands_in_its_name_and_counts_once(folder):
+    for name in ("run*[1].csv", "what?.csv"):
+        (folder / "validation_1.csv").replace(folder / name)
+        told = f'models = ["good"]\nvalidate = ["{name}", "validation_2.csv", "validation_*.csv"]'
+        assert read_scenario(scenario(folder, told)).validate == (folder / name, folder / "validation_2.csv")
+        (folder / name).replace(folder / "validation_1.csv")
+
+
+def test_a_copy_of_a_recording_is_refused_for_it_would_count_twice(folder):
+    (folder / "again.csv").write_bytes((folder / "validation_1.csv").read_bytes())
+    path = scenario(folder, 'models = ["good"]\nvalidate = ["validation_1.csv", "again.csv"]')
+    with pytest.raises(DataError, match=r"again.csv: the same recording as .*validation_1.csv"):
+        run_scenario(read_scenario(path), lambda name: Toy(name), repeats=1)
+
+
 def test_a_scenario_runs(folder):
     path = scenario(
         folder, 'models = ["good", "hold_last"]\nvalidate = ["validation_1.csv"]\ntrain = ["training_1.csv"]'

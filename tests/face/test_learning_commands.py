@@ -175,16 +175,30 @@ def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here
 
 
 @pytest.mark.parametrize(
-    ("criterion", "says"),
+    ("kind", "criterion", "says"),
     [
-        ("positon.rmse < 2 mm", "Did you mean 'position'"),
-        ("ramp_1: position.rmse < 2 mm", "Write it without 'ramp_1:'"),
-        ("position.rmse < 2 bar", "does not fit"),
+        ("piecewise", "positon.rmse < 2 mm", "Did you mean 'position'"),
+        ("piecewise", "ramp_1: position.rmse < 2 mm", "Write it without 'ramp_1:'"),
+        ("piecewise", "position.rmse < 2 bar", "does not fit"),
+        ("piecewise", "position not worse than curve", "learn piecewise has no yardstick 'curve'"),
+        ("arx", "position not worse than ARX", "learn arx has no yardstick 'ARX'"),
+        ("gp", "position not worse than AXR", "Did you mean 'ARX'"),
+        ("gp", "position.mae not worse than ARX", "yardsticks have rmse only"),
+        ("gp", "position not worse than the model alone", "no yardstick 'the model alone'"),
     ],
 )
-def test_a_criterion_that_says_nothing_is_refused_before_the_training(here, criterion, says):
-    answer = hydrotwin(*f"learn piecewise ramp_1.csv {SIGNALS} --out never.toml".split(), "--accept", criterion)
+def test_a_criterion_that_says_nothing_is_refused_before_the_training(here, kind, criterion, says):
+    answer = hydrotwin(*f"learn {kind} ramp_1.csv {SIGNALS} --out never.toml".split(), "--accept", criterion)
     assert answer.code == 2 and says in answer.err and not (here / "never.toml").exists()
+
+
+@pytest.mark.parametrize("more", ["ramp_1.csv", "copy.csv"])
+def test_a_recording_that_is_named_twice_would_count_twice(here, more):
+    (here / "copy.csv").write_bytes((here / "ramp_1.csv").read_bytes())
+    answer = hydrotwin(*f"learn arx ramp_1.csv {more} {SIGNALS} --out twice.toml".split())
+    (here / "copy.csv").unlink()
+    assert answer.code == 2 and f"{more}: the same recording as ramp_1.csv" in answer.err
+    assert "Name each recording once" in answer.err and not (here / "twice.toml").exists()
 
 
 def test_every_kind_is_tried_and_the_best_is_kept(here):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -163,6 +164,15 @@ def test_a_parameter_without_effect_is_told_once_and_refused_alone():
     assert found.sobol.whole.total[0, 2] == pytest.approx(0.0, abs=1e-12)
     with pytest.raises(DeclarationError, match=r"idle moves no output of weighted"):
         sensitivity(weighted(idle=True), [driven], parameters=["idle"])
+
+
+@pytest.mark.parametrize(("how", "cut"), [("10%", False), ("100%", False), ("200%", True), ("bounds", False)])
+def test_an_interval_that_the_bounds_make_narrower_says_so(how, cut):
+    from hydrotwin.identification.influence.intervals import intervals
+
+    bounded = [dataclasses.replace(p, bounds=(0.0, 25.0)) for p in waves().parameters]
+    for one in intervals(dataclasses.replace(waves(), parameters=tuple(bounded)), ["a"], how):
+        assert ("cut at a bound" in one.source) == cut, (one, how)
 
 
 def test_intervals_come_from_the_fit_and_what_is_correlated_there_is_told():

@@ -14,7 +14,9 @@ CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metri
 JUDGED = (*CARD, "nrmse", "fit", "coverage")
 
 
-def criteria(texts: Sequence[str] | None, records: Sequence[Record], outputs: Sequence[Signal | str], model) -> list:
+def criteria(
+    texts: Sequence[str] | None, records: Sequence[Record], outputs: Sequence[Signal | str], model, kind: str
+) -> list:
     """The criteria understood before a long training. Raises as `hydrotwin.comparison.criterion`."""
     from hydrotwin.comparison import criterion
 
@@ -32,7 +34,26 @@ def criteria(texts: Sequence[str] | None, records: Sequence[Record], outputs: Se
                 f"accept: '{one.text}': learn judges all that was held out. Write it without '{one.group}:'; compare "
                 "judges recordings one by one."
             )
+        if one.than:
+            _require_yardstick(one, kind, model)
     return found
+
+
+def _require_yardstick(one, kind: str, model) -> None:
+    """DeclarationError when a block of this kind is not held against what the criterion names."""
+    from hydrotwin.learned.report_card import yardsticks_of
+
+    names = yardsticks_of(kind, model is not None)
+    if one.metric != "rmse":
+        raise DeclarationError(f"accept: '{one.text}': yardsticks have rmse only.")
+    if len(_meant(one.than, names)) != 1:
+        raise DeclarationError(
+            f"accept: '{one.text}': learn {kind} has no yardstick '{one.than}'. {nearest(one.than, names)}"
+        )
+
+
+def _meant(name: str, known: Sequence[str]) -> list[str]:
+    return [one for one in known if name.lower() == one.lower() or name.lower() in one.lower().split()]
 
 
 def accepted(asked: Sequence, block, silent: bool) -> bool:
@@ -72,7 +93,7 @@ class _Card:
 
     def _yardstick(self, row: dict, metric: str, model: str) -> float:
         known = row.get("yardsticks", {})
-        found = [name for name in known if model.lower() == name.lower() or model.lower() in name.lower().split()]
+        found = _meant(model, known)
         if row and (metric != "rmse" or len(found) != 1):
             unknown = f"no yardstick '{model}'. {nearest(model, known)}"
             words = unknown if metric == "rmse" else "yardsticks have rmse only."

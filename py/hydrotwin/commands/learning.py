@@ -98,7 +98,7 @@ def learn(
         signals, options["model"] = ((), outputs or ()), physical(model, "learn hybrid")
     else:
         signals = learned_signals([*records, *judged, *chosen], inputs, outputs)
-    asked = criteria(accept, records, signals[1], options.get("model"))
+    asked = criteria(accept, records, signals[1], options.get("model"), kind)
     options |= named(name) | {"validate": judged, "seed": seed} | ({"select": chosen} if chosen else {})
     block = trained(f"learn {kind}", train, (records, *signals), as_json, **options)
     if report:

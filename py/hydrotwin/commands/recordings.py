@@ -14,7 +14,7 @@ import numpy as np
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.records import Reading, Record, read_record, reading_of
+from hydrotwin.records import Reading, Record, read_record, reading_of, require_once
 
 from .shared import err, mark
 
@@ -106,6 +106,7 @@ def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> li
             if lacks := int(np.isnan(values).sum()):
                 mark(err, "note", f"{path}: {name} has no value in {lacks} of {len(values)} samples")
         records.append(record)
+    require_once(records)
     for words, files in understood.items():
         if words:
             more = f" and {len(files) - 1} more" if len(files) > 1 else ""

@@ -17,7 +17,7 @@ SIGMAS = 1.959964  # of a normal distribution: 95 % of it
 SHARE = 0.1  # of its value: how far a parameter of which nothing is known moves to either side
 WIDE = 10.0  # times its lower end: an interval is then walked through in ratios, not in differences
 AUTO, FIT, BOUNDS = "auto", "fit", "bounds"
-OF_FIT = "fit, 95 %"  # source of an interval
+OF_FIT, CUT = "fit, 95 %", ", cut at a bound"  # source of an interval, and what it ends with that is narrower
 _SHARE = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 
 
@@ -91,7 +91,7 @@ def _interval(flat: FlatModel, p: ParameterValue, how: str, given: Mapping) -> t
             f"{flat.name}.{p.name}: no fit tells how sure it is. Identify the model first, or take intervals 10%."
         )
     if how in (AUTO, FIT) and p.sigma:
-        return *_inside(p, SIGMAS * p.sigma), OF_FIT
+        return _around(p, SIGMAS * p.sigma, OF_FIT)
     if how == BOUNDS:
         if not np.isfinite(p.bounds).all():
             raise DeclarationError(
@@ -101,11 +101,14 @@ def _interval(flat: FlatModel, p: ParameterValue, how: str, given: Mapping) -> t
         return *p.bounds, "bounds"
     share = SHARE if how == AUTO else float(_SHARE.fullmatch(how)[1]) / 100
     around = abs(p.value) or abs(p.nominal)
-    return *_inside(p, share * around), f"±{100 * share:g} %" + ("" if p.value else " of its nominal value")
+    return _around(p, share * around, f"±{100 * share:g} %" + ("" if p.value else " of its nominal value"))
 
 
-def _inside(p: ParameterValue, reach: float) -> tuple[float, float]:
-    return max(p.value - reach, p.bounds[0]), min(p.value + reach, p.bounds[1])
+def _around(p: ParameterValue, reach: float, source: str) -> tuple[float, float, str]:
+    """The interval to either side, no wider than the bounds."""
+    low, high = max(p.value - reach, p.bounds[0]), min(p.value + reach, p.bounds[1])
+    cut = low > p.value - reach or high < p.value + reach
+    return low, high, source + (CUT if cut else "")
 
 
 def _checked(flat: FlatModel, p: ParameterValue, low: float, high: float, source: str) -> Interval:

@@ -144,7 +144,7 @@ def _told_apart(runs: Runs, near: Local, sure: Known) -> list[Finding]:
 
 def _correlated(asked: Sequence[Interval], sure: Known) -> list[Finding]:
     """Intervals of a fit whose errors go together, and are taken as independent."""
-    from_fit = np.array([i.source == OF_FIT for i in asked])
+    from_fit = np.array([i.source.startswith(OF_FIT) for i in asked])
     strong = np.triu(np.abs(np.nan_to_num(sure.correlation)) > CORRELATED, 1) & np.outer(from_fit, from_fit)
     pairs = [(asked[a].name, asked[b].name) for a, b in np.argwhere(strong)]
     if not pairs:

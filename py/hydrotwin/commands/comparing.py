@@ -15,6 +15,7 @@ from hydrotwin.records import Reading, require
 from ..loading import is_fmu, load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
+from .recording_evidence import recorded_as
 from .recordings import read_all, reads, told_in
 from .shared import (
     InitialStatesOption,
@@ -38,6 +39,8 @@ def register(app: typer.Typer) -> None:
         epilog=examples(
             "hydrotwin compare scenario.toml --out report",
             "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report --ssp models.ssp",
+            "hydrotwin compare --model model.toml --validate validate_1.csv --accept 'arm_angle.rmse < 0.2 deg' "
+            "--record model.toml",
         )
     )(reads(compare))
 
@@ -78,6 +81,10 @@ def compare(
     junit_file: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE.xml", help="also write the criteria as JUnit XML")
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL.toml", help="also write what was found into this model file, one of the models"),
+    ] = None,
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
@@ -98,7 +105,7 @@ def compare(
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario, record_comparison
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
 
     check_folder(output)
@@ -142,6 +149,7 @@ def compare(
         raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
     if ssp is not None and described.variants:
         raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
+    named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     matrix = run(described, loaded, output, runs)
     for word in dict.fromkeys(notes(matrix)):
@@ -153,6 +161,9 @@ def compare(
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title))
         paths |= {"junit": junit_file}
+    if record is not None:
+        record_comparison(record, matrix.base, accepted, named)
+        paths |= {"record": record}
     if ssp is not None:
         paths |= {"ssp": pack(described, loaded, matrix.base, ssp)}
     if as_json:

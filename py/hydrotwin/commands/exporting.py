@@ -13,6 +13,7 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Reading
 
 from ..loading import load
+from .recording_evidence import tell_evidence
 from .recordings import read_all, reads
 from .shared import (
     InterpolationOption,
@@ -136,15 +137,26 @@ def _reference(thing, kind: str, method: str, step: float | None):
 
 
 def check(
-    fmu: Annotated[Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's")],
+    fmu: Annotated[
+        Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's; or a model file, to tell its record")
+    ],
     reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
-    """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken."""
+    """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken.
+
+    Of a model file: where it was fitted and judged; exit 1 when that is of other values, or a criterion did not hold.
+    """
     from hydrotwin.export import check_fmu, read_fmu
 
+    if fmu.suffix == ".toml":
+        if reference or interpolation:
+            raise DeclarationError(f"check: {fmu} is a model file, whose record is told. Leave the other options out.")
+        if not tell_evidence(fmu, as_json):
+            sys.exit(1)
+        return
     if reading and reading.constants:  # constants of the recording, for inputs that it lacks
         inputs = [s.name for s in read_fmu(fmu).inputs]
         if lost := next((n for n in reading.constants if n not in inputs), None):

@@ -16,6 +16,8 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 
+import tomlkit
+
 from .errors import DataError
 from .writing import toml_values
 
@@ -124,6 +126,17 @@ class Credibility:
         """As data for TOML and JSON."""
         return {"format": FORMAT, "evidence": [one.as_data() for one in self.evidence]}
 
+    def as_toml(self) -> str:
+        """The block [credibility], a row of a table a line."""
+        lines = [f"[{KEY}]", f"format = {FORMAT}"]
+        for one in self.evidence:
+            lines += ["", f"[[{KEY}.evidence]]"]
+            for key, value in one.as_data().items():
+                rows = value if isinstance(value, list) else []
+                text = "[\n" + "".join(f"    {_inline(row)},\n" for row in rows) + "]" if rows else _inline(value)
+                lines.append(f"{key} = {text}")
+        return "\n".join(lines) + "\n"
+
 
 def from_data(data: object, where: str) -> Credibility:
     """From what `Credibility.as_data` gave. Raises DataError where it is damaged, changed by hand or newer."""
@@ -180,6 +193,15 @@ def _values(node: object) -> object:
     if any(not isinstance(below, Mapping) for below in node.values()):
         return {key: node[key] for key in ("value", "unit") if key in node}
     return {key: _values(below) for key, below in node.items()}
+
+
+def _inline(value) -> str:
+    """A value of TOML in one line."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(_inline, value))}]"
+    if not isinstance(value, Mapping):
+        return tomlkit.item(value).as_string()
+    return "{ " + ", ".join(f"{tomlkit.key(k).as_string()} = {_inline(v)}" for k, v in value.items()) + " }"
 
 
 def _digest(data: object) -> str:

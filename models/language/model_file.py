@@ -199,29 +199,7 @@ def add_evidence(path: Path | str, evidence: Evidence) -> Credibility:
 def _vouched(text: str, evidence: Evidence, known: Credibility = Credibility()) -> str:  # noqa: B008  frozen
     """The text of a model file with what is known of its values, and ``evidence`` of them."""
     found = known.plus(replace(evidence, contents=contents_digest(tomllib.loads(text))))
-    return f"{text.rstrip()}\n\n{_block(found)}"
-
-
-def _block(found: Credibility) -> str:
-    """The block [credibility], a row of a table a line."""
-    data = found.as_data()
-    lines = [f"[{KEY}]", f"format = {data['format']}"]
-    for one in data["evidence"]:
-        lines += ["", f"[[{KEY}.evidence]]"]
-        for key, value in one.items():
-            rows = value if isinstance(value, list) else []
-            text = "[\n" + "".join(f"    {_inline(row)},\n" for row in rows) + "]" if rows else _inline(value)
-            lines.append(f"{key} = {text}")
-    return "\n".join(lines) + "\n"
-
-
-def _inline(value) -> str:
-    """A value in one line."""
-    if isinstance(value, list):
-        return f"[{', '.join(map(_inline, value))}]"
-    if not isinstance(value, Mapping):
-        return tomlkit.item(value).as_string()
-    return "{ " + ", ".join(f"{tomlkit.key(k).as_string()} = {_inline(v)}" for k, v in value.items()) + " }"
+    return f"{text.rstrip()}\n\n{found.as_toml()}"
 
 
 def _without_block(text: str) -> str:

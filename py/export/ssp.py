@@ -17,7 +17,7 @@ from hydrotwin.simulation.block import Block
 
 from .archive import write_archive
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
-from .foreign import unit_name
+from .parameter_sets import own_unit
 from .reader import FmuBlock, read_fmu
 from .ssp_text import Component, Connection, Connector, Parameter, Unit, parameter_set, system_structure
 from .writer import export_fmu, tool_name
@@ -176,16 +176,7 @@ def _connector(variable, kind: str, fmu: FmuBlock) -> Connector:
     """A variable of an FMU in the FMU's own unit; none where the unit is missing or has no meaning."""
     if variable.type not in FLOATS:
         return Connector(variable.name, kind, "Boolean" if variable.type == "Boolean" else "Integer")
-    return Connector(variable.name, kind, unit=_own_unit(variable.name, fmu))
-
-
-def _own_unit(name: str, fmu: FmuBlock) -> Unit | None:
-    description = fmu.description
-    variable = next(v for v in description.source.modelVariables if v.name == name)
-    text = unit_name(variable)
-    if not text or name in description.unknown_units:
-        return None
-    return Unit(text, description.units[name], *description.scales[name])
+    return Connector(variable.name, kind, unit=own_unit(variable.name, fmu.description))
 
 
 def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping[str, str]) -> list[str]:
@@ -214,7 +205,7 @@ def _put_records(files: dict, records, fmus, names, inputs) -> list[str]:
     for record, plain in zip(records, _plain_names([r.name for r in records], "recording").values(), strict=True):
         files[f"resources/{plain}.csv"] = _csv([n for n in known if n in record.signals], record)
         starts = [
-            Parameter(f"{names[model]}.{variable}", value, _own_unit(variable, fmu))
+            Parameter(f"{names[model]}.{variable}", value, own_unit(variable, fmu.description))
             for model, fmu in fmus.items()
             for variable, value in fmu.starts_of(record).items()
         ]

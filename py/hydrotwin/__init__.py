@@ -48,6 +48,7 @@ _WHERE = {
     "read_model_file": "models.language.model_file",
     "read_scenario": "comparison",
     "record_comparison": "comparison",
+    "reference_experiment": "export",
     "run_matrix": "comparison",
     "sensitivity": "identification",
     "simulate": "simulation",

@@ -10,7 +10,7 @@ import typer
 
 import hydrotwin.models
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.model_file import read_model_file, write_model_file
 from hydrotwin.records import Record
 
 from ..loading import load
@@ -123,7 +123,8 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
     for name, thing in (("identified", identified), ("network", network)):
         path = folder / f"{machine}_{name}.fmu"
         given, told = given_starts(thing, "measured"), equations_told(thing)
-        export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told)
+        known = read_model_file(folder / "model.toml").credibility if thing is identified else None
+        export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told, credibility=known)
         answer = check_fmu(path)
         failed = ", ".join(row.name for row in answer.failures)
         verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"

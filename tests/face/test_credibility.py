@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 import warnings
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -200,3 +201,26 @@ def test_a_block_that_cannot_be_told_from_the_rest_is_left_alone(file, recording
     assert file.read_bytes() == before
     with pytest.raises(DataError):
         ht.record_comparison(file.parent / "absent.toml", None)
+
+
+def test_an_archive_of_ssp_2_0_says_where_the_values_come_from(file, recordings):
+    archive = file.parent / "m.ssp"
+    answer = judged(file, recordings, "--accept", LOOSE, "--ssp", archive, "--ssp-version", "2.0")
+    assert answer.code == 0, answer.said
+    with zipfile.ZipFile(archive) as files:
+        told = files.read("resources/identified.srmd").decode()
+        assert 'version="2.0"' in files.read("SystemStructure.ssd").decode()
+    assert 'keyword="made by">identify<' in told and "recording to fit" in told and "validate_1, SHA-256" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--ssp-version", "3"), "--ssp-version 3: there is none"),
+        (("--ssp-version", "2.0"), "Say where it goes: --ssp"),
+    ],
+)
+def test_a_version_of_no_archive_is_refused(file, recordings, words, says):
+    answer = judged(file, recordings, *words)
+    assert answer.code == 2 and says in answer.said
+    assert not (file.parent / "report").exists()

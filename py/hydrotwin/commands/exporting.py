@@ -11,11 +11,10 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.models.language.model_file import read_model_file
 from hydrotwin.records import Reading, require
 
-from ..loading import load, values_file
-from .recording_evidence import tell_evidence
+from ..loading import load
+from .recording_evidence import known_of, tell_evidence
 from .recordings import read_all, reads
 from .shared import (
     InterpolationOption,
@@ -90,8 +89,6 @@ def export(
 
     check_file(output, ".fmu")
     thing = load(model)
-    file = values_file(model)
-    known = read_model_file(file) if file else None
     if not hasattr(thing, "flat") and not hasattr(thing, "step"):
         raise DeclarationError(f"export: '{model}' is an FMU already. Give a physical model or a learned block.")
     if getattr(getattr(thing, "flat", None), "black_box", False):
@@ -111,7 +108,7 @@ def export(
         reference=_reference(thing, kind, method, step),
         equations=equations_told(thing),
         experiments=_experiments(thing, read_all(experiment, reading), method, step),
-        credibility=known.credibility.of(known.contents) if known else None,
+        credibility=known_of(model),
     )
     size = output.stat().st_size
     if as_json:

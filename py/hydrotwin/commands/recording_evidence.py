@@ -63,6 +63,13 @@ def _holds(model: str, path: Path) -> bool:
     return file is not None and path.exists() and file.samefile(path)
 
 
+def known_of(model: str):
+    """What vouches for the model that ``model`` names, as far as it holds; None where its values are in no file."""
+    path = values_file(model)
+    file = read_model_file(path) if path else None
+    return file.credibility.of(file.contents) if file else None
+
+
 def tell_evidence(path: Path, as_json: bool) -> bool:
     """What a model file says of where it was fitted and judged; False where that is of other values, or not passed."""
     file = read_model_file(path)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -77,7 +78,7 @@ class Evidence:
     def _result(self) -> str:
         if self.criteria:
             missed = [row for row in self.criteria if not row["passed"]]
-            words = [f"“{row['text']}” ({100 * row['margin']:+.2g} %)" for row in (missed or self.criteria)[:3]]
+            words = [f"“{row['text']}”{_margin(row)}" for row in (missed or self.criteria)[:3]]
             return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}"
         judged = sorted(self.metrics, key=lambda m: m["role"] != JUDGE)
         rows = [f"{m['output']} RMSE {m['rmse']:.4g} {m['unit']} ({m['role']})" for m in judged if "rmse" in m]
@@ -193,6 +194,11 @@ def _values(node: object) -> object:
     if any(not isinstance(below, Mapping) for below in node.values()):
         return {key: node[key] for key in ("value", "unit") if key in node}
     return {key: _values(below) for key, below in node.items()}
+
+
+def _margin(row: Mapping) -> str:
+    """How far inside or outside of its bound a criterion is; nothing where there is no number."""
+    return f" ({100 * row['margin']:+.2g} %)" if math.isfinite(row["margin"]) else ""
 
 
 def _inline(value) -> str:

@@ -22,6 +22,7 @@ from .fmu_process.master import FLOATS, inputs_of, outputs_of
 from .fmu_process.verdicts import FAIL, GOOD, NOT_TRIED, PASS, REMARK
 from .foreign import Description, describe_fmu, unit_name
 from .reader import FmuBlock, read_fmu
+from .related import MANIFEST
 from .replay import FILES, REPLAY, Replay, carried_rows
 from .rules import read_or_say, rule_rows
 from .rules.declared import Declared
@@ -135,6 +136,8 @@ def check_fmu(
     declared = read_or_say(path)
     if not isinstance(declared, Declared):
         return Check(str(path), (CheckRow("readable", *declared),))
+    if replay and MANIFEST not in file_names(path):
+        raise DeclarationError(_nothing_to_replay(path, "it carries no experiments along"))
     rules = rule_rows(path, declared)
     read = _described(path, any(verdict == FAIL for _, (verdict, _) in rules))
     found = [("readable", read if isinstance(read, tuple) else (PASS, _summary(read))), *rules]
@@ -146,17 +149,18 @@ def check_fmu(
         carried, replays = carried_rows(path, read, dict(found)["loads"][0] in GOOD, replay, time_limit)
         found += carried
     if replay and not any(name.startswith(REPLAY) and rest[0] != NOT_TRIED for name, rest in found):
-        raise DeclarationError(_nothing_to_replay(path, found))
+        raise DeclarationError(_nothing_to_replay(path, _why_not(found)))
     return Check(str(path), tuple(_row(name, *rest, declared.version) for name, rest in found), tuple(replays))
 
 
-def _nothing_to_replay(path: Path, found: list[tuple[str, tuple[str, str]]]) -> str:
-    """Why no experiment can be run again, and what to do."""
-    told = [f"{name.removeprefix(REPLAY).strip()}: {why}" for name, (_, why) in found if name.startswith(REPLAY)]
-    read = next(why for name, (_, why) in found if name == "readable")
-    why = "; ".join(told) or next((why for name, (_, why) in found if name == FILES), "it carries no experiments along")
-    if not any(name == "loads" for name, _ in found):
-        why = read
+def _why_not(found: list[tuple[str, tuple[str, str]]]) -> str:
+    """Why none of its experiments can be run again."""
+    rows = {name: why for name, (_, why) in found}
+    told = [f"{name.removeprefix(REPLAY).strip()}: {why}" for name, why in rows.items() if name.startswith(REPLAY)]
+    return "; ".join(told) or rows.get(FILES) or rows["readable"]
+
+
+def _nothing_to_replay(path: Path, why: str) -> str:
     return (
         f"{path}: there is nothing to run again ({why}). An FMU that hydrotwin exports has a smoke test inside; with "
         "--experiment REC recordings too. Or give a recording: --reference REC."

@@ -24,6 +24,7 @@ from .related import EXPERIMENT, RESULT, Related, content_of, missing, related_o
 
 OTHERS = 1e-2  # of the range of an output: how far results of another solver may be apart, where a file does not say it
 ENDED = ("ended the simulation", "discard")  # what a run says whose FMU asks to end
+SAME = 1e-9  # of a run or a step: times that are closer are one
 SHOWN = 4  # outputs and files in a sentence
 FILES, RECORD, REPLAY = "related files", "record", "replay"
 
@@ -188,7 +189,7 @@ def _run(path: Path, one: Experiment, limit: float) -> tuple[list[Replay], list[
     stimuli = _series(path, one, one.stimuli) if one.stimuli else None
     block, left_out = _block(path, one, expected, limit)
     _check_end(one, expected)
-    ran = _ran(block, _record_to_run(block, expected, stimuli, one.held))
+    ran = _ran(block, _record_to_run(block, expected, stimuli, one))
     until = expected.time <= ran.time[-1]
     at = np.searchsorted(ran.time, expected.time[until])
     allowed = one.agreement if one.agreement else OTHERS
@@ -250,26 +251,41 @@ def _check_end(one: Experiment, expected: Series) -> None:
         )
 
 
-def _record_to_run(block: FmuBlock, expected: Series, stimuli: Series | None, held: bool) -> Record:
-    """The inputs in SI on the times of the results, and on their own where the FMU takes any step."""
+def _record_to_run(block: FmuBlock, expected: Series, stimuli: Series | None, one: Experiment) -> Record:
+    """The inputs in SI on the times of the results and of the experiment's steps, on their own where the FMU takes any.
+
+    An FMU that computes once in a communication step gives other results with longer ones.
+    """
+    grid = expected.time if one.held or not one.step else _stepped(expected.time, one.step)
     if stimuli is None:
-        return Record(expected.time, {}, {}, expected.path)
+        return Record(grid, {}, {}, expected.path)
     known = {v.name: v for v in block.description.source.modelVariables}
     inputs = {block.description.fmu_names[s.name]: s for s in block.inputs}
     for name in stimuli.columns:
         _check_known(name, stimuli.path, known)
         if name not in inputs:
             raise DataError(f"{stimuli.path}: '{name}' is no input of the FMU. {nearest(name, inputs)}")
-    own = block.description.any_step and stimuli.time[-1] <= expected.time[-1]
-    time = np.union1d(expected.time, stimuli.time) if own else expected.time
+    own = block.description.any_step and stimuli.time[-1] <= grid[-1]
+    time = _merged(grid, stimuli.time) if own else grid
     signals = {}
     for name, values in stimuli.columns.items():
         factor, offset = block.description.scales[name]
         shown = factor * in_own_unit(values, stimuli.units[name], name, stimuli.path, block.description) + offset
-        stays = held or inputs[name].held
+        stays = one.held or inputs[name].held
         row = np.maximum(np.searchsorted(stimuli.time, time, side="right") - 1, 0)
         signals[inputs[name].name] = shown[row] if stays else np.interp(time, stimuli.time, shown)
     return Record(time, signals, {s.name: s.unit for s in block.inputs if s.name in signals}, stimuli.path)
+
+
+def _stepped(time: np.ndarray, step: float) -> np.ndarray:
+    """Times with those of the steps between them; as they are where they lie no further apart."""
+    return time if np.diff(time).max() <= step * (1 + SAME) else _merged(time, np.arange(time[0], time[-1], step))
+
+
+def _merged(time: np.ndarray, more: np.ndarray) -> np.ndarray:
+    """Both, without those of ``more`` that are one of ``time`` but for rounding."""
+    near = time[np.minimum(np.searchsorted(time, more - SAME * np.ptp(time)), len(time) - 1)]
+    return np.union1d(time, more[np.abs(near - more) > SAME * np.ptp(time)])
 
 
 def _difference(found: np.ndarray, expected: np.ndarray) -> float:

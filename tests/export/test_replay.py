@@ -20,6 +20,7 @@ from hydrotwin.models.language.credibility import JUDGE, Credibility, Evidence, 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
+from tests.export.follower import follower
 from tests.export.systems import clocked_mass, lag_block
 
 INSIDE = "extra/org.fmi-standard.fmi-ls-ref/"
@@ -369,3 +370,21 @@ def test_a_recording_that_cannot_be_an_experiment_is_refused(tmp_path):
     with pytest.raises(DeclarationError, match=r"'implicit' .* starts in equilibrium"):
         reference_experiment(clocked_mass(), record, method="implicit")
     assert not list(tmp_path.iterdir())
+
+
+def test_an_experiment_is_stepped_as_it_says_also_where_its_results_are_rare(tmp_path):
+    """A plant that sees the mean of a ramp over each step, and results every second; the answer is on paper."""
+    time, slope, T = np.array([0.0, 1.0, 2.0]), 0.5, 0.1
+    state = slope * (time - T * (1 - np.exp(-time / T)))
+    files = {
+        "a.exp": '<Experiments name="a"><Experiment name="ramp" stopTime="2" STEP><Stimuli source="u.csv"/>'
+        '<References source="x.csv"/></Experiment></Experiments>',
+        "u.csv": "time,u\n0,0\n2,1\n",
+        "x.csv": series_text(time, {"state": state}),
+    }
+    related = '<Related type="application/x-ma-hs-experiments" source="a.exp" role="experiment"/>'
+    path = foreign(follower(tmp_path / "f.fmu", 3), tmp_path / "m.fmu", related, files)
+    for step in ("0.01", "1"):
+        named = edited(path, tmp_path / "n.fmu", {f"{INSIDE}a.exp": swapped("STEP", f'stepSize="{step}"')})
+        [one] = carried_rows(named, describe_fmu(named, {}, {}), True, True, 60.0)[1]
+        assert one.difference < 1e-3 if step == "0.01" else one.difference > 0.05, one

@@ -189,8 +189,9 @@ def _run(path: Path, one: Experiment, limit: float) -> tuple[list[Replay], list[
     stimuli = _series(path, one, one.stimuli) if one.stimuli else None
     block, left_out = _block(path, one, expected, limit)
     _check_end(one, expected)
-    ran = _ran(block, _record_to_run(block, expected, stimuli, one))
+    ran = _ran(block, _record_to_run(block, expected, stimuli, one), expected)
     until = expected.time <= ran.time[-1]
+    left_out += [] if until.all() else ["the last result, at which the FMU asks to end"]
     at = np.searchsorted(ran.time, expected.time[until])
     allowed = one.agreement if one.agreement else OTHERS
     rows = []
@@ -202,14 +203,17 @@ def _run(path: Path, one: Experiment, limit: float) -> tuple[list[Replay], list[
     return rows, left_out
 
 
-def _ran(block: FmuBlock, record: Record) -> Record:
-    """Its run; without the last sample where the FMU asks to end there, as it may."""
+def _ran(block: FmuBlock, record: Record, expected: Series) -> Record:
+    """Its run; to the result before the last where the FMU asks to end at the last, as it may."""
     try:
         return block.free_run(record)
     except SolveError as stopped:
-        if len(record) < 3 or not any(word in str(stopped) for word in ENDED):
+        if len(expected.time) < 3 or not any(word in str(stopped) for word in ENDED):
             raise
-        return block.free_run(Record(record.time[:-1], {n: record[n][:-1] for n in record}, record.units, record.name))
+        kept = record.time <= expected.time[-2]
+        return block.free_run(
+            Record(record.time[kept], {n: record[n][kept] for n in record}, record.units, record.name)
+        )
 
 
 def _series(path: Path, one: Experiment, name: str) -> Series:

@@ -21,6 +21,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 from tests.export.follower import follower
+from tests.export.foreign import DO_STEP, rewritten
 from tests.export.systems import clocked_mass, lag_block
 
 INSIDE = "extra/org.fmi-standard.fmi-ls-ref/"
@@ -388,3 +389,17 @@ def test_an_experiment_is_stepped_as_it_says_also_where_its_results_are_rare(tmp
         named = edited(path, tmp_path / "n.fmu", {f"{INSIDE}a.exp": swapped("STEP", f'stepSize="{step}"')})
         [one] = carried_rows(named, describe_fmu(named, {}, {}), True, True, 60.0)[1]
         assert one.difference < 1e-3 if step == "0.01" else one.difference > 0.05, one
+
+
+def test_an_fmu_may_ask_to_end_at_the_last_result(fmus, tmp_path):
+    """As the Stair of the Reference FMUs does; an end before that fails."""
+    ends = DO_STEP + "    if (time + size > 0.985) return fmi2Discard;\n"
+    path = rewritten(fmus["clocked mass"], tmp_path / "ends.fmu", c={DO_STEP: ends})
+    related = '<Related type="text/csv" source="m_out.csv" role="result"/>'
+    for stop, verdict in ((1.0, "pass"), (1.1, "FAIL")):
+        time = np.arange(0.0, stop + 0.01, 0.05)
+        place = simulate(clocked_mass(), Record(time, {"force": 0 * time}, {"force": "N"}, "rest"))["place"]
+        text = series_text(time, {"place": place})
+        rows = rows_of(foreign(path, tmp_path / "m.fmu", related, {"m_out.csv": text}))
+        assert rows["replay m_out.csv"][0] == verdict, rows
+        assert ("not compared: the last result" in rows["replay m_out.csv"][1]) is (verdict == "pass")

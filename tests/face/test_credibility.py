@@ -144,6 +144,14 @@ def test_a_damaged_block_is_refused_with_what_to_do(file, recordings, what):
     assert not (file.parent / "s.csv").exists() and file.read_text(encoding="utf-8") == text
 
 
+@pytest.mark.parametrize("words", [("check",), ("compare", "--model", "cehA", "--validate", "{v}", "--record")])
+def test_a_learned_block_has_another_card(words, recordings, tmp_path):
+    (tmp_path / "block.toml").write_text('kind = "arx"\nversion = 1\n')
+    said = [w.format(v=recordings / "validate_1.csv") for w in words]
+    answer = hydrotwin(*said, tmp_path / "block.toml")
+    assert answer.code == 2 and "a learned block (arx), and only model files" in answer.said
+
+
 REFUSED = {
     "not compared": (("compare", "--model", "cehA", "--validate", "{v}", "--record", "{m}"), "none of the models has"),
     "another judged": (

@@ -23,13 +23,7 @@ def recorded_as(path: Path, scenario) -> str:
     Raises DeclarationError where it takes no part, not as the file says, or is not the one that criteria are about;
     DataError for a file that is no model file or cannot be written.
     """
-    kind = read_toml(path).get("kind", "model")
-    if kind != "model":
-        raise DataError(
-            f"{path}: a learned block ({kind}), and only model files have a block [credibility]. Leave --record out; "
-            "a block keeps its own card of what it does on held-out recordings."
-        )
-    read_model_file(path)
+    _model_file(path)
     check_writable(path)
     if scenario.variants or scenario.loop:
         what = "variants" if scenario.variants else "a control loop"
@@ -58,6 +52,17 @@ def recorded_as(path: Path, scenario) -> str:
     return judged or first
 
 
+def _model_file(path: Path):
+    """The content of a model file. DataError for a learned block, which has no such record."""
+    kind = read_toml(path).get("kind", "model")
+    if kind != "model":
+        raise DataError(
+            f"{path}: a learned block ({kind}), and only model files have a block [credibility]. A learned block keeps "
+            "its own card of what it does on held-out recordings. Name a model file."
+        )
+    return read_model_file(path)
+
+
 def _holds(model: str, path: Path) -> bool:
     file = values_file(model)
     return file is not None and path.exists() and file.samefile(path)
@@ -72,7 +77,7 @@ def known_of(model: str):
 
 def tell_evidence(path: Path, as_json: bool) -> bool:
     """What a model file says of where it was fitted and judged; False where that is of other values, or not passed."""
-    file = read_model_file(path)
+    file = _model_file(path)
     evidence = file.credibility.evidence
     rows = [{"holds": one.contents == file.contents, "passed": one.passed, "told": one.told} for one in evidence]
     good = all(row["holds"] and row["passed"] is not False for row in rows)

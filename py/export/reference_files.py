@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import posixpath
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from .related import FOLDER, MANIFEST, REPORT, SMOKE, VALIDATION, Related, conte
 from .ssp_text import Parameter, parameter_set
 
 RECORD_FILE = f"{FOLDER}/credibility.toml"
+TOLD = "documentation/fmi-ls-ref.txt"
 RECORD_FORMAT = "hydrotwin-credibility/1"  # its number goes up where keys change their meaning or go
 SMALL = 500_000  # bytes of text up to which the smoke test, which nobody asked for, goes along
 LARGEST = 20_000_000  # bytes of text of all experiments: an FMU is sent by mail
@@ -83,7 +85,19 @@ def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | 
         files[RECORD_FILE] = _record_text(fmu, carried.credibility, files, tool)
         told = "Where the model was fitted and judged: recordings by hash, criteria, results, versions"
         related.append(Related(RECORD_FILE, REPORT, "application/toml", told))
-    return files | ({MANIFEST: manifest_text(related)} if related else {})
+    return files | ({MANIFEST: manifest_text(related), TOLD: _told(related, carried)} if related else {})
+
+
+def _told(related: Sequence[Related], carried: Carried) -> str:
+    """What a reader of the FMU should know of these files, as the layered standard recommends."""
+    listed = "".join(f"  {posixpath.relpath(one.path, FOLDER)} ({one.role}): {one.description}\n" for one in related)
+    return (
+        f"Files of this FMU by FMI-LS-REF, in {FOLDER}:\n\n{listed}\n"
+        "Experiments: inputs (..-in.csv) are held between their samples, start values (..-start.ssv) are parameters of\n"
+        "the FMU, and expected outputs (..-ref.csv) are what hydrotwin's simulation gives, in the units of the FMU.\n"
+        f"An importer that makes a communication step from sample to sample differs by less than {carried.agreement:g} of\n"
+        "the range of each output. Run them again: hydrotwin check X.fmu --replay\n"
+    )
 
 
 def _size(files: Mapping[str, str | bytes]) -> int:

@@ -93,10 +93,10 @@ def _told(related: Sequence[Related], carried: Carried) -> str:
     listed = "".join(f"  {posixpath.relpath(one.path, FOLDER)} ({one.role}): {one.description}\n" for one in related)
     return (
         f"Files of this FMU by FMI-LS-REF, in {FOLDER}:\n\n{listed}\n"
-        "Experiments: inputs (..-in.csv) are held between their samples, start values (..-start.ssv) are parameters of\n"
-        "the FMU, and expected outputs (..-ref.csv) are what hydrotwin's simulation gives, in the units of the FMU.\n"
-        f"An importer that makes a communication step from sample to sample differs by less than {carried.agreement:g} of\n"
-        "the range of each output. Run them again: hydrotwin check X.fmu --replay\n"
+        "Experiments: inputs (..-in.csv) are held between their samples, start values (..-start.ssv) are parameters\n"
+        "of the FMU, expected outputs (..-ref.csv) are what hydrotwin's simulation gives, in the units of the FMU.\n"
+        f"An importer that steps from sample to sample differs by less than {carried.agreement:g} of the range of\n"
+        "each output. Run them again: hydrotwin check X.fmu --replay\n"
     )
 
 

@@ -243,20 +243,14 @@ class FmuBlock:
         )
 
     def in_own_units(self, variable: str, record: Record, name: str, rows: slice = slice(None)) -> np.ndarray:
-        """A column of a record in the unit of a variable, whole where that is whole."""
+        """Values of a column, as the FMU has them."""
         factor, offset = self.description.scales[variable]
         values = (np.asarray(record[name][rows]) - offset) / factor
         whole = self.description.whole.get(variable)
         if whole is None:
             return values
-        source = record.source or record.name
-        return whole.rounded(
-            values,
-            lambda k: (
-                f"{source}: row {k + 1} (t = {record.time[k]:g} s) of '{name}' is no {whole.kind}, which "
-                f"'{variable}' of {self.name} is"
-            ),
-        )
+        source, no = record.source or record.name, f"is no {whole.kind}, which '{variable}' of {self.name} is"
+        return whole.rounded(values, lambda k: f"{source}: row {k + 1} (t = {record.time[k]:g} s) of '{name}' {no}")
 
     def _record(self, record: Record, y: np.ndarray) -> Record:
         signals, units = {}, {}

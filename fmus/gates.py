@@ -39,7 +39,7 @@ _SIMULATED = {"cs": "FMPy Co-Simulation", "me": "FMPy Model Exchange"}
 _OUTSIDE = (
     "readable", "schema", "interfaces", "unit definitions", "type definitions", "other definitions", "variables",
     "names", "model structure", "sources", "terminals", "files", "platforms", "units", "loads",
-    "directional derivatives", "reference", "libcosimpy", "CasADi importer", *_SIMULATED.values(),
+    "directional derivatives", "reference", "related files", "libcosimpy", "CasADi importer", *_SIMULATED.values(),
 )  # fmt: skip
 FAILED = "FAIL"
 

@@ -1,18 +1,22 @@
 """model.toml: which model, its named effects, its parameter values with uncertainty, and where they came from.
 
 Data only, never code. An effect is called by its id in the catalogue and its site; what it is, the catalogue says.
+The block [credibility], last in the file, says on which recordings the model was fitted and judged (`credibility`).
 """
 
 from __future__ import annotations
 
+import re
+import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
 from .additions import Addition
+from .credibility import KEY, Credibility, Evidence, contents_digest, from_data
 from .errors import DataError, nearest
 from .flat import FlatModel, ParameterValue, Signal
 from .parameter_file import parameter_settings, read_toml
@@ -26,10 +30,13 @@ _FORMS = (
     ("effects", list, "list of tables"),
     ("inputs", dict, "table"),
     ("provenance", dict, "table"),
+    (KEY, dict, "table"),
 )
 _KEYS = ("kind", "model", *(key for key, _, _ in _FORMS))
 _INPUT = ("interpolation", "chosen_by", "shift", "why")
 _EFFECT = ("effect", "site", "name")
+_HEADER = re.compile(r"\s*\[")
+_OF_BLOCK = re.compile(rf"\s*\[\[?\s*{KEY}\b")
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,7 @@ class ModelFile:
     settings : by dotted path, in SI, ready for ``Model.with_settings``.
     effects : rows ``effect``, ``site`` and ``name`` (of the added part), in the order they were added.
     inputs : what inputs do between samples and who chose it, ready for ``Model.with_inputs``.
+    credibility : what the file says of where it was fitted and judged; contents : the hash that it must be of.
     """
 
     path: Path
@@ -47,6 +55,20 @@ class ModelFile:
     effects: tuple[dict, ...] = ()
     provenance: Mapping = field(default_factory=dict)
     inputs: Mapping[str, dict] = field(default_factory=dict)
+    credibility: Credibility = field(default_factory=Credibility)
+    contents: str = ""
+
+    @property
+    def stale(self) -> str:
+        """What to know where the model is no longer the one that was fitted or judged; empty where it is."""
+        if self.credibility.holds_for(self.contents):
+            return ""
+        lost = [one for one in self.credibility.evidence if one.contents != self.contents]
+        made = " and ".join(dict.fromkeys(f"{one.by} ({one.date[:10]})" for one in lost))
+        return (
+            f"{self.path}: its values, effects or inputs were edited after {made} vouched for them, so its record no "
+            "longer holds. Record it anew: hydrotwin compare --model FILE --validate REC --record FILE."
+        )
 
 
 def read_model_file(path: Path | str) -> ModelFile:
@@ -76,7 +98,9 @@ def read_model_file(path: Path | str) -> ModelFile:
         )
     effects = tuple(_effect(row, number, path) for number, row in enumerate(content.get("effects", ()), 1))
     inputs = {name: _input(name, row, path) for name, row in content.get("inputs", {}).items()}
-    return ModelFile(path, content["model"], settings, effects, content.get("provenance", {}), inputs)
+    known = from_data(content[KEY], str(path)) if KEY in content else Credibility()
+    told = (content.get("provenance", {}), inputs, known, contents_digest(content))
+    return ModelFile(path, content["model"], settings, effects, *told)
 
 
 def _input(name: str, row, path: Path) -> dict:
@@ -116,12 +140,14 @@ def write_model_file(
     flat: FlatModel,
     provenance: Mapping | None = None,
     additions: Iterable[Addition] | None = None,
+    evidence: Evidence | None = None,
 ) -> Path:
     """Write the values, sigmas, bounds and sources of ``flat`` (SI); an existing file is replaced only when whole.
 
     flat : a FlatModel, or a Model.
     additions : the effects of the model; by default those of a Model. Parts that no catalogue names belong to the code
         of ``model`` and are not written.
+    evidence : of these values, for the block [credibility].
     """
     path = Path(path)
     if additions is None:
@@ -146,8 +172,43 @@ def write_model_file(
         text += "\n" + tomlkit.dumps({"inputs": inputs})
     if provenance:
         text += "\n" + tomlkit.dumps({"provenance": toml_values(provenance)})
-    write_whole(path, text)
+    write_whole(path, _vouched(text, evidence) if evidence else text)
     return path
+
+
+def add_evidence(path: Path | str, evidence: Evidence) -> Credibility:
+    """Add to the block [credibility] of a model file; the rest of its text stays as it is.
+
+    Evidence of other values than the file has is dropped. Returns what the block holds now.
+
+    Raises
+    ------
+    DataError : as `read_model_file`, and for a file in which the block cannot be told from the rest.
+    """
+    file = read_model_file(path)
+    text = file.path.read_bytes().decode("utf-8-sig")
+    rest = _without_block(text)
+    before = {key: value for key, value in tomllib.loads(text).items() if key != KEY}
+    if tomllib.loads(rest) != before:
+        raise DataError(f"{path}: its block [{KEY}] cannot be told from the rest. Put it last, or take it out.")
+    known = file.credibility.of(file.contents)
+    write_whole(file.path, _vouched(rest, evidence, known))
+    return read_model_file(path).credibility
+
+
+def _vouched(text: str, evidence: Evidence, known: Credibility = Credibility()) -> str:  # noqa: B008  frozen
+    """The text of a model file with what is known of its values, and ``evidence`` of them."""
+    found = known.plus(replace(evidence, contents=contents_digest(tomllib.loads(text))))
+    return f"{text.rstrip()}\n\n{found.as_toml()}"
+
+
+def _without_block(text: str) -> str:
+    """The lines outside of the tables of [credibility]."""
+    kept, inside = [], False
+    for line in text.splitlines(keepends=True):
+        inside = bool(_OF_BLOCK.match(line)) if _HEADER.match(line) else inside
+        kept += [] if inside else [line]
+    return "".join(kept)
 
 
 def _entry(p: ParameterValue) -> tomlkit.items.InlineTable:

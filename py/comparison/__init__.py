@@ -10,6 +10,7 @@ from .comparison import (
     DomainShare,
     Entrant,
     Failure,
+    Inaccurate,
     Score,
     Timing,
     Trajectory,
@@ -18,6 +19,7 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
+from .evidence import record_comparison
 from .matrix import Matrix, VariantRun, run_matrix
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
@@ -45,6 +47,7 @@ __all__ = [
     "Errors",
     "Failure",
     "HoldLast",
+    "Inaccurate",
     "Judged",
     "Matrix",
     "ModelEntry",
@@ -72,6 +75,7 @@ __all__ = [
     "junit",
     "load_contenders",
     "read_scenario",
+    "record_comparison",
     "run_matrix",
     "run_scenario",
 ]

@@ -99,6 +99,15 @@ class Failure:
 
 
 @dataclass(frozen=True)
+class Inaccurate:
+    """A model whose run over a recording missed the accuracy, and by how much, in a sentence."""
+
+    model: str
+    record: str
+    sentence: str
+
+
+@dataclass(frozen=True)
 class Unscored:
     """An output that could not be scored, and why."""
 
@@ -155,7 +164,8 @@ class Comparison:
     """Models against recordings.
 
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
-    models were made from. ``starts`` says how models start, where that was estimated.
+    models were made from. ``starts`` says how models start, where that was estimated. ``inaccurate`` are runs whose
+    solver missed the accuracy.
     """
 
     title: str
@@ -173,6 +183,7 @@ class Comparison:
     domains: tuple[DomainShare, ...]
     residuals: tuple[Residual, ...]
     starts: tuple[Started, ...] = ()
+    inaccurate: tuple[Inaccurate, ...] = ()
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)

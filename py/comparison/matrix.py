@@ -213,7 +213,7 @@ def _empty(base: Comparison, reason: str, title: str) -> Comparison:
     real = [m for m in base.models if m not in base.yardsticks]
     failures = tuple(Failure(m, r.name, mode, reason) for mode in base.modes for m in real for r in base.records)
     nothing = dict.fromkeys(("scores", "means", "trajectories", "timings", "domains", "residuals", "unscored"), ())
-    return dataclasses.replace(base, title=title, failures=failures, starts=(), **nothing)
+    return dataclasses.replace(base, title=title, failures=failures, starts=(), inaccurate=(), **nothing)
 
 
 def _as_base(one: _Prepared, base: _Prepared, how: str) -> tuple[str, ...]:

@@ -13,10 +13,11 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, as_needed, distinct, noise_floor
 from hydrotwin.records.between import between, settled, told
+from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
 
-from .comparison import MODES, Comparison, Entrant, Timing, Trajectory, mean_scores, relative_scores
+from .comparison import MODES, Comparison, Entrant, Inaccurate, Timing, Trajectory, mean_scores, relative_scores
 from .contender import Contender, as_contender
 from .domain import domain_shares
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
@@ -101,7 +102,14 @@ def compare(
         domains=domain_shares(contenders, records, train_records, [t for _, t in trajectories]),
         residuals=tuple(r for one in done for r in one.residuals),
         starts=tuple(one.started for one in done if one.started),
+        inaccurate=_inaccurate(jobs, done),
     )
+
+
+def _inaccurate(jobs: Sequence[Job], done: Sequence[Done]) -> tuple[Inaccurate, ...]:
+    told = InaccurateWarning.__name__
+    rows = [(job, text) for job, one in zip(jobs, done, strict=True) for kind, text in one.warned if kind == told]
+    return tuple(Inaccurate(job.carried.contender.name, job.record.name, text) for job, text in rows)
 
 
 def _drawn(curves: int | None, each: int, count: int) -> int:

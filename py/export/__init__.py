@@ -2,7 +2,8 @@
 
 from .check import Check, CheckRow, check_fmu
 from .reader import FmuBlock, StartValueWarning, read_fmu
-from .reference import reference_run
+from .reference import reference_experiment, reference_run
+from .replay import Replay
 from .ssp import SystemArchive, SystemPart, export_ssp
 from .writer import export_fmu
 
@@ -10,6 +11,7 @@ __all__ = [
     "Check",
     "CheckRow",
     "FmuBlock",
+    "Replay",
     "StartValueWarning",
     "SystemArchive",
     "SystemPart",
@@ -17,5 +19,6 @@ __all__ = [
     "export_fmu",
     "export_ssp",
     "read_fmu",
+    "reference_experiment",
     "reference_run",
 ]

@@ -22,15 +22,12 @@ from .fmu_process.master import FLOATS, inputs_of, outputs_of
 from .fmu_process.verdicts import FAIL, GOOD, NOT_TRIED, PASS, REMARK
 from .foreign import Description, describe_fmu, unit_name
 from .reader import FmuBlock, read_fmu
+from .related import MANIFEST
+from .replay import FILES, REPLAY, Replay, carried_rows
 from .rules import read_or_say, rule_rows
 from .rules.declared import Declared
 from .standard import paragraph
-from .writer import REFERENCE_FILE
-
-AGREEMENT = 1e-6
-"""Largest difference to the reference, relative to the range of the signal, that passes."""
-OTHER_SOLVER = 1e-2
-"""The same for Model Exchange in an FMU with both: the reference is of the solver inside, not of the importer's."""
+from .writer import AGREEMENT, OTHER_SOLVER, REFERENCE_FILE
 
 
 @dataclass(frozen=True)
@@ -54,10 +51,11 @@ class CheckRow:
 
 @dataclass(frozen=True)
 class Check:
-    """What was found out about an FMU."""
+    """What was found out about an FMU; ``replays`` : every output of the experiments inside that were run again."""
 
     path: str
     rows: tuple[CheckRow, ...]
+    replays: tuple[Replay, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -106,6 +104,7 @@ def check_fmu(
     *,
     time_limit: float = 60.0,
     interpolation: Mapping[str, str] | None = None,
+    replay: bool = False,
 ) -> Check:
     """Check an FMU of FMI 2 or 3, whoever made it, against the standard.
 
@@ -122,11 +121,14 @@ def check_fmu(
     With a ``reference`` record, or one inside the FMU, its inputs are replayed and the outputs compared, held between
     samples unless ``interpolation`` says "linear" for an input by name; they agree
     when they differ by less than 1e-6 of each signal's range (1e-2 in Model Exchange where there is both).
+    Files that the FMU carries along by FMI-LS-REF are told, with the record of hydrotwin where it has one. With
+    ``replay`` every experiment among them is run again and judged by what it says, or by 1e-2 of the range where it
+    says nothing; what stands in the way, and a record that no longer holds, then fails.
 
     A row fails only where a required rule of the standard is broken, which it names, or where the numbers differ from
     the reference. Advice, what no importer may do, and what other programs make of it are remarks. What cannot be tried
     on this machine or with this FMU says why. Raises DataError when there is no file, or the ``reference`` cannot be
-    replayed.
+    replayed; DeclarationError where there is nothing to ``replay``.
     """
     path = Path(path)
     if not path.exists():
@@ -134,14 +136,35 @@ def check_fmu(
     declared = read_or_say(path)
     if not isinstance(declared, Declared):
         return Check(str(path), (CheckRow("readable", *declared),))
+    if replay and MANIFEST not in file_names(path):
+        raise DeclarationError(_nothing_to_replay(path, "it carries no experiments along"))
     rules = rule_rows(path, declared)
     read = _described(path, any(verdict == FAIL for _, (verdict, _) in rules))
     found = [("readable", read if isinstance(read, tuple) else (PASS, _summary(read))), *rules]
+    replays: list[Replay] = []
     if not isinstance(read, tuple):
         found.append(("units", _units(read)))
         found += tried_rows(path, plan_of(read.source), read.elsewhere, time_limit)
         found += _references(path, read, dict(found), reference, time_limit, interpolation or {})
-    return Check(str(path), tuple(_row(name, *rest, declared.version) for name, rest in found))
+        carried, replays = carried_rows(path, read, dict(found)["loads"][0] in GOOD, replay, time_limit)
+        found += carried
+    if replay and not any(name.startswith(REPLAY) and rest[0] != NOT_TRIED for name, rest in found):
+        raise DeclarationError(_nothing_to_replay(path, _why_not(found)))
+    return Check(str(path), tuple(_row(name, *rest, declared.version) for name, rest in found), tuple(replays))
+
+
+def _why_not(found: list[tuple[str, tuple[str, str]]]) -> str:
+    """Why none of its experiments can be run again."""
+    rows = {name: why for name, (_, why) in found}
+    told = [f"{name.removeprefix(REPLAY).strip()}: {why}" for name, why in rows.items() if name.startswith(REPLAY)]
+    return "; ".join(told) or rows.get(FILES) or rows["readable"]
+
+
+def _nothing_to_replay(path: Path, why: str) -> str:
+    return (
+        f"{path}: there is nothing to run again ({why}). An FMU that hydrotwin exports has a smoke test inside; with "
+        "--experiment REC recordings too. Or give a recording: --reference REC."
+    )
 
 
 def _described(path: Path, broken: bool) -> Description | tuple[str, str]:

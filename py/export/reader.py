@@ -165,7 +165,7 @@ class FmuBlock:
         job, arrays = settled(self._told(record), [record])._job("restart", record, record)
         pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
-        columns = [self._to_fmu(p, record, o) for p, o in pairs.items()]
+        columns = [self.in_own_units(p, record, o) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
         return self._record(record, run_child(job, arrays, self.time_limit)["y"])
 
@@ -180,7 +180,7 @@ class FmuBlock:
         """What a run of ``record`` sets before initialization, in the FMU's own units."""
         record = as_needed(record, self.outputs)
         known = {p: o for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
-        return {**{p: float(self._to_fmu(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
+        return {**{p: float(self.in_own_units(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
 
     def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
@@ -194,7 +194,7 @@ class FmuBlock:
         seen |= {s.name: np.full(len(record), s.default) for s in self.resting}
         record = record.with_signals(seen, {s.name: s.unit for s in self.resting}) if seen else record
         inputs = (*self.inputs, *self.resting)
-        columns = [self._to_fmu(of[s.name], record, s.name) for s in inputs]
+        columns = [self.in_own_units(of[s.name], record, s.name) for s in inputs]
         job = {
             "task": task,
             "path": self.path,
@@ -242,18 +242,15 @@ class FmuBlock:
             f"It has: {names}{more}."
         )
 
-    def _to_fmu(self, variable: str, record: Record, name: str, rows: slice = slice(None)) -> np.ndarray:
+    def in_own_units(self, variable: str, record: Record, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """Values of a column, as the FMU has them."""
         factor, offset = self.description.scales[variable]
         values = (np.asarray(record[name][rows]) - offset) / factor
         whole = self.description.whole.get(variable)
         if whole is None:
             return values
-        source = record.source or record.name
-        return whole.rounded(
-            values,
-            lambda k: f"{source}: row {k + 1} (t = {record.time[k]:g} s) of '{name}' is no {whole.kind}, which "
-            f"'{variable}' of {self.name} is",
-        )
+        source, no = record.source or record.name, f"is no {whole.kind}, which '{variable}' of {self.name} is"
+        return whole.rounded(values, lambda k: f"{source}: row {k + 1} (t = {record.time[k]:g} s) of '{name}' {no}")
 
     def _record(self, record: Record, y: np.ndarray) -> Record:
         signals, units = {}, {}

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.errors import DeclarationError, SolveError
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Record
+from hydrotwin.records import Record, as_needed
 from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
 from hydrotwin.simulation.inputs import at, substeps
+from hydrotwin.simulation.sampled import sample_grid
 
 from .lower import implicit_advance, middle_of_training
 from .method import SHARES, excitation, held
@@ -45,6 +46,39 @@ def reference_run(model, *, fine: bool = False, step: float | None = None, metho
         inputs, outputs = _endured(system, step or system.step / (REFINED if fine else 1), method)
     answers = {s.name: outputs[s.name] for s in system.outputs}
     return inputs.with_signals(answers, units={s.name: s.unit for s in system.outputs})
+
+
+def reference_experiment(model, record: Record, *, step: float | None = None, method: str = "auto") -> Record:
+    """A recording as an experiment: its inputs, held between samples, and the outputs that `simulate` gives for them.
+
+    It starts where the recording starts, as `simulate` does. A sampled block has it at its own samples: what a block
+    gives between them is the importer's. ``step``, ``method`` as in `reference_run`. No measurement
+    but the inputs and the first samples is in it. Raises as `simulate`.
+    """
+    system = getattr(model, "flat", model)
+    if isinstance(system, Block):
+        record = _on_its_grid(system, record)
+        outputs = simulate(system, record)
+    elif method == "implicit":
+        raise DeclarationError(
+            f"{system.name}: what an FMU of method 'implicit' is compared with starts in equilibrium, and a recording "
+            "need not. Export it without --experiment, or with another method."
+        )
+    else:
+        outputs = _answers(held(system), record, step or system.step, method)
+    inputs = {s.name: record[s.name] for s in system.inputs}
+    answers = {s.name: outputs[s.name] for s in system.outputs}
+    units = {s.name: s.unit for s in (*system.inputs, *system.outputs)}
+    return Record(record.time, inputs | answers, units, record.name, record.source)
+
+
+def _on_its_grid(block: Block, record: Record) -> Record:
+    """A recording at the samples of a block, its inputs held."""
+    grid = sample_grid(block, record.time)
+    if grid is record.time:
+        return record
+    grid = grid[grid <= record.time[-1]]
+    return as_needed(record, (*block.inputs, *block.outputs)).resample(times=grid, hold=[s.name for s in block.inputs])
 
 
 def _endured(flat: FlatModel, step: float, method: str) -> tuple[Record, Record]:

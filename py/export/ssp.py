@@ -1,25 +1,38 @@
-"""export_ssp: the models of a comparison as one SSP 1.0 archive, all wired to the same inputs."""
+"""export_ssp: the models of a comparison as one SSP archive, all wired to the same inputs."""
 
 from __future__ import annotations
 
 import os
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.credibility import Credibility
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
 
-from .archive import write_archive
+from .archive import file_names, write_archive
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
-from .foreign import unit_name
+from .parameter_sets import own_unit
 from .reader import FmuBlock, read_fmu
-from .ssp_text import Component, Connection, Connector, Parameter, Unit, parameter_set, system_structure
+from .reference_files import RECORD_FILE
+from .srmd import srmd_text
+from .ssp_text import (
+    NEWEST,
+    VERSIONS,
+    Component,
+    Connection,
+    Connector,
+    Parameter,
+    Unit,
+    parameter_set,
+    system_structure,
+)
 from .writer import export_fmu, tool_name
 
 
@@ -30,12 +43,14 @@ class SystemPart:
     thing : a Model, FlatModel, Block or `FmuBlock`; anything else is left out.
     nominal : parameter -> value [SI] it was shipped with, where ``thing`` has others since.
     equations : what a learned block computes, in words, for the documentation of its FMU.
+    credibility : of its model file, for the record of its FMU and the traceability of its values.
     """
 
     name: str
     thing: object
     nominal: Mapping[str, float] = field(default_factory=dict)
     equations: str = ""
+    credibility: Credibility | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +62,14 @@ class SystemArchive:
     left_out: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class _Edition:
+    """The version of SSP, and the models whose FMU has a record inside."""
+
+    version: str
+    recorded: Set[str]
+
+
 def export_ssp(
     parts: Sequence[SystemPart],
     path: str | os.PathLike,
@@ -54,8 +77,9 @@ def export_ssp(
     records: Sequence[Record] = (),
     title: str = "Comparison of models",
     platforms: Sequence[str] | None = None,
+    version: str = VERSIONS[0],
 ) -> SystemArchive:
-    """Write models side by side as an SSP 1.0 archive.
+    """Write models side by side as an SSP archive.
 
     Every model is a component: models and blocks as Co-Simulation FMUs of FMI 2.0, an FMU as the file it is. The system
     has one input connector for each input, shared by all models that have it, and for each output of each model a
@@ -66,14 +90,21 @@ def export_ssp(
     which the models start as they do in the comparison; the first recording's is bound. Start parameters stand for what
     all ``records`` measure. The recordings lie beside them as CSV, inputs and measured outputs in SI.
 
+    Identified values carry their interval of 95 % as an annotation.
+
     platforms : as of `export_fmu`, for the models that are exported.
+    version : of SSP, "1.0" or "2.0". In 2.0 meta-data say where values come from: ``identified.srmd`` beside the
+        parameter set (SSP Traceability), and of every component the record inside its FMU.
 
     The same arguments give the same bytes. Raises DeclarationError when no model can be a component, or two disagree on
     the unit of an input; SolveError when no compiler works.
     """
+    if version not in VERSIONS:
+        raise DeclarationError(f"{path}: no version '{version}' of SSP. {nearest(str(version), VERSIONS)}")
     names, left_out = _plain_names([p.name for p in parts], "model"), []
     files: dict[str, str | bytes] = {}
     fmus: dict[str, FmuBlock] = {}
+    recorded: set[str] = set()
     with tempfile.TemporaryDirectory(prefix="hydrotwin-ssp-") as folder:
         for part in parts:
             reason = _reason_to_leave_out(part.thing)
@@ -83,15 +114,16 @@ def export_ssp(
             fmu = _fmu_of(part, Path(folder) / f"{names[part.name]}.fmu", records, platforms)
             fmus[part.name] = fmu
             files[f"resources/{names[part.name]}.fmu"] = Path(fmu.path).read_bytes()
+            recorded |= {part.name} if RECORD_FILE in file_names(Path(fmu.path)) else set()
     if not fmus:
         raise DeclarationError(
             f"{path}: no model of the comparison can be a component ({'; '.join(left_out) or 'none was given'}). "
             "Add a physical model, a learned block or an FMU."
         )
     inputs = _shared_inputs(fmus)
-    bound = _put_parameter_sets(files, [p for p in parts if p.name in fmus], names)
-    bound += _put_records(files, records, fmus, names, inputs)
-    files["SystemStructure.ssd"] = _structure(title, fmus, names, inputs, bound, records)
+    bound = _put_parameter_sets(files, [p for p in parts if p.name in fmus], names, version)
+    bound += _put_records(files, records, fmus, names, inputs, version)
+    files["SystemStructure.ssd"] = _structure(title, fmus, names, inputs, bound, records, _Edition(version, recorded))
     return SystemArchive(write_archive(path, files), {n: names[n] for n in fmus}, tuple(left_out))
 
 
@@ -113,7 +145,9 @@ def _fmu_of(part: SystemPart, path: Path, records: Sequence[Record], platforms) 
     if not isinstance(part.thing, Block) and records:
         states = getattr(part.thing, "flat", part.thing).states
         given = [s.name for s in states if s.measured_by and all(s.measured_by in r.signals for r in records)]
-    export_fmu(part.thing, path, given=given, platforms=platforms, equations=part.equations)
+    export_fmu(
+        part.thing, path, given=given, platforms=platforms, equations=part.equations, credibility=part.credibility
+    )
     return read_fmu(path)
 
 
@@ -145,7 +179,7 @@ def _shared_inputs(fmus: Mapping[str, FmuBlock]) -> dict[str, Signal]:
     return {name: signal for name, (_, signal) in found.items()}
 
 
-def _structure(title, fmus, names, inputs, bound, records) -> str:
+def _structure(title, fmus, names, inputs, bound, records, edition: _Edition) -> str:
     components, wires = [], []
     outside = [Connector(n, "input", unit=Unit(s.unit, s.unit)) for n, s in inputs.items()]
     taken = set(inputs)
@@ -167,29 +201,21 @@ def _structure(title, fmus, names, inputs, bound, records) -> str:
             wires.append(Connection(element, connector.name, None, name))
         interface = "CoSimulation" if description.source.coSimulation is not None else "ModelExchange"
         said = model if model == fmu.name else f"{model}: {fmu.name}"
-        components.append(Component(element, f"resources/{element}.fmu", interface, said, tuple(own)))
+        record = RECORD_FILE if model in edition.recorded else ""
+        components.append(Component(element, f"resources/{element}.fmu", interface, said, tuple(own), record))
     times = (float(records[0].time[0]), float(records[0].time[-1])) if records else None
-    return system_structure(title, tool_name(), outside, components, wires, bound, times)
+    return system_structure(title, tool_name(), outside, components, wires, bound, times, edition.version)
 
 
 def _connector(variable, kind: str, fmu: FmuBlock) -> Connector:
     """A variable of an FMU in the FMU's own unit; none where the unit is missing or has no meaning."""
     if variable.type not in FLOATS:
         return Connector(variable.name, kind, "Boolean" if variable.type == "Boolean" else "Integer")
-    return Connector(variable.name, kind, unit=_own_unit(variable.name, fmu))
+    return Connector(variable.name, kind, unit=own_unit(variable.name, fmu.description))
 
 
-def _own_unit(name: str, fmu: FmuBlock) -> Unit | None:
-    description = fmu.description
-    variable = next(v for v in description.source.modelVariables if v.name == name)
-    text = unit_name(variable)
-    if not text or name in description.unknown_units:
-        return None
-    return Unit(text, description.units[name], *description.scales[name])
-
-
-def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping[str, str]) -> list[str]:
-    """Write nominal.ssv and identified.ssv; returns the one that applies."""
+def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping[str, str], version: str) -> list[str]:
+    """Write nominal.ssv and identified.ssv, in 2.0 with identified.srmd; returns the one that applies."""
     nominal, identified = [], []
     for part in parts:
         if isinstance(part.thing, (Block, FmuBlock)):
@@ -198,29 +224,34 @@ def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping
             name, unit = f"{names[part.name]}.{p.name}", Unit(p.unit, p.unit)
             nominal.append(Parameter(name, float(part.nominal.get(p.name, p.value)), unit))
             if part.nominal:
-                identified.append(Parameter(name, float(p.value), unit))
+                identified.append(Parameter(name, float(p.value), unit, p.sigma))
+    known = {names[p.name]: p.credibility for p in parts if p.nominal and p.credibility and p.credibility.evidence}
+    traced = "identified.srmd" if known and version == NEWEST else ""
     bound = []
-    for name, parameters in (("nominal", nominal), ("identified", identified)):
+    for name, parameters, source in (("nominal", nominal, ""), ("identified", identified, traced)):
         if parameters:
-            files[f"resources/{name}.ssv"] = parameter_set(name, tool_name(), parameters)
+            files[f"resources/{name}.ssv"] = parameter_set(name, tool_name(), parameters, version, source)
             bound = [f"resources/{name}.ssv"]
+    if traced:
+        content = files["resources/identified.ssv"]
+        files[f"resources/{traced}"] = srmd_text("identified values", "identified.ssv", content, tool_name(), known)
     return bound
 
 
-def _put_records(files: dict, records, fmus, names, inputs) -> list[str]:
+def _put_records(files: dict, records, fmus, names, inputs, version: str) -> list[str]:
     """Write the recordings and the start values they give; returns the start values of the first."""
     bound: list[str] = []
     known = dict.fromkeys([*inputs, *(s.name for fmu in fmus.values() for s in fmu.outputs)])
     for record, plain in zip(records, _plain_names([r.name for r in records], "recording").values(), strict=True):
         files[f"resources/{plain}.csv"] = _csv([n for n in known if n in record.signals], record)
         starts = [
-            Parameter(f"{names[model]}.{variable}", value, _own_unit(variable, fmu))
+            Parameter(f"{names[model]}.{variable}", value, own_unit(variable, fmu.description))
             for model, fmu in fmus.items()
             for variable, value in fmu.starts_of(record).items()
         ]
         if starts:
             path = f"resources/start_{plain}.ssv"
-            files[path] = parameter_set(f"start of {record.name}", tool_name(), starts)
+            files[path] = parameter_set(f"start of {record.name}", tool_name(), starts, version)
             bound = bound or [path]
     return bound
 

@@ -1,4 +1,4 @@
-"""The XML of an SSP 1.0 archive: system structure (SSD) and parameter values (SSV)."""
+"""The XML of an SSP archive, 1.0 or 2.0: system structure (SSD) and parameter values (SSV)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ from .unit_definitions import base_exponents
 
 SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 SPACES = {"ssd": f"{SSP}Description", "ssc": f"{SSP}Common", "ssv": f"{SSP}ParameterValues"}
-VERSION = "1.0"
+VERSIONS = ("1.0", "2.0")  # they share namespaces; 2.0 has a place for meta-data
+NEWEST = VERSIONS[-1]
+SIGMAS = 1.96  # half the width of a 95 % interval in standard deviations
 PARAMETER_SET = "application/x-ssp-parameter-set"
 FMU = "application/x-fmu-sharedlibrary"
+SRMD, TOML = "application/x-srmd-meta-data", "application/toml"
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,14 @@ class Connector:
 
 @dataclass(frozen=True)
 class Component:
-    """One FMU of the system; ``source`` is its path in the archive."""
+    """One FMU of the system; ``source`` is its path in the archive, ``record`` that of its record inside the FMU."""
 
     name: str
     source: str
     implementation: str
     description: str
     connectors: tuple[Connector, ...]
+    record: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,11 +62,12 @@ class Connection:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One value of a parameter set; without a unit it is in the FMU's own."""
+    """One value of a parameter set; without a unit it is in the FMU's own. sigma : its standard deviation."""
 
     name: str
     value: float
     unit: Unit | None = None
+    sigma: float | None = None
 
 
 def system_structure(
@@ -73,10 +78,11 @@ def system_structure(
     connections: Sequence[Connection],
     bound: Sequence[str],
     experiment: tuple[float, float] | None,
+    version: str = VERSIONS[0],
 ) -> str:
     """SystemStructure.ssd. bound : parameter sets that apply, by path. experiment : start and stop time [s]."""
     known = units_of(c for part in (connectors, *(c.connectors for c in components)) for c in part)
-    root = _root("ssd:SystemStructureDescription", title, tool)
+    root = _root("ssd:SystemStructureDescription", title, tool, version)
     system = ET.SubElement(root, "ssd:System", name="comparison", description=title)
     _put_connectors(system, connectors, known)
     if bound:
@@ -90,6 +96,8 @@ def system_structure(
             implementation=component.implementation, description=component.description,
         )  # fmt: skip
         _put_connectors(element, component.connectors, known)
+        if component.record and version == NEWEST:
+            _put_meta_data(element, component.record, TOML, sourceBase="resource")
     if connections:
         wires = ET.SubElement(system, "ssd:Connections")
         for wire in connections:
@@ -105,16 +113,37 @@ def system_structure(
     return _text(root)
 
 
-def parameter_set(name: str, tool: str, parameters: Sequence[Parameter]) -> str:
-    """A parameter set as SSV."""
+def parameter_set(
+    name: str, tool: str, parameters: Sequence[Parameter], version: str = VERSIONS[0], meta_data: str = ""
+) -> str:
+    """A parameter set as SSV. meta_data : a file beside it that says where its values come from (SRMD); 2.0 alone.
+
+    Where a value has a standard deviation, an annotation of hydrotwin has that and the interval of 95 %, in its unit:
+    the standard has no place for either.
+    """
     known = units_of(parameters)
-    root = _root("ssv:ParameterSet", name, tool)
+    root = _root("ssv:ParameterSet", name, tool, version)
     listed = ET.SubElement(root, "ssv:Parameters")
     for parameter in parameters:
         element = ET.SubElement(listed, "ssv:Parameter", name=parameter.name)
         ET.SubElement(element, "ssv:Real", {"value": repr(parameter.value)} | _unit(parameter.unit, known))
+        if parameter.sigma is not None:
+            _put_interval(element, parameter)
     _put_units(root, "ssv:Units", known.values())
+    if meta_data and version == NEWEST:
+        _put_meta_data(root, meta_data, SRMD)
     return _text(root)
+
+
+def _put_interval(element: ET.Element, parameter: Parameter):
+    half = SIGMAS * parameter.sigma
+    numbers = {"sigma": parameter.sigma, "low": parameter.value - half, "high": parameter.value + half}
+    notes = ET.SubElement(ET.SubElement(element, "ssv:Annotations"), "ssc:Annotation", type="hydrotwin")
+    ET.SubElement(notes, "Interval", {"confidence": "0.95"} | {key: repr(float(v)) for key, v in numbers.items()})
+
+
+def _put_meta_data(element: ET.Element, source: str, kind: str, **more: str):
+    ET.SubElement(element, "ssc:MetaData", {"kind": "quality", "type": kind, "source": source} | more)
 
 
 def units_of(things: Iterable[Connector | Parameter]) -> Mapping[str, Unit]:
@@ -126,10 +155,10 @@ def units_of(things: Iterable[Connector | Parameter]) -> Mapping[str, Unit]:
     return dict(sorted(found.items()))
 
 
-def _root(tag: str, name: str, tool: str) -> ET.Element:
+def _root(tag: str, name: str, tool: str, version: str) -> ET.Element:
     own = tag.partition(":")[0]
     spaces = {f"xmlns:{prefix}": SPACES[prefix] for prefix in (own, "ssc")}
-    return ET.Element(tag, {**spaces, "version": VERSION, "name": name, "generationTool": tool})
+    return ET.Element(tag, {**spaces, "version": version, "name": name, "generationTool": tool})
 
 
 def _put_connectors(element: ET.Element, connectors: Sequence[Connector], known: Mapping[str, Unit]):

@@ -11,6 +11,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from hydrotwin.models.language.credibility import Credibility
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
@@ -26,12 +27,17 @@ from .icon import icon
 from .licences import licence_text, licences_of
 from .lower import Lowered, lower_block, lower_model
 from .method import choose_method
+from .reference_files import Carried, reference_files
 from .sources import INTERFACES, source_files
 from .terminals import terminals_and_icons
 from .undelayed import without_idle_delays
 from .variables import Variable, variables_of
 
 REFERENCE_FILE = "documentation/reference.csv"
+AGREEMENT = 1e-6
+"""Largest difference to a reference, relative to the range of the signal, that passes."""
+OTHER_SOLVER = 1e-2
+"""The same where an importer's solver computes: the reference is of the solver inside."""
 _PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
 _INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
 _EXCHANGE = "Model Exchange: the importer integrates; derivatives and outputs are computed when asked for."
@@ -64,6 +70,8 @@ def export_fmu(
     equations: str = "",
     author: str = "",
     licence: str = "",
+    experiments: Sequence[Record] = (),
+    credibility: Credibility | None = None,
 ) -> Path:
     """Write a Model, FlatModel or sampled Block as an FMU of FMI 2.0 or 3.0.
 
@@ -90,6 +98,10 @@ def export_fmu(
     reference : a record whose inputs, replayed, gave its outputs; `check_fmu` replays it.
     provenance : shown in the documentation, on top of what the model brings along.
     equations : what a block computes, in words; of a Model the documentation has its Modelica text.
+    experiments : recordings with what the model gives for them, as `reference_experiment` makes them; they and a
+        ``reference`` that is small go along as FMI-LS-REF says, for whoever wants to run them again. Their inputs and
+        starts are copied into the FMU.
+    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements.
 
     The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
     SolveError when no compiler works.
@@ -130,7 +142,18 @@ def export_fmu(
         files[f"binaries/{FMI3_FOLDERS[name] if fmi == 3 else name}/{library}"] = content
     if reference is not None:
         files[REFERENCE_FILE] = _reference_text(reference, variables, lowered)
-    return write_archive(path, files)
+    agreement = OTHER_SOLVER if kind == "me" else AGREEMENT
+    return _with_references(path, files, Carried(reference, experiments, credibility, agreement))
+
+
+def _with_references(path: str | os.PathLike, files: Mapping[str, str | bytes], carried: Carried) -> Path:
+    """Write the archive, whole or not at all; what is carried along is made for the FMU as its readers see it."""
+    if not carried:
+        return write_archive(path, files)
+    with tempfile.TemporaryDirectory(prefix="hydrotwin-fmu-") as folder:
+        bare = write_archive(Path(folder) / "bare.fmu", files)
+        more = reference_files(bare, carried, tool_name())
+    return write_archive(path, {**files, **more})
 
 
 def _refuse_unknown(fmi: int, kind: str):

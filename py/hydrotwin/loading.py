@@ -8,12 +8,14 @@ import importlib.util
 import inspect
 import re
 import sys
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 from hydrotwin.models.language import Component, Model
+from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
@@ -61,6 +63,8 @@ def load(spec: str):
     ======================  ==============================================================================
 
     Python files run only when the user names them; a model file never makes one run.
+
+    Warns with `StaleEvidenceWarning` where the values of a model file were edited after it was judged.
 
     Raises
     ------
@@ -138,6 +142,13 @@ def _no_hybrid(path: Path) -> None:
         )
 
 
+def values_file(spec: str) -> Path | None:
+    """The model file that ``spec`` takes its values from, ``fitted.toml`` or ``rig.py:axis@fitted.toml``; else None."""
+    base, _, values = str(spec).partition("@")
+    path = Path(values or base)
+    return path if path.suffix == ".toml" and path.is_file() and "model" in read_toml(path) else None
+
+
 def surroundable(spec: str):
     """The model that ``spec`` names; an FMU as one that effects can be added to, before its inputs and behind it."""
     thing = load(spec)
@@ -179,6 +190,8 @@ def _with_file(model, file: ModelFile) -> Model:
         _ = answer.flat
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None
+    if file.stale:
+        warnings.warn(file.stale, StaleEvidenceWarning, stacklevel=4)
     return answer
 
 

@@ -28,7 +28,7 @@ def test_an_fmu_with_both_is_tried_as_both_and_by_other_programs(systems, tmp_pa
     check = check_fmu(fmu)
     assert check.passed, str(check)
     others = {2: {"libcosimpy"}, 3: {"CasADi importer", "terminals"}}[fmi]
-    halves = {*HALF, "FMPy Model Exchange", "reference (Model Exchange)"}
+    halves = {*HALF, "FMPy Model Exchange", "reference (Model Exchange)", "related files"}
     assert {row.name for row in check.rows} == (ROWS - {"libcosimpy"}) | halves | others
     assert [row.name for row in check.rows if not row.passed] == {2: ["intermediate update"], 3: []}[fmi], str(check)
     assert "CoSimulation and ModelExchange" in check["readable"].detail

@@ -180,6 +180,11 @@ def test_the_model_that_is_written_has_the_effect_and_runs(here, discover):
     made = tomllib.loads((here / "gap/model.toml").read_text())["provenance"]
     assert made["verdict"] == "named"
     assert [(r["name"], r["role"]) for r in made["recordings"]] == [("train_1", "train"), ("validate_1", "validate")]
+    file = ht.read_model_file("gap/model.toml")
+    [one] = file.credibility.evidence
+    assert (one.by, one.facts["verdict"], file.stale) == ("gap", "named", "")
+    assert [(r["name"], r["role"]) for r in one.recordings] == [("train_1", "fit"), ("validate_1", "judge")]
+    assert {m["role"] for m in one.metrics} == {"fit", "judge"}
     assert "coulomb_friction" in (here / "gap/model.mo").read_text()
 
 

@@ -8,13 +8,14 @@ from typing import Annotated
 
 import typer
 
-from hydrotwin.models.language.errors import DeclarationError, SolveError
+from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
+from .recording_evidence import known_of, recorded_as
 from .recordings import read_all, reads, told_in
 from .shared import (
     InitialStatesOption,
@@ -38,6 +39,8 @@ def register(app: typer.Typer) -> None:
         epilog=examples(
             "hydrotwin compare scenario.toml --out report",
             "hydrotwin compare --model model.toml --model eq17 --validate validate_1.csv --out report --ssp models.ssp",
+            "hydrotwin compare --model model.toml --validate validate_1.csv --accept 'arm_angle.rmse < 0.2 deg' "
+            "--record model.toml",
         )
     )(reads(compare))
 
@@ -78,9 +81,16 @@ def compare(
     junit_file: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE.xml", help="also write the criteria as JUnit XML")
     ] = None,
+    record: Annotated[
+        Path | None,
+        typer.Option(metavar="MODEL.toml", help="also write what was found into this model file, one of the models"),
+    ] = None,
     ssp: Annotated[
         Path | None, typer.Option(metavar="X.ssp", help="also pack the models as FMUs, wired to the same inputs")
     ] = None,
+    ssp_version: Annotated[
+        str, typer.Option(metavar="1.0|2.0", help="version of SSP; 2.0 says where values come from")
+    ] = "1.0",
     executor: Annotated[
         str,
         typer.Option(
@@ -98,12 +108,13 @@ def compare(
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario, record_comparison
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
 
     check_folder(output)
     if ssp is not None:
         check_file(ssp, ".ssp")
+    check_ssp_version(ssp, ssp_version)
     if junit_file is not None:
         check_file(junit_file, ".xml")
     if (scenario is None) == (not models):
@@ -142,6 +153,7 @@ def compare(
         raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
     if ssp is not None and described.variants:
         raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
+    named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     matrix = run(described, loaded, output, runs)
     for word in dict.fromkeys(notes(matrix)):
@@ -153,8 +165,11 @@ def compare(
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title))
         paths |= {"junit": junit_file}
+    if record is not None:
+        record_comparison(record, matrix.base, accepted, named)
+        paths |= {"record": record}
     if ssp is not None:
-        paths |= {"ssp": pack(described, loaded, matrix.base, ssp)}
+        paths |= {"ssp": pack(described, loaded, matrix.base, ssp, ssp_version)}
     if as_json:
         typer.echo(paths["json"].read_text(encoding="utf-8"))
     else:
@@ -176,7 +191,17 @@ class Loaded(dict):
         return self[spec]
 
 
-def pack(scenario, loaded: Loaded, comparison, path: Path) -> Path:
+def check_ssp_version(path: Path | None, version: str) -> None:
+    """Refuse a version that there is none of, or one of an archive that nobody asked for."""
+    from hydrotwin.export.ssp_text import VERSIONS
+
+    if version not in VERSIONS:
+        raise DeclarationError(f"compare: --ssp-version {version}: there is none. {nearest(version, VERSIONS)}")
+    if path is None and version != VERSIONS[0]:
+        raise DeclarationError("compare: --ssp-version is of an archive. Say where it goes: --ssp models.ssp.")
+
+
+def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path:
     """The models of a comparison as an SSP archive; those that cannot be in it are named."""
     from hydrotwin.comparison import load_contenders
     from hydrotwin.export import SystemPart, export_ssp
@@ -186,8 +211,9 @@ def pack(scenario, loaded: Loaded, comparison, path: Path) -> Path:
         thing = loaded.get(row.model, contender)
         if scenario.loop:
             thing = getattr(contender, "block", contender)  # the model under the controller
-        parts.append(SystemPart(contender.name, thing, shipped_values(row.model, thing), equations_told(thing)))
-    archive = export_ssp(parts, path, records=comparison.records, title=comparison.title)
+        known = None if row.settings or scenario.loop else known_of(row.model)
+        parts.append(SystemPart(contender.name, thing, shipped_values(row.model, thing), equations_told(thing), known))
+    archive = export_ssp(parts, path, records=comparison.records, title=comparison.title, version=version)
     for sentence in archive.left_out:
         mark(err, "note", f"{path}: {sentence}")
     return archive.path

@@ -10,7 +10,7 @@ import typer
 
 import hydrotwin.models
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.model_file import read_model_file, write_model_file
 from hydrotwin.records import Record
 
 from ..loading import load
@@ -20,7 +20,7 @@ from .exporting import equations_told, given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .recordings import read_all
 from .shared import check_folder, examples, mark, out, progress_bar
-from .writing import gap_provenance, write_discovery
+from .writing import Made, write_discovery
 
 EXAMPLES = Path(hydrotwin.models.__file__).parents[1] / "examples"
 LEARNED = {"cehA": ("command", "arm_angle"), "spool_valve": ("current", "position")}  # input and output to learn
@@ -75,10 +75,12 @@ def run_machine(machine: str, folder: Path, budget: float) -> None:
 def identify_machine(machine: str, folder: Path, train: list[Record], validate: list[Record]):
     """The fit, and the model as its file gives it back."""
     from hydrotwin.identification import identify
+    from hydrotwin.identification.evidence import evidence_of_fit
 
     out.rule(f"{machine}: identify")
     fit = identify(load(machine), train, validate=validate, progress=True)
-    path = write_model_file(folder / "model.toml", machine, fit.flat, fit_provenance(fit, train, validate))
+    provenance, evidence = fit_provenance(fit, train, validate), evidence_of_fit(fit, train, validate)
+    path = write_model_file(folder / "model.toml", machine, fit.flat, provenance, evidence=evidence)
     print_fit(fit, path)
     return fit, load(str(path))
 
@@ -121,7 +123,8 @@ def export_machine(machine: str, folder: Path, identified, network) -> list:
     for name, thing in (("identified", identified), ("network", network)):
         path = folder / f"{machine}_{name}.fmu"
         given, told = given_starts(thing, "measured"), equations_told(thing)
-        export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told)
+        known = read_model_file(folder / "model.toml").credibility if thing is identified else None
+        export_fmu(thing, path, given=given, reference=reference_run(thing), equations=told, credibility=known)
         answer = check_fmu(path)
         failed = ", ".join(row.name for row in answer.failures)
         verdict = "all checks passed" if answer.passed else f"FAILED: {failed}"
@@ -137,7 +140,7 @@ def find_missing(machine: str, folder: Path, train: list[Record], validate: list
     out.rule(f"{machine}: what is missing")
     with telling(machine, silent=False) as told:
         found = discover(load(machine), train, validate=validate, progress=told)
-    write_discovery(found, machine, folder, gap_provenance(found, train, validate))
+    write_discovery(found, machine, folder, Made.of(found, train, validate))
     print_discovery(found, folder)
     return load(str(folder / "model.toml")) if found.steps else None
 

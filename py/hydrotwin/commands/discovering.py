@@ -35,7 +35,7 @@ from .shared import (
     tell_between,
 )
 from .showing import physical
-from .writing import BestSoFar, gap_provenance, write_discovery, write_failure
+from .writing import BestSoFar, Made, write_discovery, write_failure
 
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
@@ -128,7 +128,7 @@ def gap(
 
     def write(found, so_far: bool = False) -> None:
         named = origin_from(thing, model, output)
-        write_discovery(found, named, output, gap_provenance(found, train, judged), so_far)
+        write_discovery(found, named, output, Made.of(found, train, judged), so_far)
 
     best = BestSoFar(output, write, silent=as_json)
     with executor_for(executor) as pool, telling(thing.name, as_json) as told:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import inspect
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.records import Reading
+from hydrotwin.records import Reading, require
 
 from ..loading import load
+from .recording_evidence import known_of, tell_evidence
 from .recordings import read_all, reads
 from .shared import (
     InterpolationOption,
@@ -36,9 +38,12 @@ def register(app: typer.Typer) -> None:
             "hydrotwin export model.toml --out cehA.fmu",
             "hydrotwin export cehA --fmi 3 --kind both --out cehA.fmu",
             "hydrotwin export cehA --method implicit --step 0.001 --out real_time.fmu",
+            "hydrotwin export model.toml --experiment validate_1.csv --out cehA.fmu",
         )
-    )(export)
-    app.command(epilog=examples("hydrotwin check cehA.fmu --reference simulated.csv"))(reads(check))
+    )(reads(export))
+    app.command(
+        epilog=examples("hydrotwin check cehA.fmu --replay", "hydrotwin check cehA.fmu --reference simulated.csv")
+    )(reads(check))
 
 
 def export(
@@ -66,11 +71,19 @@ def export(
     step: Annotated[
         float | None, typer.Option(metavar="S", help="longest internal step in seconds; the model's own by default")
     ] = None,
+    experiment: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="REC", help="recording to carry along as an experiment: its inputs, starts and what the model gives"
+        ),
+    ] = None,
     as_json: JsonOption = False,
+    reading: Reading | None = None,
 ) -> None:
     """Write a model or a learned block as an FMU that runs without Python.
 
-    It carries a short run of our own inside, which 'hydrotwin check' replays.
+    It carries along a short run of our own, what its model file says of where it was fitted and judged, and recordings
+    only with --experiment; 'hydrotwin check --replay' runs them again.
     """
     from hydrotwin.export import export_fmu
 
@@ -94,6 +107,8 @@ def export(
         platforms=platform or None,
         reference=_reference(thing, kind, method, step),
         equations=equations_told(thing),
+        experiments=_experiments(thing, read_all(experiment, reading), method, step),
+        credibility=known_of(model),
     )
     size = output.stat().st_size
     if as_json:
@@ -135,16 +150,40 @@ def _reference(thing, kind: str, method: str, step: float | None):
     return reference_run(thing, step=step, method=method)
 
 
+def _experiments(thing, records, method: str, step: float | None) -> list:
+    """Recordings as experiments of the FMU, by its own method and step."""
+    from hydrotwin.export import reference_experiment
+
+    own = {} if not hasattr(thing, "flat") else {"method": method, "step": step}
+    for record in records:
+        require(record, getattr(thing, "flat", thing).inputs, f"export: {record.name}")
+    return [reference_experiment(thing, record, **own) for record in records]
+
+
 def check(
-    fmu: Annotated[Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's")],
+    fmu: Annotated[
+        Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's; or a model file, to tell its record")
+    ],
     reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
     interpolation: InterpolationOption = None,
+    replay: Annotated[
+        bool, typer.Option("--replay", help="run the experiments that it carries along again, and judge its record")
+    ] = False,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
-    """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken."""
+    """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken.
+
+    Of a model file: where it was fitted and judged; exit 1 when that is of other values, or a criterion did not hold.
+    """
     from hydrotwin.export import check_fmu, read_fmu
 
+    if fmu.suffix == ".toml":
+        if reference or interpolation or replay:
+            raise DeclarationError(f"check: {fmu} is a model file, whose record is told. Leave the other options out.")
+        if not tell_evidence(fmu, as_json):
+            sys.exit(1)
+        return
     if reading and reading.constants:  # constants of the recording, for inputs that it lacks
         inputs = [s.name for s in read_fmu(fmu).inputs]
         if lost := next((n for n in reading.constants if n not in inputs), None):
@@ -152,12 +191,22 @@ def check(
                 f"check: --set {lost} is no input of {fmu}, which runs at its own values here. {nearest(lost, inputs)}"
             )
     record = read_all([reference], reading)[0] if reference else None
-    answer = check_fmu(fmu, reference=record, interpolation=interpolation_from(interpolation))
+    answer = check_fmu(fmu, reference=record, interpolation=interpolation_from(interpolation), replay=replay)
     if as_json:
         rows = [{"name": r.name, "verdict": r.verdict, "detail": r.detail, "rule": r.rule} for r in answer.rows]
-        print_json({"fmu": str(fmu), "passed": answer.passed, "rows": rows})
+        replays = [{**asdict(r), "margin": r.margin, "passed": r.passed} for r in answer.replays]
+        print_json({"fmu": str(fmu), "passed": answer.passed, "rows": rows, "replays": replays})
     else:
         table(str(fmu), ["", "check", "detail"], [list(row) for row in answer.told])
+        if answer.replays:
+            heads = ["", "experiment", "output", "largest difference / range", "allowed", "margin"]
+            out.print()
+            table("run again", heads, [_replay_row(r) for r in answer.replays])
         out.print(answer.summary)
     if not answer.passed:
         sys.exit(1)
+
+
+def _replay_row(one) -> list:
+    word = "PASS" if one.passed else "FAIL"
+    return [word, one.experiment, one.output, float(one.difference), float(one.allowed), f"{100 * one.margin:.3g} %"]

@@ -103,7 +103,10 @@ def identify(
             bounds=bounds_from(bounds), step=step, method=method,
             progress=None if as_json else told, interpolation=interpolation_from(interpolation),
         )  # fmt: skip
-    write_model_file(output, origin(model), fit.flat, fit_provenance(fit, train, judged), thing.additions)
+    from hydrotwin.identification.evidence import evidence_of_fit
+
+    provenance, evidence = fit_provenance(fit, train, judged), evidence_of_fit(fit, train, judged)
+    write_model_file(output, origin(model), fit.flat, provenance, thing.additions, evidence)
     if report:
         from hydrotwin.comparison import PhysicalContender, compare
         from hydrotwin.report import write_report

@@ -30,7 +30,22 @@ EARLIER = "earlier_answer"  # folder of the answer of an earlier run, there whil
 SO_FAR = "so far"  # true in DATA, and in the provenance of the model file, while the search goes on
 
 
-def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict, so_far: bool = False) -> None:
+@dataclass(frozen=True)
+class Made:
+    """What a model file of gap says about its making, and the evidence for its block [credibility]."""
+
+    provenance: dict
+    evidence: object
+
+    @classmethod
+    def of(cls, found, train: list[Record], judged: list[Record]) -> Made:
+        """Of a discovery from recordings to learn from and to judge by."""
+        from hydrotwin.discovery.answer.evidence import evidence_of_gap
+
+        return cls(gap_provenance(found, train, judged), evidence_of_gap(found, train, judged))
+
+
+def write_discovery(found, origin_of_model: str, folder: Path, made: Made, so_far: bool = False) -> None:
     """The report, the model with its effects as model.toml and as model.mo; ``so_far``: marked as not final.
 
     The mark is the first that is written and the last that goes.
@@ -39,13 +54,14 @@ def write_discovery(found, origin_of_model: str, folder: Path, provenance: dict,
     from hydrotwin.report.gap import gap_page
     from hydrotwin.report.page import as_json, write_page
 
-    page = gap_page(found)
+    page, provenance = gap_page(found), made.provenance
     if so_far:
         page, provenance = _marked(page), {SO_FAR: True, **provenance}
         put_aside(folder)
         write_whole(folder / DATA, as_json(page))
     values = getattr(found.fit_after, "flat", None) or found.model.flat
-    write_model_file(folder / "model.toml", origin_of_model, values, provenance, found.model.additions)
+    additions = found.model.additions
+    write_model_file(folder / "model.toml", origin_of_model, values, provenance, additions, made.evidence)
     write_whole(folder / "model.mo", modelica_text(getattr(found.model, "opened", found.model)))
     write_page(page, folder, data_name=DATA)
     (folder / FAILURE).unlink(missing_ok=True)

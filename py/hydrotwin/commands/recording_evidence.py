@@ -1,0 +1,93 @@
+"""The record of a model file: compare --record, and check MODEL.toml.
+
+Which model of a comparison a file holds is told before anything runs.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.model_file import read_model_file
+from hydrotwin.models.language.parameter_file import read_toml
+
+from ..loading import values_file
+from .shared import check_writable, out, print_json, table
+
+HOLDS, STALE, NOTHING = "holds", "STALE", "not tried"
+
+
+def recorded_as(path: Path, scenario) -> str:
+    """The name under which the model of a model file takes part; "" for its own.
+
+    Raises DeclarationError where it takes no part, not as the file says, or is not the one that criteria are about;
+    DataError for a file that is no model file or cannot be written.
+    """
+    _model_file(path)
+    check_writable(path)
+    if scenario.variants or scenario.loop:
+        what = "variants" if scenario.variants else "a control loop"
+        raise DeclarationError(
+            f"compare: --record writes what was found of a model as its file holds it, and this scenario has {what}. "
+            "Leave one of them out."
+        )
+    found = [entry for entry in scenario.models if _holds(entry.model, path)]
+    if not found:
+        raise DeclarationError(
+            f"compare: --record {path}: none of the models has its values from this file. Add --model {path}."
+        )
+    as_it_is = [entry for entry in found if not entry.settings]
+    if not as_it_is:
+        raise DeclarationError(f"compare: --record {path}: the scenario sets other values (set = {{..}}). Drop them.")
+    names = [entry.name or "" for entry in as_it_is]
+    judged = scenario.wanted.model
+    if not scenario.wanted.accept or "" in names:  # one that goes by its own name is known when it is read
+        return names[0]
+    first = next((entry.name or entry.model for entry in scenario.models if entry.model != "hold_last"), "")
+    if (judged or first) not in names:
+        raise DeclarationError(
+            f"compare: --record {path}: the criteria are about '{judged or first}', the file is '{names[0]}'. Judge "
+            f"that one: --judge {names[0]}."
+        )
+    return judged or first
+
+
+def _model_file(path: Path):
+    """The content of a model file. DataError for a learned block, which has no such record."""
+    kind = read_toml(path).get("kind", "model")
+    if kind != "model":
+        raise DataError(
+            f"{path}: a learned block ({kind}), and only model files have a block [credibility]. A learned block keeps "
+            "its own card of what it does on held-out recordings. Name a model file."
+        )
+    return read_model_file(path)
+
+
+def _holds(model: str, path: Path) -> bool:
+    file = values_file(model)
+    return file is not None and path.exists() and file.samefile(path)
+
+
+def known_of(model: str):
+    """What vouches for the model that ``model`` names, as far as it holds; None where its values are in no file."""
+    path = values_file(model)
+    file = read_model_file(path) if path else None
+    return file.credibility.of(file.contents) if file else None
+
+
+def tell_evidence(path: Path, as_json: bool) -> bool:
+    """What a model file says of where it was fitted and judged; False where that is of other values, or not passed."""
+    file = _model_file(path)
+    evidence = file.credibility.evidence
+    rows = [{"holds": one.contents == file.contents, "passed": one.passed, "told": one.told} for one in evidence]
+    good = all(row["holds"] and row["passed"] is not False for row in rows)
+    if as_json:
+        data = [one.as_data() | row for one, row in zip(evidence, rows, strict=True)]
+        print_json({"model": str(path), "passed": good, "stale": file.stale, "evidence": data})
+        return good
+    none = [[NOTHING, "no record is inside. Write one: hydrotwin compare --model FILE --validate REC --record FILE."]]
+    told = [[HOLDS if row["holds"] else STALE, row["told"]] for row in rows]
+    table(str(path), ["", "record"], told or none)
+    if file.stale:
+        out.print(file.stale)
+    return good

@@ -1,0 +1,31 @@
+"""What a fit leaves in the block [credibility] of its model file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
+from hydrotwin.records import Record
+
+from .fit import Fit
+
+MODE = "free run"
+ROLES = {"train": FIT, "validate": JUDGE}
+
+
+def evidence_of_fit(fit: Fit, train: Sequence[Record], judged: Sequence[Record]) -> Evidence:
+    """Recordings, errors by output in both roles (SI), accuracy of the runs; ``contents`` is set by who writes it."""
+    units = {r.output: r.unit for r in fit.residuals}
+    metrics = [
+        {"output": name, "unit": units[name], "role": ROLES[role], "mode": MODE, "rmse": rmse, "noise": fit.noise[name]}
+        for role, by_output in fit.rmse.items()
+        for name, rmse in by_output.items()
+    ]
+    unexplained = dict.fromkeys(r.output for r in fit.residuals if r.role == "train" and not r.explained)
+    return Evidence(
+        IDENTIFY, now(), "", versions(),
+        (*recording_rows(train, FIT), *recording_rows(judged, JUDGE)),
+        tuple(metrics),
+        accuracy=fit.accuracy.as_data() if fit.accuracy else {},
+        facts={"chi2_per_sample": float(fit.chi2_per_dof), "unexplained": list(unexplained)},
+    )  # fmt: skip

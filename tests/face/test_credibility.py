@@ -1,0 +1,234 @@
+"""The block [credibility] of a model file: who writes it, who refuses it, and when it no longer holds."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+import warnings
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.comparison import PhysicalContender, Wanted, acceptance, compare
+from hydrotwin.models.language.credibility import StaleEvidenceWarning
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from tests.face.command_line import hydrotwin
+
+LOOSE, TIGHT = "arm_angle.rmse < 20 deg", "arm_angle.rmse < 0.0001 deg"
+
+
+@pytest.fixture(scope="module")
+def identified(recordings, tmp_path_factory) -> str:
+    """The text of a model file as identify writes it, from train_1 alone."""
+    path = tmp_path_factory.mktemp("identified") / "m.toml"
+    words = ("--validate", recordings / "validate_1.csv", "--free", "motor.gain", "--starts", 1, "--out", path)
+    answer = hydrotwin("identify", "cehA", recordings / "train_1.csv", *words)
+    assert answer.code == 0, answer.said
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def file(identified, tmp_path) -> Path:
+    path = tmp_path / "m.toml"
+    path.write_text(identified, encoding="utf-8")
+    return path
+
+
+def judged(file: Path, recordings: Path, *words, on=("validate_1",)):
+    """`hydrotwin compare` of the file with --record."""
+    files = [word for name in on for word in ("--validate", recordings / f"{name}.csv")]
+    options = ("--mode", "free run", "--output", "arm_angle", "--out", file.parent / "report", "--record", file)
+    return hydrotwin("compare", "--model", file, *files, *options, *words)
+
+
+def edited(file: Path, before: str, after: str) -> Path:
+    text = file.read_text(encoding="utf-8")
+    assert before in text
+    file.write_text(text.replace(before, after, 1), encoding="utf-8")
+    return file
+
+
+def test_identify_says_from_what_it_made_the_values(identified, recordings):
+    content = tomllib.loads(identified)
+    [one] = content["credibility"]["evidence"]
+    digests = {r.name: r.digest for r in (ht.read_record(recordings / f"{n}_1.csv") for n in ("train", "validate"))}
+    rows = [(r["name"], r["role"], r["sha256"]) for r in one["recordings"]]
+    assert rows == [("train_1", "fit", digests["train_1"]), ("validate_1", "judge", digests["validate_1"])]
+    assert one["by"] == "identify" and set(one["versions"]) == {"hydrotwin", "python"} and one["date"]
+    told = content["provenance"]
+    of = {(m["output"], m["role"]): m["rmse"] for m in one["metrics"]}
+    assert of["arm_angle", "judge"] == told["rmse"]["validate"]["arm_angle"]
+    assert one["accuracy"] == told["accuracy"] and one["facts"]["chi2_per_sample"] == told["chi2_per_sample"]
+
+
+def test_compare_records_criteria_with_their_margins_and_what_was_seen_in_the_fit(file, recordings):
+    before = file.read_text(encoding="utf-8").partition("[credibility]")[0]
+    answer = judged(file, recordings, "--accept", LOOSE, "--accept", TIGHT, on=("train_1", "validate_1"))
+    assert answer.code == 1  # as without --record
+    assert file.read_text(encoding="utf-8").partition("[credibility]")[0] == before
+    one = ht.read_model_file(file).credibility.evidence[-1]
+    assert [(r["name"], r["role"]) for r in one.recordings] == [("train_1", "fit"), ("validate_1", "judge")]
+    data = json.loads((file.parent / "report/compare.json").read_text(encoding="utf-8"))
+    told = {c["text"]: c for c in data["acceptance"]["criteria"]}
+    for row in one.criteria:
+        assert {k: row[k] for k in ("passed", "value", "margin")} == {
+            k: told[row["text"]][k] for k in ("passed", "value", "margin")
+        }
+    assert one.passed is False
+    [mean] = [m for m in data["means"] if m["model"] == "m.toml"]
+    assert one.metrics[0]["rmse"] == mean["rmse"] and one.metrics[0]["role"] == "fit and judge"
+
+
+def test_the_same_question_is_kept_once_and_another_one_beside_it(file, recordings):
+    for criterion in (LOOSE, LOOSE, TIGHT):
+        judged(file, recordings, "--accept", criterion)
+    evidence = ht.read_model_file(file).credibility.evidence
+    assert [(e.by, e.passed) for e in evidence] == [("identify", None), ("compare", True), ("compare", False)]
+
+
+def test_edited_values_are_told_and_recording_anew_drops_what_no_longer_holds(file, recordings):
+    judged(file, recordings, "--accept", LOOSE)
+    assert hydrotwin("check", file).code == 0
+    value = ht.read_model_file(file).settings["motor.gain"]["value"]
+    edited(file, f"value = {value!r}", f"value = {value * 1.01!r}")
+    with pytest.warns(StaleEvidenceWarning, match="edited after identify .* and compare .* no longer holds"):
+        ht.load(str(file))
+    answer = hydrotwin("check", file)
+    assert answer.code == 1 and answer.said.count("STALE") == 2 and "no longer holds" in answer.said
+    judged(file, recordings, "--accept", LOOSE)
+    assert [e.by for e in ht.read_model_file(file).credibility.evidence] == ["compare"]
+    assert hydrotwin("check", file).code == 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StaleEvidenceWarning)
+        ht.load(str(file))
+
+
+@pytest.mark.parametrize("edit", [("bounds = [20.0,", "bounds = [10.0,"), ("identified from train_1", "my bench")])
+def test_bounds_and_sources_may_be_edited(file, edit):
+    assert not ht.read_model_file(edited(file, *edit)).stale
+
+
+def test_an_effect_that_is_added_by_hand_is_told(file):
+    edited(file, "[parameters]", '[[effects]]\neffect = "coulomb_friction"\nsite = "arm.pin"\n\n[parameters]')
+    assert "no longer holds" in ht.read_model_file(file).stale
+
+
+def test_a_file_of_before_has_no_block_and_is_read(file):
+    file.write_text(file.read_text(encoding="utf-8").partition("[credibility]")[0], encoding="utf-8")
+    assert ht.load(str(file)).flat.parameters
+    answer = hydrotwin("check", file)
+    assert answer.code == 0 and "no record is inside" in answer.said
+
+
+DAMAGED = {
+    "cut off": (lambda t: t[: t.rindex("sha256 = ")], "evidence 1 is damaged: 'sha256' is missing"),
+    "a result": (lambda t: t.replace('role = "judge"', 'role = "fit"'), "was changed after it was written"),
+    "newer": (lambda t: t.replace("[credibility]\nformat = 1", "[credibility]\nformat = 9"), "of a newer version"),
+    "no format": (lambda t: t.replace("[credibility]\nformat = 1", "[credibility]"), "has no 'format'"),
+    "a key": (lambda t: t.replace('by = "identify"', 'buy = "identify"'), "'buy' has no place in it"),
+    "a form": (lambda t: t.replace("criteria = []", "criteria = 3"), "'criteria' has the wrong form"),
+    "no table": (lambda t: t.partition("[credibility]")[0].replace("count", "credibility = 3\ncount"), "is no table"),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGED)
+def test_a_damaged_block_is_refused_with_what_to_do(file, recordings, what):
+    damage, says = DAMAGED[what]
+    text = damage(file.read_text(encoding="utf-8"))
+    file.write_text(text, encoding="utf-8")
+    words = ("--input", recordings / "validate_1.csv", "--out", file.parent / "s.csv")
+    for answer in (hydrotwin("simulate", file, *words), hydrotwin("check", file), judged(file, recordings)):
+        assert answer.code == 2 and says in answer.said, answer.said
+    assert not (file.parent / "s.csv").exists() and file.read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize("words", [("check",), ("compare", "--model", "cehA", "--validate", "{v}", "--record")])
+def test_a_learned_block_has_another_card(words, recordings, tmp_path):
+    (tmp_path / "block.toml").write_text('kind = "arx"\nversion = 1\n')
+    said = [w.format(v=recordings / "validate_1.csv") for w in words]
+    answer = hydrotwin(*said, tmp_path / "block.toml")
+    assert answer.code == 2 and "a learned block (arx), and only model files" in answer.said
+
+
+REFUSED = {
+    "not compared": (("compare", "--model", "cehA", "--validate", "{v}", "--record", "{m}"), "none of the models has"),
+    "another judged": (
+        ("compare", "--model", "cehA", "--model", "{m}", "--validate", "{v}", "--accept", LOOSE, "--record", "{m}"),
+        "the criteria are about 'cehA', the file is 'm.toml'. Judge that one: --judge m.toml",
+    ),
+    "no file": (("compare", "--model", "{m}", "--validate", "{v}", "--record", "{m}x.toml"), "no such file"),
+    "a reference": (("check", "{m}", "--reference", "{v}"), "is a model file, whose record is told"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_what_cannot_be_recorded_is_refused_before_anything_runs(file, recordings, what):
+    words, says = REFUSED[what]
+    before = file.read_bytes()
+    answer = hydrotwin(*(w.format(m=file, v=recordings / "validate_1.csv") for w in words), *_out(words, file))
+    assert answer.code == 2 and says in answer.said, answer.said
+    assert file.read_bytes() == before and not (file.parent / "report").exists()
+
+
+def _out(words, file: Path) -> tuple:
+    return ("--out", file.parent / "report") if words[0] == "compare" else ()
+
+
+def test_a_scenario_that_sets_other_values_is_refused(file, recordings):
+    recording = (recordings / "validate_1.csv").as_posix()
+    scenario = file.parent / "s.toml"
+    scenario.write_text(
+        f'models = [{{model = "m.toml", set = {{"motor.gain" = 100.0}}}}]\nvalidate = ["{recording}"]\n'
+    )
+    answer = hydrotwin("compare", scenario, "--out", file.parent / "report", "--record", file)
+    assert answer.code == 2 and "sets other values" in answer.said
+
+
+def test_from_python_a_comparison_is_recorded_of_the_model_with_the_values_of_the_file(file, recordings):
+    record = ht.read_record(recordings / "validate_1.csv")
+    model = PhysicalContender(ht.load(str(file)), "mine")
+    other = PhysicalContender(ht.load("cehA"), "as shipped")
+    found = compare([other, model], [record], modes=["free run"], outputs=["arm_angle"])
+    accepted = acceptance(found, Wanted((LOOSE,), "mine"))
+    [_, one] = ht.record_comparison(file, found, accepted).evidence
+    assert one.facts["model"] == "mine" and one.passed and one.accuracy["reached"]
+    with pytest.raises(DeclarationError, match="'as shipped' is not the model of this file"):
+        ht.record_comparison(file, found, model="as shipped")
+    with pytest.raises(DeclarationError, match="no such model"):
+        ht.record_comparison(file, found, model="nobody")
+
+
+def test_a_block_that_cannot_be_told_from_the_rest_is_left_alone(file, recordings):
+    text = file.read_text(encoding="utf-8").partition("[credibility]")[0]
+    file.write_text(text.replace("count =", "credibility = { format = 1 }\ncount =", 1), encoding="utf-8")
+    before = file.read_bytes()
+    answer = judged(file, recordings)
+    assert answer.code == 2 and "cannot be told from the rest" in answer.said
+    assert file.read_bytes() == before
+    with pytest.raises(DataError):
+        ht.record_comparison(file.parent / "absent.toml", None)
+
+
+def test_an_archive_of_ssp_2_0_says_where_the_values_come_from(file, recordings):
+    archive = file.parent / "m.ssp"
+    answer = judged(file, recordings, "--accept", LOOSE, "--ssp", archive, "--ssp-version", "2.0")
+    assert answer.code == 0, answer.said
+    with zipfile.ZipFile(archive) as files:
+        told = files.read("resources/identified.srmd").decode()
+        assert 'version="2.0"' in files.read("SystemStructure.ssd").decode()
+    assert 'keyword="made by">identify<' in told and "recording to fit" in told and "validate_1, SHA-256" in told
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--ssp-version", "3"), "--ssp-version 3: there is none"),
+        (("--ssp-version", "2.0"), "Say where it goes: --ssp"),
+    ],
+)
+def test_a_version_of_no_archive_is_refused(file, recordings, words, says):
+    answer = judged(file, recordings, *words)
+    assert answer.code == 2 and says in answer.said
+    assert not (file.parent / "report").exists()

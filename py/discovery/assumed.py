@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 STAGE = "what was assumed"
 THOROUGH = 100  # iterations of a fit without samples that stand alone: squares had led the base far away
+FURTHER = 5  # iterations from where a fit has ended, under weights that may have changed
 BESIDE = 0.5  # of what named effects leave: what another input between samples must explain
 
 
@@ -48,7 +49,7 @@ def fairly(
     """
     given_up: list[Change] = []
     search = begin(asked)
-    moving = Change() if search.table.explained() else _questioned(search, search.table.entry())
+    moving = Change() if search.table.explained() else _questioned(search, search.table.entry(), question_starts)
     if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
         given_up.append(moving)
         asked = again(asked.model, "free")
@@ -164,12 +165,18 @@ def judge_samples(job: Job) -> Strays:
         return Strays()
 
 
-def _questioned(search: Search, entry: Entry) -> Change:
+def _questioned(search: Search, entry: Entry, asked: Callable[[Job], Change] | None = None) -> Change:
     """The assumption that explains what a structure leaves; none is used where nothing is left, or none does."""
     if not _leaves(search, entry, CLEARLY if entry.members else MEASURABLE):
         return Change()
-    (answer,) = search.run(question_beside if entry.members else question, [_job(search, entry)], STAGE)
+    asked = asked or (question_beside if entry.members else question)
+    (answer,) = search.run(asked, [_job(search, entry)], STAGE)
     return answer
+
+
+def question_starts(job: Job) -> Change:
+    """The start states alone, before any effect is tried."""
+    return question(job, only_starts=True)
 
 
 def question_beside(job: Job) -> Change:
@@ -177,11 +184,12 @@ def question_beside(job: Job) -> Change:
     return question(job, enough=BESIDE)
 
 
-def question(job: Job, enough: float = FAR_MORE) -> Change:
+def question(job: Job, enough: float = FAR_MORE, only_starts: bool = False) -> Change:
     """`doubted` of a job's first start, where a fit has ended. Pure and picklable."""
     try:
         task, found = _ended(job)
-        return doubted(task, found, np.isfinite(job.question.noise), loads=False, enough=enough) or Change()
+        adaptable = np.isfinite(job.question.noise)
+        return doubted(task, found, adaptable, loads=False, enough=enough, only_starts=only_starts) or Change()
     except SolveError:
         return Change()
 
@@ -194,7 +202,8 @@ def _ended(job: Job) -> tuple[Task, Minimum]:
     """The task of a job and the minimum beside its start; every start state may be asked for."""
     task = task_of(job, job.starts[0], not_below(job.question.noise, job.size), [s.name for s in job.flat.states])
     shooting, z = whole_runs(task)
-    return task, minimise(shooting, task.free.scaled(task.free.start), given(shooting, z, job.states), **FIRST)
+    start = task.free.scaled(task.free.start)
+    return task, minimise(shooting, start, given(shooting, z, job.states), **FIRST, most=FURTHER)
 
 
 def with_assumptions(discovery, given_up: tuple[Change, ...]):

@@ -66,12 +66,18 @@ class Change:
 
 
 def doubted(
-    task: Task, found: Minimum, adaptable: np.ndarray, loads: bool = True, enough: float = FAR_MORE
+    task: Task,
+    found: Minimum,
+    adaptable: np.ndarray,
+    loads: bool = True,
+    enough: float = FAR_MORE,
+    only_starts: bool = False,
 ) -> Change | None:
     """The assumption that a minimum of free runs should give up; None where those made are good enough.
 
     ``adaptable`` (ny,) as in `search`; ``enough``: share of what is left that another input must explain. At the noise
-    starts and ``loads`` alone are asked: they may move a parameter without a trace.
+    starts and ``loads`` alone are asked: they may move a parameter without a trace. ``only_starts``: no input is asked
+    for that is not smooth, each of which takes fits.
     """
     explained = explains(task, found)
     try:
@@ -82,13 +88,13 @@ def doubted(
         return None
     better = _smooth(task, found, adaptable)
     if better is None and not explained:
-        better = _explained_better(task, found, auto, free, freed, adaptable, enough)
+        better = _explained_better(task, found, auto, free, freed, adaptable, enough, only_starts)
     near = bool(np.all(misses(task, found) < WORTH_IT))
     if better is None and near:
         better = _moved_by_starts(task, found, auto, free, freed, adaptable)
     if better is None and loads:
         better = _load_freed(task, found, auto, near, adaptable)
-    if better is None and not explained and (told := hint(task, found)):
+    if better is None and not (explained or only_starts) and (told := hint(task, found)):
         return Change(sentences=(told,))
     return better
 
@@ -116,11 +122,11 @@ def _smooth(task: Task, found: Minimum, adaptable: np.ndarray) -> Change | None:
     return _told(before, after, False, inputs) if before.score - after.score > TELLING else None
 
 
-def _explained_better(task, found, auto, free, freed, adaptable, enough) -> Change | None:
+def _explained_better(task, found, auto, free, freed, adaptable, enough, only_starts) -> Change | None:
     """The simplest change that explains most of what is left beyond the noise."""
     seen = seen_from(task, found, inputs=True)
     known = [s.chosen_by == "user" or s.shift or s.interpolation == "smooth" for s in task.flat.inputs]
-    open_inputs = [j for j, settled in enumerate(known) if not settled]
+    open_inputs = [j for j, settled in enumerate(known) if not (settled or only_starts)]
     groups = [(j,) for j in open_inputs] + ([tuple(open_inputs)] if len(open_inputs) > 1 else [])
     tries = [(True, ())] if freed else []
     tries += [(False, group) for group in groups]

@@ -122,7 +122,7 @@ def doubting(monkeypatch, best, doubt):
 
     kept = SimpleNamespace(members=())
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=kept, best=best))
-    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: doubt(entry))
+    monkeypatch.setattr(assumed, "_questioned", lambda search, entry, asked=None: doubt(entry))
     for none in ("_stray_samples", "_stray_samples_of_judges"):
         monkeypatch.setattr(assumed, none, lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)

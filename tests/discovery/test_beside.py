@@ -124,7 +124,7 @@ def test_a_start_that_nobody_measured_is_asked_before_any_effect(monkeypatch):
 
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=SimpleNamespace(members=())))
     monkeypatch.setattr(assumed, "_in_doubt", lambda search, said: False)
-    monkeypatch.setattr(assumed, "_questioned", lambda search, entry: Change(free_starts=True))
+    monkeypatch.setattr(assumed, "_questioned", lambda search, entry, asked=None: Change(free_starts=True))
     monkeypatch.setattr(assumed, "_stray_samples_of_judges", lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
     assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1

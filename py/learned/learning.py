@@ -28,6 +28,7 @@ from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .symbolic.learn import learn_symbolic
+from .validation import judges, validated
 
 KINDS: Mapping[str, Callable] = {
     "arx": learn_arx,
@@ -63,7 +64,9 @@ def trainer(kind: str, fit: str | None = None) -> Callable:
 
 
 def takes(kind: str, option: str) -> bool:
-    """Whether the trainer of a kind has an option."""
+    """Whether the trainer of a kind has an option; recordings to validate judge any kind."""
+    if option == "validate":
+        return True
     parameters = inspect.signature(trainer(kind)).parameters
     return option in parameters and parameters[option].kind is inspect.Parameter.KEYWORD_ONLY
 
@@ -76,6 +79,7 @@ def learn(
     *,
     model=None,
     fit: str | None = None,
+    validate: Sequence[Record] = (),
     **options,
 ) -> Block:
     """Train a block of ``kind`` and run it freely on what was held out of the recordings, see `held_out`.
@@ -84,13 +88,15 @@ def learn(
     mean, of ARX by least squares, of a piecewise linear curve (one input, one output) and of ``model`` alone, which of
     these the block does not beat (``"no_better_than"``) or not for certain (``"cannot_tell"``), and all of it in a
     sentence (``"says"``); the error of every stretch of what was held out (``"stretches"``), the error one step ahead,
-    and what is left (`left_over`). The recordings of ``validate`` have no part in this.
-    Where nothing can be held out, all is trained on and the sentence says so.
+    and what is left (`left_over`). Where nothing can be held out, all is trained on and the sentence says so.
+    ``provenance["validation"]`` holds the RMS errors (SI) of free runs over ``validate``, by output. No trainer sees
+    these recordings.
 
     Args:
         kind: one of `KINDS`. records: training recordings. inputs, outputs: signals, or names of columns.
         model: the identified model of a hybrid, whose inputs are those of the model and whose outputs may be left out.
-        fit: "paper": the published procedure. options: those of the trainer of that kind, ``validate`` among them.
+        fit: "paper": the published procedure. validate: recordings that judge. options: those of the trainer of that
+            kind.
 
     Raises: as the trainer of that kind, and `DeclarationError` for a kind that is not known.
     """
@@ -105,7 +111,7 @@ def learn(
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     records = list(records)
     named = _names(model, records, inputs, outputs)
-    split = held_out.split(records, *named)
+    split, unseen = held_out.split(records, *named), judges(validate, records, [*named[0], *named[1]])
 
     def trained(on: Sequence[Record]) -> Block:
         if kind == "hybrid":
@@ -123,7 +129,7 @@ def learn(
         told = _card(block, split, records, named, model)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
         told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
-    return replace(block, provenance={**block.provenance, "free_run": told})
+    return validated(replace(block, provenance={**block.provenance, "free_run": told}), unseen)
 
 
 def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] | None) -> None:

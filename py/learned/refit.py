@@ -14,6 +14,7 @@ from hydrotwin.simulation.stops import Diverged
 
 from .held_out import Part, through
 from .learning import PUBLISHED, held_out_of, trainer
+from .validation import validated
 
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 KEPT = "Trained again on all recordings, it ran worse over what had been held out: the block as it was judged is kept."
@@ -28,6 +29,7 @@ def refitted(
     *,
     model=None,
     fit: str | None = None,
+    validate: Sequence[Record] = (),
     **options,
 ) -> Block:
     """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
@@ -50,7 +52,7 @@ def refitted(
     if worse:
         return replace(block, provenance={**block.provenance, "free_run": told})
     kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
-    return replace(again, provenance={**again.provenance, **kept, "free_run": told})
+    return validated(replace(again, provenance={**again.provenance, **kept, "free_run": told}), validate)
 
 
 def _worse(again: Block, told: dict, parts: Sequence[Part]) -> bool:

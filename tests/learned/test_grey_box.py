@@ -220,7 +220,7 @@ def test_a_recorded_speed_is_learnt_as_an_output_that_does_not_integrate(short):
 def test_the_same_data_give_the_same_block_and_other_recordings_may_choose_among_the_starts(short):
     one, two = (learn_grey_box([short], ["current"], ["position"], **BRIEF) for _ in range(2))
     assert all(np.array_equal(one.arrays[k], two.arrays[k]) for k in one.arrays)
-    block = learn_grey_box([short], ["current"], ["position"], validate=[steps_record(2, 20.0)], **BRIEF)
+    block = learn_grey_box([short], ["current"], ["position"], select=[steps_record(2, 20.0)], **BRIEF)
     assert block.provenance["selected_on"][0]["name"] == "steps_2"
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record
 from tests.learned.test_bad_input import MODEL, PERIOD, recording
 
@@ -15,8 +18,10 @@ KINDS = {  # options that keep a training short, and what it needs
     "nn paper": ({"fit": "paper", "iterations": 20, "starts": 2}, "torch"),
     "gp": ({"points": 60, "samples": 300, "compress": 10, "lags": 2}, "gpytorch"),
     "dual_gp": ({"points": 60, "samples": 300, "compress": 10, "knots": 8, "lags": 2}, "gpytorch"),
-    "piecewise": ({"starts": 1, "dead_time": 0.0}, None),
-    "grey_box": ({"starts": 1, "effort": 0.2, "knots": 5}, None),
+    "piecewise": ({"starts": 3, "dead_time": 0.0}, None),
+    "grey_box": ({"starts": 3, "effort": 0.2, "knots": 5}, None),
+    "arx": ({}, None),
+    "linear": ({}, None),
     "symbolic": ({"starts": 1, "generations": 3, "population": 40, "lags": (0, 1), "period": PERIOD}, "pyoperon"),
     "hybrid": ({"starts": 1, "hidden": 0, "effort": 0.1, "period": PERIOD, "features": ["velocity"]}, None),
 }
@@ -51,3 +56,36 @@ def test_another_recording_to_validate_with_gives_the_same_block_bit_for_bit(kin
     assert content(none) == content(other)
     runs = [ht.simulate(block, recording(4.0))["position"] for block in (none, other)]
     assert runs[0].tobytes() == runs[1].tobytes()
+    run = ht.simulate(other, answers(1))["position"]
+    told = float(np.sqrt(np.mean((run - answers(1)["position"]) ** 2)))
+    assert other.provenance["validation"]["position"] == pytest.approx(told)
+    assert "validated_on" in other.provenance and not none.provenance.get("validation")
+
+
+def test_a_recording_that_cannot_judge_is_refused_before_the_training():
+    trained = replace(recording(), digest="a")
+    with pytest.raises(DataError, match="Only an unseen recording can judge"):
+        ht.learn("piecewise", [trained], INPUTS, OUTPUTS, validate=[replace(recording(), digest="a")])
+    with pytest.raises(DataError, match="no column 'position'"):
+        ht.learn("piecewise", [trained], INPUTS, OUTPUTS, validate=[recording().select(["current"])])
+
+
+def test_a_block_that_is_trained_again_is_judged_again():
+    from hydrotwin.learned import refitted
+
+    block = ht.learn("arx", [recording()], INPUTS, OUTPUTS, validate=[answers(1)])
+    again = refitted(block, "arx", [recording()], INPUTS, OUTPUTS, validate=[answers(1)])
+    run = ht.simulate(again, answers(1))["position"]
+    told = float(np.sqrt(np.mean((run - answers(1)["position"]) ** 2)))
+    assert again.provenance["validation"] == {"position": pytest.approx(told)}
+
+
+def test_what_the_recordings_that_judge_say_is_said():
+    from hydrotwin.learned.validation import sentence
+
+    block = ht.learn("arx", [recording()], INPUTS, OUTPUTS)
+    assert sentence(block) == ""
+    block = ht.learn("arx", [recording()], INPUTS, OUTPUTS, validate=[answers(1), answers(2)])
+    said = sentence(block)
+    assert said.startswith("Free run over 2 validation recordings, which took no part: RMS error of position ")
+    assert said.endswith(" mm.")

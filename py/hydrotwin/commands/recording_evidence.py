@@ -14,6 +14,7 @@ from hydrotwin.models.language.parameter_file import read_toml
 from ..loading import values_file
 from .shared import check_writable, out, print_json, table
 
+MODEL = "model"  # kind of a file that is no learned block
 HOLDS, STALE, NOTHING = "holds", "STALE", "not tried"
 
 
@@ -54,8 +55,8 @@ def recorded_as(path: Path, scenario) -> str:
 
 def _model_file(path: Path):
     """The content of a model file. DataError for a learned block, which has no such record."""
-    kind = read_toml(path).get("kind", "model")
-    if kind != "model":
+    kind = read_toml(path).get("kind", MODEL)
+    if kind != MODEL:
         raise DataError(
             f"{path}: a learned block ({kind}), and only model files have a block [credibility]. A learned block keeps "
             "its own card of what it does on held-out recordings. Name a model file."
@@ -71,8 +72,10 @@ def _holds(model: str, path: Path) -> bool:
 def known_of(model: str):
     """What vouches for the model that ``model`` names, as far as it holds; None where its values are in no file."""
     path = values_file(model)
-    file = read_model_file(path) if path else None
-    return file.credibility.of(file.contents) if file else None
+    if path is None or read_toml(path).get("kind", MODEL) != MODEL:  # a learned block or a hybrid has a card of its own
+        return None
+    file = read_model_file(path)
+    return file.credibility.of(file.contents)
 
 
 def tell_evidence(path: Path, as_json: bool) -> bool:

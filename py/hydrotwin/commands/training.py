@@ -114,6 +114,7 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     """The block's files; a hybrid keeps the name of its model."""
     from hydrotwin.learned import write_block, write_hybrid
     from hydrotwin.learned.interruption import INTERRUPTED
+    from hydrotwin.learned.validation import sentence
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
@@ -127,4 +128,6 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
         return
     if run:
         mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
+    if judged := sentence(block):
+        out.print(judged)
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

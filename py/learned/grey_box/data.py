@@ -101,16 +101,17 @@ def weighing(runs: Sequence[Run], ratio: float | None) -> list[Callable[[np.ndar
     return [of_increments(run) for run in runs]
 
 
-def one_in_one_out(verb: str, records, inputs, outputs, validate) -> tuple:
-    """The recordings and the one input and output, checked; raises `DataError` with a sentence."""
-    records, validate = list(records), list(validate)
+def one_in_one_out(verb: str, records, inputs, outputs, validate, select) -> tuple:
+    """The recordings, those that choose, and the one input and output, checked; raises `DataError` with a sentence."""
+    records, validate, select = list(records), list(validate), list(select)
     if not records:
         raise DataError(f"{verb}: no recordings (got an empty list). Give at least one Record.")
     inputs, outputs = as_signals(inputs, records[0], "inputs"), as_signals(outputs, records[0], "outputs")
     _only_one(verb, inputs, outputs)
-    records, validate = (usable(part, (*inputs, *outputs)) if part else [] for part in (records, validate))
-    check_excitation(records, (*inputs, *outputs))
-    for record in (*records, *validate):
+    columns = (*inputs, *outputs)
+    records, validate, select = (usable(part, columns) if part else [] for part in (records, validate, select))
+    check_excitation(records, columns)
+    for record in (*records, *validate, *select):
         if len(record) < 3:
             raise DataError(f"{record.source or record.name}: too few samples (got {len(record)}). Leave it out.")
     if sum(len(r) for r in records) < LEAST:
@@ -118,7 +119,7 @@ def one_in_one_out(verb: str, records, inputs, outputs, validate) -> tuple:
             f"{verb}: too few samples to train on (got {sum(len(r) for r in records)}). At least {LEAST} are needed. "
             "Record longer."
         )
-    return records, validate, inputs[0], outputs[0]
+    return records, select, inputs[0], outputs[0]
 
 
 def _only_one(verb: str, inputs: Sequence[Signal], outputs: Sequence[Signal]) -> None:

@@ -55,6 +55,7 @@ def learn_grey_box(
     *,
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     knots: int = 25,
     starts: int = 4,
     integrating: bool | None = None,
@@ -71,7 +72,8 @@ def learn_grey_box(
     Args:
         records: training recordings without gaps. inputs, outputs: one each, as Signals or names.
         period: s between steps of the block; None: a fifth of `choose_period`.
-        validate: recordings that choose among the starts; none: the training loss does.
+        validate: checked, and nothing else. select: recordings that choose among the starts; none: the training loss
+            does.
         knots: points of the map; they gather where it bends. starts: dynamics refined from a scan, every
             other one with the play behind the spool; the best is kept.
         integrating: the map gives the rate of the output (a position); False: the output itself (a speed); None: what
@@ -89,7 +91,7 @@ def learn_grey_box(
     """
     began = perf_counter()
     _check_options(knots, starts, effort)
-    records, validate, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate)
+    records, select, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate, select)
     period = block_period("learn_grey_box", records, period)
     forms = integration(records, (input_,), (output,))
     integrating = one_form("learn_grey_box", "integrating", integrating, forms)
@@ -101,14 +103,14 @@ def learn_grey_box(
         return Problem(turned, step, integrating, 1.0 if integrating else None, LONGEST * period)
 
     quick, fine = at(coarser(records, period)), at(period)
-    judge = at(quick.period, validate) if validate else quick
+    judge = at(quick.period, select) if select else quick
     fitted, problem, watch = _fit(quick, fine, judge, knots, starts, seed, effort, progress)
     block = _block(fitted, sign, integrating, period, name, records, input_, output)
     identified = _identified(problem, fitted, seen_late(records, period, input_))
     provenance = {
         "kind": "grey_box",
         "trained_on": named(records),
-        "selected_on": named(validate) or "the training loss",
+        "selected_on": named(select) or "the training loss",
         "integrating": integrating,
         "integration": told_forms(forms),
         "identified": identified,

@@ -33,6 +33,7 @@ def learn_piecewise(
     fit: str = "default",
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     dead_time: float | None = None,
     integrating: bool | None = None,
     starts: int = 3,
@@ -49,7 +50,8 @@ def learn_piecewise(
         records: training recordings without gaps, of even or uneven times. inputs, outputs: one each.
         fit: "default"; "paper": the dual-GP paper's six parameters, which have no dead time.
         period: s between steps of the block; None: as `grey_box_data.block_period` finds it.
-        validate: recordings that choose among the starts; none: the training loss does.
+        validate: checked, and nothing else. select: recordings that choose among the starts; none: the training loss
+            does.
         dead_time: s; None: found with the rest; 0: none.
         integrating: the characteristic gives the rate of the output (a position); False: the output itself (a speed);
             None: what the recordings tell (`integration`).
@@ -65,11 +67,11 @@ def learn_piecewise(
     began = perf_counter()
     _check_options(fit, starts, dead_time)
     dead_time = 0.0 if fit == "paper" else dead_time
-    records, validate, input_, output = one_in_one_out("learn_piecewise", records, inputs, outputs, validate)
+    records, select, input_, output = one_in_one_out("learn_piecewise", records, inputs, outputs, validate, select)
     period = block_period("learn_piecewise", records, period)
     forms = integration(records, (input_,), (output,))
     integrating = one_form("learn_piecewise", "integrating", integrating, forms)
-    runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, validate))
+    runs, judges = ([run_of(r, period, input_, output) for r in part] for part in (records, select))
     sign = -1.0 if falls(runs, integrating) else 1.0
     runs, judges = ([replace(r, output=sign * r.output) for r in part] for part in (runs, judges))
     problem = CurveProblem(runs, period, integrating, dead_time, 1.0 if integrating else None)
@@ -81,7 +83,7 @@ def learn_piecewise(
         "kind": "piecewise",
         "fit": fit,
         "trained_on": named(records),
-        "selected_on": named(validate) or "the training loss",
+        "selected_on": named(select) or "the training loss",
         "integrating": integrating,
         "integration": told_forms(forms),
         "identified": _identified(curve, seen_late(records, period, input_) if dead_time is None else 0.0),

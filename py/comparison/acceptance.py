@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -101,9 +102,19 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
         return None
     model = _model(comparison, wanted.model)
     found = [criterion(text, comparison.outputs) for text in wanted.accept]
-    judged = tuple(judge(one, _Values(comparison, model, one, wanted.base, variant)) for one in found)
+    judged = (judge(one, _Values(comparison, model, one, wanted.base, variant)) for one in found)
+    judged = tuple(_with_reason(one, comparison, model) for one in judged)
     changes = earlier(wanted.against, variant).against(comparison) if wanted.against else ((), (), ())
     return Acceptance(model, comparison.modes[0], judged, *changes)
+
+
+def _with_reason(one: Judged, comparison: Comparison, model: str) -> Judged:
+    """The same with why there is no number, where a recording failed."""
+    if np.isfinite(one.value) or np.isnan(one.value):
+        return one
+    chosen = of_group(comparison.records, one.criterion.group)
+    failed = [f for f in comparison.failures if f.model == model and f.record in chosen]
+    return dataclasses.replace(one, reason=f"{failed[0].record}: {failed[0].sentence}" if failed else "")
 
 
 def check_wanted(wanted: Wanted, models: Sequence[str], outputs: Sequence[Signal], records: Sequence[Record]) -> None:

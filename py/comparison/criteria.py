@@ -82,21 +82,24 @@ class Judged:
     """A criterion with what was found.
 
     value : SI or a share of 1. low, high : what it had to lie in. margin : how far inside, over the size of the bound;
-    negative outside.
+    negative outside. reason : why a recording left no number, in a sentence; what has none passes nothing.
     """
 
     criterion: Criterion
     value: float
     low: float
     high: float
+    reason: str = ""
 
     @property
     def passed(self) -> bool:
-        return bool(self.low <= self.value <= self.high)
+        return bool(np.isfinite(self.value) and self.low <= self.value <= self.high)
 
     @property
     def undefined(self) -> str:
         """Why there is no number to judge, in a sentence; empty where there is one."""
+        if self.reason:
+            return self.reason
         if not np.isnan(self.value):
             one = self.criterion
             return f"{one.than} has no {one.metric} to compare with" if np.isnan(self.high) else ""

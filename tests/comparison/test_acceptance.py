@@ -147,6 +147,17 @@ def test_servers_read_the_criteria_as_test_cases(folder):
     assert passed.find("failure") is None
 
 
+def test_a_run_that_failed_is_the_reason_and_passes_nothing_even_beside_another(folder):
+    failing = ("motor_speed.rmse < 3 rad/s", "motor_speed not worse than worse", "load=2: motor_speed.fit > 1 %")
+    asked = scenario(folder, "broken", "worse", wanted=Wanted(accept=(*failing, "load=1: motor_speed.rmse < 3 rad/s")))
+    models = {**MODELS, "worse": Toy("worse", fails_on="load2_stroke2")}
+    found = acceptance(run_scenario(asked, models.__getitem__, repeats=1), asked.wanted)
+    assert [one.passed for one in found.judged] == [False, False, False, True]
+    *failed, passed = ElementTree.fromstring(junit(found, "Toys").encode())[0]
+    assert all("load2_stroke1: broken: the run left the finite numbers" in f.find("failure").text for f in failed)
+    assert passed.find("failure") is None
+
+
 def test_the_page_says_first_whether_it_is_good_enough(folder, tmp_path):
     comparison, found = run(folder, "bad", accept=("motor_speed.rmse < 3 rad/s", "motor_speed.fit > 10 %"))
     files = write_report(comparison, tmp_path, accepted=found)

@@ -247,6 +247,8 @@ class _Values:
                 f"{', '.join(SCORED)}."
             )
         means = earlier(path, self.variant).means
+        if self.variant and not means:  # a variant that is new has nothing to be held against, and costs only itself
+            return float("nan")
         key = (self.model, output, self.comparison.modes[0])
         if key not in means:
             known = sorted({model for model, *_ in means})

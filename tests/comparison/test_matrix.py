@@ -183,6 +183,17 @@ def test_criteria_are_about_every_variant_or_those_they_name(folder):
     assert [one.passed for one in found.accepted.judged] == [False, True, True, True, True]
 
 
+def test_a_variant_that_an_earlier_comparison_does_not_have_costs_only_itself(folder):
+    from hydrotwin.report import write_report
+
+    write_report(run_scenario(scenario(folder, MODELS), models, repeats=1), folder / "earlier")
+    (folder / "earlier" / "compare.json").replace(folder / "last.json")
+    said = "accept = ['position not worse than last.json by 1 %']"
+    found = run_matrix(scenario(folder, f"{said}\n{MODELS}[variants.new]\nstep = 0.02"), models, repeats=1)
+    assert [run.accepted.passed for run in found.runs] == [True, False]
+    assert found.runs[1].accepted.judged[0].undefined == "last.json has no rmse to compare with"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -83,7 +83,7 @@ class Search:
             seen = [e for e in self.waiting() if e.look]
             chosen = [e for e in seen if self.table.promise(e) < EARLY][: self.effort.together]
             chosen = chosen or ([] if len(self.table.fitted) > 1 else seen[:FIRST])
-            self._take(chosen, self._ran([self.jobs.whole(e) for e in chosen]))
+            self._take(chosen, self._ran([self.jobs.whole_soon(e) for e in chosen]))
             best = self.alternatives.best  # what fits as well without one of its effects says less
             self.alternatives.fit_from(best, [e for e in self.alternatives.less(best) if not e.fitted])
         return None

@@ -67,7 +67,8 @@ class ModelFile:
         made = " and ".join(dict.fromkeys(f"{one.by} ({one.date[:10]})" for one in lost))
         return (
             f"{self.path}: its values, effects or inputs were edited after {made} vouched for them, so its record no "
-            "longer holds. Record it anew: hydrotwin compare --model FILE --validate REC --record FILE."
+            "longer holds, nor do the intervals of its fit, which are left out. Record it anew: hydrotwin compare "
+            "--model FILE --validate REC --record FILE."
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -94,9 +94,14 @@ def _evidence(file: ModelFile, comparison: Comparison, accepted: Acceptance | No
 
 def fitted_recordings(file: ModelFile) -> frozenset[str]:
     """SHA-256 of the recordings that the values of a file follow, as far as it says."""
-    told = file.provenance.get("recordings", ())
-    trained = [r.get("sha256") for r in told if isinstance(r, dict) and r.get("role") == "train"]
-    return file.credibility.fitted_on | frozenset(filter(None, trained))
+    return file.credibility.fitted_on | made_from(file.provenance)
+
+
+def made_from(provenance: Mapping) -> frozenset[str]:
+    """SHA-256 of the recordings that a model was fitted to or a block trained on, as far as its provenance says it."""
+    rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
+    rows += [r for r in provenance.get("trained_on", ()) if isinstance(r, Mapping)]
+    return frozenset(r["sha256"] for r in rows if r.get("sha256"))
 
 
 def _metrics(score: Score, role: str) -> dict:

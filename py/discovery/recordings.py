@@ -17,7 +17,7 @@ from hydrotwin.identification.noise import output_noise, quanta
 from hydrotwin.identification.problem import Recording, recordings
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import distinct
+from hydrotwin.records import distinct, shares_samples
 
 from .evidence.deciding import DECIDING
 
@@ -149,12 +149,12 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
 
 
 def require_unseen(records: Sequence, validate: Sequence) -> None:
-    """DataError when one of ``validate`` is one of ``records``, as it stands or as the same file."""
+    """DataError when one of ``validate`` is one of ``records``, or a part or a copy of it."""
     for record in validate:
-        same = next((r for r in records if r is record or (r.digest and r.digest == record.digest)), None)
+        same = next((r for r in records if shares_samples(record, r)), None)
         if same is not None:
             raise DataError(
-                f"{record.source or record.name}: the same recording as {same.source or same.name}, which is learned "
+                f"{record.source or record.name}: samples of {same.source or same.name}, which is learned "
                 "from. Only an unseen recording can judge. Name another one to validate."
             )
 

@@ -14,7 +14,7 @@ import io
 import posixpath
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -39,7 +39,7 @@ class Experiment:
     """One experiment; times in s. Files by their path in the FMU, "" where there is none.
 
     agreement : how far results may be apart, relative to the range of each; None where the file does not say it.
-    held : whether inputs are known to be held between their samples.
+    held : whether inputs are known to be held between their samples. fault : why it cannot be run, in a sentence.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Experiment:
     agreement: float | None = None
     held: bool = False
     types: Mapping[str, str] = field(default_factory=dict)
+    fault: str = ""
 
 
 def experiments_text(name: str, experiments: Sequence[Experiment], folder: str) -> str:
@@ -95,13 +96,27 @@ def _experiment(element: ET.Element, where: str) -> Experiment:
     numbers = {
         key: _number(settings, key, f"{where}: experiment '{name}'") for key in ("startTime", "stopTime", "stepSize")
     }
-    return Experiment(
+    found = Experiment(
         name, paths.get("Stimuli", ""), paths.get("References", ""), paths.get("Parameters", ""),
         element.get("description", ""), *numbers.values(), analysis,
         None if notes is None else _number(notes.attrib, "agreement", f"{where}: experiment '{name}'"),
         notes is not None and notes.get("inputs") == "held",
         {paths[tag]: e.get("type", SSV if tag == "Parameters" else CSV) for tag, e in files.items()},
     )  # fmt: skip
+    outside = next((files[tag].get("source", "") for tag in files if not paths[tag]), None)
+    return replace(found, fault=f"'{outside}' is no file inside the FMU" if outside is not None else _fault(found))
+
+
+def _fault(one: Experiment) -> str:
+    """What makes its settings say nothing; "" where they do."""
+    begin = one.start or 0.0
+    if one.stop is not None and not begin < one.stop < np.inf:
+        return f"it ends at {one.stop:g} s and begins at {begin:g} s"
+    if one.step is not None and not 0.0 < one.step < np.inf:
+        return f"its step is {one.step:g} s"
+    if one.agreement is not None and not 0.0 < one.agreement < np.inf:
+        return f"its agreement is {one.agreement:g}, and results are never as near as that, or always"
+    return ""
 
 
 def _number(settings: Mapping[str, str], key: str, where: str) -> float | None:
@@ -147,6 +162,10 @@ def series_of(content: bytes, path: str) -> Series:
     if len(rows) < 3 or rows[0][0].strip().lower() != "time":
         raise DataError(f"{path}: no table over time (a row of names, the first 'time', and two rows of numbers).")
     names = [_named(cell) for cell in rows[0][1:]]
+    twice = next((name for k, (name, _) in enumerate(names) if name in dict(names[:k])), None)
+    if twice is not None or not names:
+        what = f"'{twice}' stands in two columns" if names else "no column but the time"
+        raise DataError(f"{path}: {what}. Ask who made the FMU.")
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(rows[0]):
             raise DataError(
@@ -174,6 +193,9 @@ def _column(rows: Sequence[Sequence[str]], k: int, path: str) -> np.ndarray:
     if None in values:
         at = values.index(None) + 2
         raise DataError(f"{path}: row {at} holds '{rows[at - 1][k]:.40}', which is no number. Ask who made the FMU.")
+    if not np.isfinite(values).all():
+        at = int(np.argmin(np.isfinite(values))) + 2
+        raise DataError(f"{path}: row {at} of '{rows[0][k]}' holds no finite number. Ask who made the FMU.")
     return np.array(values)
 
 

@@ -16,6 +16,8 @@ from .lower import implicit_advance, middle_of_training
 from .method import SHARES, excitation, held
 
 REFINED = 8
+REPRODUCIBLE = 0.01  # of an output's range: what half the step may change in a run that others shall meet
+NEARLY = 1e-3  # of its nominal value: the least range that an output is held against
 SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
 
 
@@ -66,10 +68,24 @@ def reference_experiment(model, record: Record, *, step: float | None = None, me
         )
     else:
         outputs = _answers(held(system), record, step or system.step, method)
+        finer = _answers(held(system), record, 0.5 * (step or system.step), method)
+        _require_reproducible(system, record, outputs, finer)
     inputs = {s.name: record[s.name] for s in system.inputs}
     answers = {s.name: outputs[s.name] for s in system.outputs}
     units = {s.name: s.unit for s in (*system.inputs, *system.outputs)}
     return Record(record.time, inputs | answers, units, record.name, record.source)
+
+
+def _require_reproducible(system: FlatModel, record: Record, outputs: Record, finer: Record) -> None:
+    """SolveError where half the step gives other outputs: no importer would meet these."""
+    for s in system.outputs:
+        apart, reach = float(np.max(np.abs(finer[s.name] - outputs[s.name]))), float(np.ptp(finer[s.name]))
+        if not apart <= REPRODUCIBLE * max(reach, NEARLY * abs(s.nominal)):
+            raise SolveError(
+                f"{system.name}: the run over {record.name} is not accurate: half the step changes {s.name} by "
+                f"{apart / reach if reach else np.inf:.2g} of its range, so nobody can meet it. Identify the model "
+                "first, give a smaller --step, or leave this --experiment out."
+            )
 
 
 def _on_its_grid(block: Block, record: Record) -> Record:

@@ -150,13 +150,16 @@ def _record(path: Path, description: Description, wrong: str) -> tuple[str, str]
 
 
 def _sentences(inside: Inside) -> str:
-    return "; ".join(one.told for one in inside.credibility.evidence) or "nobody has fitted or judged the model"
+    told = "; ".join(one.told for one in inside.credibility.evidence)
+    return told or "nobody has fitted or judged the model as it is"
 
 
 def _replayed(path: Path, one: Experiment, loads: bool, limit: float, found: list[Replay]) -> tuple[str, str]:
     """The verdict on one experiment; the outputs are added to ``found``."""
     if one.analysis not in (TRANSIENT, RESULT):
         return NOT_TRIED, f"a {one.analysis}, and only transient simulations are run again here"
+    if one.fault:
+        return FAIL, f"cannot be run: {one.fault}. Take the FMU anew from where it was made."
     if not one.references:
         return NOT_TRIED, "it has no expected results"
     if one.start:
@@ -238,7 +241,9 @@ def _block(path: Path, one: Experiment, expected: Series, limit: float) -> tuple
     values = parameters_of(content, one.parameters, plain.description) if content else {}
     how = "hold" if one.held else "linear"
     block = read_fmu(path, outputs=scalar, values=values, interpolation=how, time_limit=limit)
-    return replace(block, starts={}), [n for n in (*expected.columns, *expected.others) if n not in scalar]
+    own = [plain.description.fmu_names[s.name] for s in plain.outputs]
+    left_out = [n for n in (*expected.columns, *expected.others, *own) if n not in scalar]
+    return replace(block, starts={}), list(dict.fromkeys(left_out))
 
 
 def _check_known(name: str, where: str, variables: Mapping) -> None:

@@ -185,7 +185,8 @@ def _with_file(model, file: ModelFile) -> Model:
     if not isinstance(model, Model):
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
-        answer = with_effects(_as_it_is(model, file), file.effects).with_settings(file.settings, dict(file.provenance))
+        settings, provenance = _vouched(file)
+        answer = with_effects(_as_it_is(model, file), file.effects).with_settings(settings, provenance)
         answer = answer.with_inputs(file.inputs) if file.inputs else answer
         _ = answer.flat
     except HydrotwinError as error:
@@ -193,6 +194,17 @@ def _with_file(model, file: ModelFile) -> Model:
     if file.stale:
         warnings.warn(file.stale, StaleEvidenceWarning, stacklevel=4)
     return answer
+
+
+def _vouched(file: ModelFile) -> tuple[dict, dict]:
+    """Settings and provenance; without the intervals of a fit where its values were edited: they are about others."""
+    settings, provenance = dict(file.settings), dict(file.provenance)
+    if file.stale:
+        from hydrotwin.identification.bands import SPREAD
+
+        settings = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
+        provenance.pop(SPREAD, None)
+    return settings, provenance
 
 
 def _as_it_is(model: Model, file: ModelFile) -> Model:

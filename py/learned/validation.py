@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, nearest
-from hydrotwin.records import Record
+from hydrotwin.records import Record, shares_samples
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
@@ -23,7 +23,6 @@ def judges(validate: Sequence[Record], records: Sequence[Record], columns: Seque
 
     Raises DataError for one that lacks a column, and for one that is trained on.
     """
-    trained = {r.digest: r for r in records if r.digest}
     for record in validate:
         where = record.source or record.name
         missing = next((name for name in columns if name not in record), None)
@@ -32,11 +31,11 @@ def judges(validate: Sequence[Record], records: Sequence[Record], columns: Seque
                 f"{where}: no column '{missing}', which the block has. {nearest(missing, record.names)} "
                 "Name another recording to validate."
             )
-        if record.digest in trained:
-            same = trained[record.digest]
+        same = next((r for r in records if shares_samples(record, r)), None)
+        if same is not None:
             raise DataError(
-                f"{where}: the same recording as {same.source or same.name}, which is trained on. Only an unseen "
-                "recording can judge. Name another one to validate."
+                f"{where}: samples of {same.source or same.name}, which is trained on. Only an unseen recording can "
+                "judge. Name another one to validate."
             )
     return list(validate)
 

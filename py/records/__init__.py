@@ -5,7 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import Gap, Record, distinct
-from .require import as_needed, known_inputs, require, require_once
+from .require import as_needed, known_inputs, require, require_once, shares_samples
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
@@ -30,6 +30,7 @@ __all__ = [
     "require",
     "require_once",
     "savitzky_golay",
+    "shares_samples",
     "steps_over",
     "write_record",
 ]

@@ -13,6 +13,8 @@ from hydrotwin.models.language.units import compatible, convert, dimension, from
 from . import resampling
 from .record import Record
 
+ALIKE = 1e-4  # of a column's range: noise parts two recordings of the same commands by more
+HALF = 0.5  # of the samples: a recording that shares so many with another is a part of it, or a copy
 OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
 
 
@@ -120,3 +122,25 @@ def require_once(records: Sequence[Record]) -> None:
                 f"{record.source or record.name}: the same recording as {same.source or same.name}. It would count "
                 "twice. Name each recording once."
             )
+
+
+def shares_samples(record: Record, other: Record) -> bool:
+    """Whether one is a copy of the other, or of a part of it: columns cut off, digits rounded, or made shorter.
+
+    At half of its times or more, all columns that both have, and that move, hold the same.
+    """
+    if record is other or (record.digest and record.digest == other.digest):
+        return True
+    near = 1e-6 * float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
+    at = np.clip(np.searchsorted(other.time, record.time - near), 0, len(other.time) - 1)
+    both = np.abs(other.time[at] - record.time) <= 2 * near
+    if both.sum() < HALF * min(len(record.time), len(other.time)):
+        return False
+    moving = 0
+    for name in (n for n in record.names if n in other):
+        mine, its = record[name][both], other[name][at[both]]
+        reach = np.nanmax(mine, initial=-np.inf) - np.nanmin(mine, initial=np.inf)
+        if np.nanmax(np.abs(mine - its), initial=0.0) > ALIKE * max(reach, 0.0):
+            return False
+        moving += reach > 0
+    return moving > 1

@@ -237,7 +237,7 @@ def test_a_sensor_that_was_absent_in_one_recording_is_judged_by_the_others():
 
 def test_a_recording_cannot_judge_what_it_taught():
     runs = records(2, dry=60.0)
-    with pytest.raises(DataError, match="run_1: the same recording as run_1, which is learned from"):
+    with pytest.raises(DataError, match="run_1: samples of run_1, which is learned from"):
         found(runs, ["coulomb_friction"], validate=[record(5), runs[1]])
 
 

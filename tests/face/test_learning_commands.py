@@ -209,3 +209,11 @@ def test_every_kind_is_tried_and_the_best_is_kept(here):
     assert sorted(row["kind"] for row in rows) == ["grey_box", "piecewise"]
     (chosen,) = (row["kind"] for row in rows if row["chosen"])
     assert ht.load("best.toml").provenance["kind"] == chosen
+
+
+@pytest.mark.parametrize("line", ["learn linear ramp_1.csv", "learn arx ramp_1.csv", "learn nn ramp_1.csv --budget 2"])
+def test_a_kind_is_trained_on_a_screen_as_it_is_in_a_script(here, line):
+    """The bar asked a linear model for what it does not tell, and only --json worked."""
+    answer = hydrotwin(*f"{line} {SIGNALS} --validate ramp_2.csv --out screen.toml".split())
+    assert answer.code == 0, answer.err
+    assert "Free run over 1 validation recording, which took no part: RMS error of position " in answer.said

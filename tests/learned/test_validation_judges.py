@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.commands.training import trained
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record
 from tests.learned.test_bad_input import MODEL, PERIOD, recording
@@ -41,7 +42,8 @@ def learned(kind: str, validate: list[Record]):
     kind = kind.split()[0]
     more = {"model": ht.load(MODEL)} if kind == "hybrid" else {}
     inputs = () if kind == "hybrid" else INPUTS
-    return ht.learn(kind, [recording()], inputs, OUTPUTS, validate=validate, **options, **more)
+    given = (kind, [recording()], inputs, OUTPUTS)
+    return trained("learn", ht.learn, given, False, validate=validate, **options, **more)  # with the bar of a screen
 
 
 def content(block) -> dict[str, bytes]:

@@ -95,11 +95,13 @@ def trained(what: str, trainer: Callable, arguments: tuple, silent: bool, **opti
         row = bar.add_task(what, total=None)
 
         def told(step, *more) -> None:
-            if isinstance(step, int):
+            """A trainer tells (done, total, words), (iteration or step, best so far), or a step that knows its best."""
+            if len(more) == 2:
                 bar.update(row, completed=step, total=more[0], description=f"{what}: {more[1]}")
                 return
             best = more[0] if more else step.best
-            bar.update(row, description=f"{what}: {_where(step)}best so far {best:.4g}")
+            where = f"iteration {step}, " if isinstance(step, int) else _where(step)
+            bar.update(row, description=f"{what}: {where}best so far {best:.4g}")
 
         return trainer(*arguments, **options, progress=told)
 

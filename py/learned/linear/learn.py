@@ -60,7 +60,7 @@ def learn_linear(
         refine: False: the subspace and linear least squares alone.
         select: recordings that choose in place of parts held out; nothing is fitted to them.
         validate: checked, and used for nothing. seed: kept for the record; nothing here is random.
-        progress: called with every `Candidate` that was tried.
+        progress: called with every `Candidate` that was tried, and the least error so far.
 
     ``provenance["linear"]`` tells order, form, delay, start and the free-run error on what was held out.
 
@@ -129,7 +129,7 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
             for candidate in candidates(at, period, form, equations, orders):
                 tried.setdefault((period, form), []).append(candidate.tried())
                 if progress:
-                    progress(tried[period, form][-1])
+                    progress(tried[period, form][-1], min(c.error for group in tried.values() for c in group))
     first = [ranked(group)[0] for group in tried.values() if ranked(group)]
     if not first:
         raise DataError(
@@ -143,7 +143,7 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
         evaluations += better.evaluations
         first.append(better)
         if progress:
-            progress(better)
+            progress(better, min(c.error for c in first))
     return min(first, key=lambda c: c.error), evaluations
 
 

@@ -1,0 +1,54 @@
+"""A copy or a part of a recording is known as such, whatever was cut off, rounded or renamed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.records import Record, shares_samples
+
+
+def recording(seed: int, seconds: float = 20.0) -> Record:
+    time = np.arange(0.0, seconds, 0.01)
+    command = np.sign(np.sin(time))  # the same in all
+    noise = 1e-3 * np.random.default_rng(seed).standard_normal((2, len(time)))
+    signals = {"command": command, "angle": np.sin(time) + noise[0], "speed": np.cos(time) + noise[1]}
+    return Record(time, signals, dict.fromkeys(signals, "1"), f"run_{seed}", digest=f"digest {seed}")
+
+
+def changed(record: Record, **signals) -> Record:
+    return Record(record.time, {**record.signals, **signals}, record.units, "other", digest="other")
+
+
+ONE = recording(1)
+
+
+@pytest.mark.parametrize(
+    "copy",
+    [
+        changed(ONE),
+        changed(ONE).select(["command", "angle"]),
+        changed(ONE).select(["speed", "angle", "command"]),
+        changed(ONE, angle=ONE["angle"] + 1e-5),
+        changed(ONE, speed=np.round(ONE["speed"], 5)),
+        changed(ONE).window(0.0, 15.0),
+        changed(ONE).window(12.0, 19.0),
+    ],
+)
+def test_a_copy_or_a_part_is_known(copy):
+    assert shares_samples(copy, ONE) and shares_samples(ONE, copy)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        recording(2),
+        recording(2).window(0.0, 5.0),
+        recording(2).select(["command", "angle"]),
+        changed(ONE, angle=-ONE["angle"]),
+        changed(ONE).select(["command"]),  # commands alone may be repeated
+        Record(ONE.time + 100.0, dict(ONE.signals), ONE.units, "later", digest="later"),
+    ],
+)
+def test_another_recording_of_the_same_commands_is_another(other):
+    assert not shares_samples(other, ONE) and not shares_samples(ONE, other)

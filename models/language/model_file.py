@@ -180,7 +180,8 @@ def write_model_file(
 def add_evidence(path: Path | str, evidence: Evidence) -> Credibility:
     """Add to the block [credibility] of a model file; the rest of its text stays as it is.
 
-    Evidence of other values than the file has is dropped. Returns what the block holds now.
+    Evidence of other values than the file has is dropped, and with it the intervals of a fit that gave those. Returns
+    what the block holds now.
 
     Raises
     ------
@@ -192,6 +193,7 @@ def add_evidence(path: Path | str, evidence: Evidence) -> Credibility:
     before = {key: value for key, value in tomllib.loads(text).items() if key != KEY}
     if tomllib.loads(rest) != before:
         raise DataError(f"{path}: its block [{KEY}] cannot be told from the rest. Put it last, or take it out.")
+    rest = _without_intervals(rest) if file.stale else rest
     known = file.credibility.of(file.contents)
     write_whole(file.path, _vouched(rest, evidence, known))
     return read_model_file(path).credibility
@@ -201,6 +203,20 @@ def _vouched(text: str, evidence: Evidence, known: Credibility = Credibility()) 
     """The text of a model file with what is known of its values, and ``evidence`` of them."""
     found = known.plus(replace(evidence, contents=contents_digest(tomllib.loads(text))))
     return f"{text.rstrip()}\n\n{found.as_toml()}"
+
+
+def _without_intervals(text: str) -> str:
+    """A model file whose values were edited, without what a fit said of how sure others were."""
+    document, waiting = tomlkit.parse(text), []
+    waiting.append(document.get("parameters", {}))
+    while waiting:
+        table = waiting.pop()
+        waiting += [part for part in table.values() if isinstance(part, dict)]
+        if "value" in table:
+            table.pop("sigma", None)
+    if isinstance(document.get("provenance"), dict):
+        document["provenance"].pop("spread", None)
+    return tomlkit.dumps(document)
 
 
 def _without_block(text: str) -> str:

@@ -9,6 +9,7 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Record, as_needed
 from hydrotwin.simulation import simulate
 from hydrotwin.simulation.block import Block
+from hydrotwin.simulation.control import Accuracy
 from hydrotwin.simulation.inputs import at, substeps
 from hydrotwin.simulation.sampled import sample_grid
 
@@ -17,7 +18,6 @@ from .method import SHARES, excitation, held
 
 REFINED = 8
 REPRODUCIBLE = 0.01  # of an output's range: what half the step may change in a run that others shall meet
-NEARLY = 1e-3  # of its nominal value: the least range that an output is held against
 SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
 
 
@@ -68,24 +68,20 @@ def reference_experiment(model, record: Record, *, step: float | None = None, me
         )
     else:
         outputs = _answers(held(system), record, step or system.step, method)
-        finer = _answers(held(system), record, 0.5 * (step or system.step), method)
-        _require_reproducible(system, record, outputs, finer)
+        _require_reproducible(system, record, outputs.accuracy)
     inputs = {s.name: record[s.name] for s in system.inputs}
     answers = {s.name: outputs[s.name] for s in system.outputs}
     units = {s.name: s.unit for s in (*system.inputs, *system.outputs)}
     return Record(record.time, inputs | answers, units, record.name, record.source)
 
 
-def _require_reproducible(system: FlatModel, record: Record, outputs: Record, finer: Record) -> None:
-    """SolveError where half the step gives other outputs: no importer would meet these."""
-    for s in system.outputs:
-        apart, reach = float(np.max(np.abs(finer[s.name] - outputs[s.name]))), float(np.ptp(finer[s.name]))
-        if not apart <= REPRODUCIBLE * max(reach, NEARLY * abs(s.nominal)):
-            raise SolveError(
-                f"{system.name}: the run over {record.name} is not accurate: half the step changes {s.name} by "
-                f"{apart / reach if reach else np.inf:.2g} of its range, so nobody can meet it. Identify the model "
-                "first, give a smaller --step, or leave this --experiment out."
-            )
+def _require_reproducible(system: FlatModel, record: Record, accuracy: Accuracy | None) -> None:
+    """SolveError for a run that half the step changes so much that no importer would meet it."""
+    if accuracy is not None and not accuracy.error <= REPRODUCIBLE:
+        raise SolveError(
+            f"export: {system.name} on {record.name}: {accuracy}, so nobody can meet its results. Identify the model "
+            "first, give a smaller --step, or leave this --experiment out."
+        )
 
 
 def _on_its_grid(block: Block, record: Record) -> Record:

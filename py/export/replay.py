@@ -158,12 +158,12 @@ def _replayed(path: Path, one: Experiment, loads: bool, limit: float, found: lis
     """The verdict on one experiment; the outputs are added to ``found``."""
     if one.analysis not in (TRANSIENT, RESULT):
         return NOT_TRIED, f"a {one.analysis}, and only transient simulations are run again here"
+    if one.start:
+        return NOT_TRIED, f"it starts at {one.start:g} s, and runs begin at 0 here"
     if one.fault:
         return FAIL, f"cannot be run: {one.fault}. Take the FMU anew from where it was made."
     if not one.references:
         return NOT_TRIED, "it has no expected results"
-    if one.start:
-        return NOT_TRIED, f"it starts at {one.start:g} s, and runs begin at 0 here"
     if not loads:
         return FAIL, "the FMU does not load here, see 'loads'"
     try:

@@ -7,6 +7,7 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -17,8 +18,9 @@ from hydrotwin.export.foreign import describe_fmu
 from hydrotwin.export.reference import reference_experiment
 from hydrotwin.export.replay import carried_rows
 from hydrotwin.models.language.credibility import JUDGE, Credibility, Evidence, versions
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record
+from hydrotwin.simulation.simulate import InaccurateWarning
 from tests.export.systems import clocked_mass, lag_block
 
 INSIDE = "extra/org.fmi-standard.fmi-ls-ref/"
@@ -230,6 +232,38 @@ WRONG = {
     "a start in another unit": (
         {f"{INSIDE}validation-start.ssv": swapped('unit="m"', 'unit="s"')}, "replay bench_7", "'mass.s.start': .*s"
     ),
+    "results outside": (
+        {f"{INSIDE}validation.exp": swapped("validation-ref.csv", "../../../../etc/passwd")},
+        "replay bench_7", "etc/passwd' is no file inside the FMU",
+    ),
+    "no results but the time": (
+        {f"{INSIDE}validation-ref.csv": lambda t: re.sub(r"(?m),.*$", "", t)},
+        "replay bench_7", "no column but the time",
+    ),
+    "two columns of a name": (
+        {f"{INSIDE}validation-ref.csv": swapped("power", "place")}, "replay bench_7", "'place' stands in two columns"
+    ),
+    "a result that is no finite number": (
+        {f"{INSIDE}validation-ref.csv": lambda t: re.sub(r"(?m)^(1\.\d+),[^,]*", r"\1,nan", t, count=1)},
+        "replay bench_7", "row 52 of 'place' holds no finite number",
+    ),
+    "an endless agreement": (
+        {f"{INSIDE}validation.exp": lambda t: re.sub('agreement="[^"]*"', 'agreement="inf"', t)},
+        "replay bench_7", "its agreement is inf",
+    ),
+    "an agreement below nothing": (
+        {f"{INSIDE}validation.exp": lambda t: re.sub('agreement="[^"]*"', 'agreement="-1"', t)},
+        "replay bench_7", "its agreement is -1",
+    ),
+    "an end before the beginning": (
+        {f"{INSIDE}validation.exp": lambda t: re.sub('stopTime="[^"]*"', 'stopTime="-4"', t)},
+        "replay bench_7", "it ends at -4 s and begins at 0 s",
+    ),
+    "no step": (
+        {f"{INSIDE}validation.exp": lambda t: re.sub('stopTime="', 'stepSize="0" stopTime="', t) if "stepSize" not in t
+         else re.sub('stepSize="[^"]*"', 'stepSize="0"', t)},
+        "replay bench_7", "its step is 0 s",
+    ),
     "no XML": ({f"{INSIDE}validation.exp": "<Experiments"}, "replay validation.exp", "this is no XML"),
     "another XML": ({f"{INSIDE}validation.exp": "<A/>"}, "replay validation.exp", "no experiments .* 'A'"),
     "no manifest": ({MANIFEST: "<A/>"}, "related files", "no manifest of FMI-LS-REF"),
@@ -314,3 +348,16 @@ def test_a_recording_that_cannot_be_an_experiment_is_refused(tmp_path):
     with pytest.raises(DeclarationError, match=r"'implicit' .* starts in equilibrium"):
         reference_experiment(clocked_mass(), record, method="implicit")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_half_the_step_changes_is_no_experiment(tmp_path):
+    from tests.simulation.small_models import small_model
+
+    record = Record(np.arange(0.0, 60.0, 0.01), {}, {}, "wild")
+    chaotic = small_model(
+        "lorenz", ["x", "y", "z"], {"r": 28.0},
+        lambda t, x, u, p: (ca.vertcat(10 * (x[1] - x[0]), x[0] * (p[0] - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]), x),
+        start=[1.0, 1.0, 1.0], step=0.01,
+    )  # fmt: skip
+    with pytest.warns(InaccurateWarning), pytest.raises(SolveError, match=r"half the step changes .* so nobody can meet its results"):
+        reference_experiment(chaotic, record)

@@ -110,6 +110,33 @@ def test_bounds_and_sources_may_be_edited(file, edit):
     assert not ht.read_model_file(edited(file, *edit)).stale
 
 
+def test_edited_values_have_no_intervals_of_the_fit(file, recordings):
+    """An archive had an interval of 0.01 around a value that was typed in."""
+    assert any(p.sigma for p in ht.load(str(file)).flat.parameters)
+    value = ht.read_model_file(file).settings["motor.gain"]["value"]
+    edited(file, f"value = {value!r}", "value = 60.0")
+    with pytest.warns(StaleEvidenceWarning, match="nor do the intervals of its fit"):
+        model = ht.load(str(file))
+    assert not any(p.sigma for p in model.flat.parameters) and "spread" not in model.provenance
+    words = ("--mode", "free run", "--output", "arm_angle", "--ssp", file.parent / "a.ssp", "--ssp-version", "2.0")
+    answer = hydrotwin("compare", "--model", file, "--validate", recordings / "validate_1.csv", *words,
+                       "--out", file.parent / "report")  # fmt: skip
+    assert answer.code == 0, answer.said
+    with zipfile.ZipFile(file.parent / "a.ssp") as archive:
+        told = [archive.read(n).decode() for n in archive.namelist() if n.endswith("identified.ssv")]
+    assert "Interval" not in "".join(told)
+    judged(file, recordings, "--accept", LOOSE)
+    known = ht.read_model_file(file)
+    assert not known.stale and "spread" not in known.provenance, "recorded anew, they do not come back"
+    assert not any("sigma" in row for row in known.settings.values())
+
+
+def test_a_recording_that_the_model_was_made_from_is_told_when_it_is_compared_there(file, recordings):
+    answer = judged(file, recordings, "--accept", LOOSE, on=("train_1",))
+    assert answer.code == 0 and "was made from train_1: its errors there say nothing of other" in answer.said
+    assert "was made from" not in judged(file, recordings, "--accept", LOOSE).said
+
+
 def test_an_effect_that_is_added_by_hand_is_told(file):
     edited(file, "[parameters]", '[[effects]]\neffect = "coulomb_friction"\nsite = "arm.pin"\n\n[parameters]')
     assert "no longer holds" in ht.read_model_file(file).stale

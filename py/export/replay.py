@@ -194,7 +194,7 @@ def _run(path: Path, one: Experiment, limit: float) -> tuple[list[Replay], list[
     _check_end(one, expected)
     ran = _ran(block, _record_to_run(block, expected, stimuli, one), expected)
     until = expected.time <= ran.time[-1]
-    left_out += [] if until.all() else ["the last result, at which the FMU asks to end"]
+    left_out = left_out if until.all() else ["the last result, at which the FMU asks to end", *left_out]
     at = np.searchsorted(ran.time, expected.time[until])
     allowed = one.agreement if one.agreement else OTHERS
     rows = []

@@ -14,6 +14,7 @@ from . import resampling
 from .record import Record
 
 ALIKE = 1e-4  # of a column's range: noise parts two recordings of the same commands by more
+PLACES = 50  # of the longer that are tried for the beginning of the shorter
 HALF = 0.5  # of the samples: a recording that shares so many with another is a part of it, or a copy
 OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
 
@@ -125,20 +126,36 @@ def require_once(records: Sequence[Record]) -> None:
 
 
 def shares_samples(record: Record, other: Record) -> bool:
-    """Whether one is a copy of the other, or of a part of it: columns cut off, digits rounded, or made shorter.
+    """Whether one is a copy of the other, or of a part of it: columns cut off, digits rounded, shorter, from time zero.
 
-    At half of its times or more, all columns that both have, and that move, hold the same.
+    At half of the times of the shorter or more, all columns that both have, and that move, hold the same.
     """
     if record is other or (record.digest and record.digest == other.digest):
         return True
-    near = 1e-6 * float(np.median(np.diff(record.time))) if len(record.time) > 1 else 0.0
-    at = np.clip(np.searchsorted(other.time, record.time - near), 0, len(other.time) - 1)
-    both = np.abs(other.time[at] - record.time) <= 2 * near
-    if both.sum() < HALF * min(len(record.time), len(other.time)):
+    short, long = sorted((record, other), key=lambda r: len(r.time))
+    return any(_same_at(short, long, shift) for shift in (0.0, *_shifts(short, long)))
+
+
+def _shifts(short: Record, long: Record) -> list[float]:
+    """Times [s] by which the longer may be later, as the middle sample of the shorter says: few where it moves."""
+    shared, middle = [n for n in short.names if n in long], len(short.time) // 2
+    same = np.ones(len(long.time), dtype=bool)
+    for name in shared:
+        same &= np.abs(long[name] - short[name][middle]) <= ALIKE * np.ptp(short[name])
+    return (long.time[same][:PLACES] - short.time[middle]).tolist() if shared else []
+
+
+def _same_at(short: Record, long: Record, shift: float) -> bool:
+    """Whether the shorter, so many seconds [s] later, holds what the longer does."""
+    times = short.time + shift
+    near = 1e-6 * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    at = np.clip(np.searchsorted(long.time, times - near), 0, len(long.time) - 1)
+    both = np.abs(long.time[at] - times) <= 2 * near
+    if both.sum() < HALF * len(times):
         return False
     moving = 0
-    for name in (n for n in record.names if n in other):
-        mine, its = record[name][both], other[name][at[both]]
+    for name in (n for n in short.names if n in long):
+        mine, its = short[name][both], long[name][at[both]]
         reach = np.nanmax(mine, initial=-np.inf) - np.nanmin(mine, initial=np.inf)
         if np.nanmax(np.abs(mine - its), initial=0.0) > ALIKE * max(reach, 0.0):
             return False

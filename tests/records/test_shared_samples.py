@@ -16,6 +16,10 @@ def recording(seed: int, seconds: float = 20.0) -> Record:
     return Record(time, signals, dict.fromkeys(signals, "1"), f"run_{seed}", digest=f"digest {seed}")
 
 
+def begun_anew(record: Record) -> Record:
+    return Record(record.time - record.time[0], dict(record.signals), record.units, "anew", digest="anew")
+
+
 def changed(record: Record, **signals) -> Record:
     return Record(record.time, {**record.signals, **signals}, record.units, "other", digest="other")
 
@@ -33,6 +37,10 @@ ONE = recording(1)
         changed(ONE, speed=np.round(ONE["speed"], 5)),
         changed(ONE).window(0.0, 15.0),
         changed(ONE).window(12.0, 19.0),
+        begun_anew(changed(ONE).window(12.0, 19.0)),
+        begun_anew(changed(ONE).select(["command", "speed"]).window(5.0, 9.0)),
+        Record(ONE.time + 100.0, dict(ONE.signals), ONE.units, "later", digest="later"),
+        Record(ONE.time[::2], {k: v[::2] for k, v in ONE.signals.items()}, ONE.units, "thinned", digest="thinned"),
     ],
 )
 def test_a_copy_or_a_part_is_known(copy):
@@ -47,7 +55,7 @@ def test_a_copy_or_a_part_is_known(copy):
         recording(2).select(["command", "angle"]),
         changed(ONE, angle=-ONE["angle"]),
         changed(ONE).select(["command"]),  # commands alone may be repeated
-        Record(ONE.time + 100.0, dict(ONE.signals), ONE.units, "later", digest="later"),
+        begun_anew(recording(2).window(5.0, 9.0)),
     ],
 )
 def test_another_recording_of_the_same_commands_is_another(other):

@@ -40,13 +40,13 @@ def main() -> None:
 
 def against_others(model, times, u, p, x0) -> None:
     compiled, interpreted = prepare(model, method="explicit"), prepare(model, method="vm")
-    rosenbrock = prepare(model, method="rosenbrock")
+    implicit = prepare(model, method="implicit")
     by_hand = hand_written(u, p, x0)
     contenders = {
         "compiled, this room": lambda: compiled.run(times, u, p, x0),
         "C written by hand": by_hand,
         "CasADi virtual machine": lambda: interpreted.run(times, u, p, x0),
-        "rosenbrock in C, 1e-9": lambda: rosenbrock.run(times, u, p, x0),
+        "implicit in C, 1e-10": lambda: implicit.run(times, u, p, x0),
     }
     seconds = fastest(contenders)
     seconds["CasADi CVODES, 1e-6"] = cvodes(model, times, u, p, x0)

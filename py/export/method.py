@@ -43,7 +43,7 @@ def choose_method(flat: FlatModel, method: str, step: float) -> tuple[str, float
         *_, accuracy = propagator.controlled_run(driven.time, u, p, x0)
     except SolveError as error:
         return "adaptive", step, f"a trial run stopped ({error})"
-    return "adaptive" if propagator.method == "rosenbrock" else "refined", propagator.step, f"a trial run is {accuracy}"
+    return "adaptive" if propagator.method == "implicit" else "refined", propagator.step, f"a trial run is {accuracy}"
 
 
 def check_method(name: str, method: str, step: float | None = None) -> None:

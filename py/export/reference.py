@@ -18,7 +18,7 @@ from .method import SHARES, excitation, held
 
 REFINED = 8
 REPRODUCIBLE = 0.01  # of an output's range: what half the step may change in a run that others shall meet
-SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "rosenbrock"}  # method of the FMU -> of `simulate`
+SIMULATED = {"auto": "auto", "explicit": "explicit", "adaptive": "implicit"}  # method of the FMU -> of `simulate`
 
 
 def reference_run(model, *, fine: bool = False, step: float | None = None, method: str = "auto") -> Record:

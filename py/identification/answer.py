@@ -124,7 +124,7 @@ def differentiated(task: Task, shooting: Shooting, best: Minimum) -> tuple[list,
     """
     rows = [shooting.sensitivities(i, best.q, best.z[i]) for i in range(len(shooting.segments))]
     if any(row is None for row in rows) and not task.flat.black_box and task.propagator.method == "explicit":
-        implicit, _ = whole_runs(undecided(task, "rosenbrock"))
+        implicit, _ = whole_runs(undecided(task, "implicit"))
         rows = [row or implicit.sensitivities(i, best.q, best.z[i]) for i, row in enumerate(rows)]
     lost = [recording.name for recording, row in zip(task.recordings, rows, strict=True) if row is None]
     if len(lost) == len(rows):

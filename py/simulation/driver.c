@@ -3,11 +3,10 @@
    Generated in front of this text: the sizes (NX states, NS of them with sensitivities, NU inputs, NP parameters, NY
    outputs, NT sensitivities, LD = NT rounded up), the sparse products of the sensitivities as macros, and the CasADi functions
 
-     rk4_substep  (t, x, u, p, h) -> x, roughness    or  implicit_substep (t, x, u, p, h) -> x
+     rk4_substep  (t, x, u, p, h) -> x, roughness               (explicit steps only)
      output       (t, x, u, p) -> y
      linear_rate  (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros only)
      linear_output(t, x, u, p) -> y , dh/dx, dh/dp, dh/du
-     implicit_tangent (t, x, u, p, h, dx, du) -> dx             (implicit method only)
 
    Status: 0 done; 1 a state, 2 an output left the finite numbers; 3 the implicit method gave up; 4 out of memory;
    5 explicit steps have become dearer than implicit ones. */
@@ -42,6 +41,7 @@ typedef struct {
   const double *time, *u, *p;
   Control control;
   double reached;   /* time of the last finite state */
+  double ahead;     /* length of the next implicit step; 0: not known yet */
   double trials[2]; /* left for steps where one was rough: for states, for their sensitivities */
   double unit[NX + 1]; /* of an error in each state; infinite where no output sees it */
   long long cursor[NU + 1];
@@ -124,8 +124,9 @@ static void inputs_at_sample(Run *run, long long k, double *u) {
 
 /* ---- one interval between two samples ---- */
 
+/* Implicit steps find their own lengths. */
 static long long substeps_in(const Run *run, double dt) {
-  double n = ceil(dt / run->control.step - 1e-6);
+  double n = IMPLICIT ? 1.0 : ceil(dt / run->control.step - 1e-6);
   return n < 1.0 ? 1 : (long long)n;
 }
 
@@ -141,19 +142,9 @@ typedef int Step(Run *run, long long k, double t, double h, int whole, const dou
 #define ROUGH (-1)
 #define DEAR 5
 
-#if IMPLICIT
-static int step_state(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
-  double mean[NU + 1];
-  const double *arg[IMPLICIT_ARG] = {&t, z, mean, run->p, &h};
-  double *res[IMPLICIT_RES] = {next};
-  mean_inputs(run, k, t, h, whole, mean);
-  if (implicit_substep(arg, res, run->integers, run->work, 0)) return 3;
-  return not_finite(next, NX) ? 1 : 0;
-}
-
-static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged) {
-  return 3;
-}
+#if IMPLICIT /* in implicit.c */
+static Step step_state;
+static int refine(Run *run, Step *step, int size, long long k, double t, double h, double *z, int judged);
 #else
 static int judged(const Run *run, const double *x, const double *next, const double *roughness) {
   double ratio[NX + 1], sum = 0.0, smooth = SMOOTH * run->control.tolerance;
@@ -233,7 +224,7 @@ static inline int cross(Run *run, Step *step, int size, long long k, double *z) 
     status = step(run, k, t, h, n == 1, z, next);
     if (status == ROUGH)
       status = refine(run, step, size, k, t, h, z, NX);
-    else if (!status)
+    else if (!status || IMPLICIT)
       memcpy(z, next, size * sizeof(double));
   }
   return status;
@@ -259,6 +250,10 @@ static void units_of_errors(Run *run) {
 static int open_run(Run *run) {
   double span = run->time[run->samples - 1] - run->time[0], plain = span / run->control.step + (double)run->samples;
   run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
+#if IMPLICIT
+  run->trials[0] = BURST + IMPLICIT_STEPS * (double)run->samples;
+  run->control.tolerance = IMPLICIT_SHARE * fmin(run->control.tolerance, TOLERANCE);
+#endif
   memset(run->cursor, 0, sizeof run->cursor);
   units_of_errors(run);
   run->work = malloc(sizeof(double) * (WORK_REALS + 1));

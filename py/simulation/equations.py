@@ -1,4 +1,4 @@
-"""The CasADi functions of one model that the C driver and the virtual machine both run."""
+"""The CasADi functions of one model that the C driver and the virtual machine run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 
-RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-10  # of the implicit method; states and time in nominal units
+RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-10  # of its implicit method; states and time in nominal units
 TANGENT_TOLERANCE = 1e-8  # of its sensitivities, in nominal units of states and parameters
 
 
@@ -171,6 +171,7 @@ def _placed(by_p, by_u, du, to: Directions):
 def implicit_substep(flat: FlatModel) -> ca.Function:
     """``(t, x, u, p, h) -> x(t + h)`` by CasADi's Rosenbrock integrator: L-stable, order 5(4), adaptive inside h.
 
+    Of the virtual machine; compiled runs have implicit steps of their own (``implicit.c``).
     It sees states in units of their nominal values and the time as a fraction of h, so one tolerance serves all.
     """
     t, x, u, p = symbols(flat)

@@ -13,7 +13,7 @@ from hydrotwin.models.language.flat import FlatModel, StateVariable
 from . import equations, stiffness
 from .block import Block
 
-METHODS = ("explicit", "rosenbrock")
+METHODS = ("explicit", "implicit")
 
 
 def lower(model, period: float, method: str = "explicit") -> Block:
@@ -63,7 +63,7 @@ def _refuse_unstable(flat: FlatModel, period: float) -> None:
     if (stiffness.growth(h * modes) > 1 + 1e-9).any():
         raise DeclarationError(
             f"{flat.name}: a mode that decays with {np.abs(modes).max():.3g} 1/s grows in steps of {h:.3g} s. "
-            "Lower it with method='rosenbrock', or give the model a smaller step."
+            "Lower it with method='implicit', or give the model a smaller step."
         )
 
 

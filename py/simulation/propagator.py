@@ -13,14 +13,14 @@ from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import steps_over
 
 from . import equations, stiffness
-from .control import TOLERANCE, Accuracy, Choice, Control, compared, moved_far
+from .control import EXACT, TOLERANCE, Accuracy, Choice, Control, compared, moved_far
 from .engines import engine_of
 from .library import Library
 from .machine import DEAR, DONE
 from .recent import Recent
 from .stops import raise_stop
 
-METHODS = ("auto", "explicit", "rosenbrock", "vm")
+METHODS = ("auto", "explicit", "implicit", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
 TRIALS = 4  # by how much more it may divide the steps around kinks, on the average of a run
 
@@ -39,10 +39,10 @@ def prepare(
     """Lower a model to C, compile it (or find it in the cache) and hand back what runs it.
 
     step : longest substep [s]; the model's own by default.
-    method : "explicit" (RK4 at the step), "rosenbrock" (L-stable, adaptive), "vm" (RK4 without a compiler), or "auto":
-        explicit, with every step refined in which a contact or another kink asks for it, and all of them halved if the
-        eigenvalues along the first run do, down to an eighth, of a model of more than eight states to one part in so
-        many; else, and where refined steps become dearer, rosenbrock.
+    method : "explicit" (RK4 at the step), "implicit" (L-stable, adaptive, see ``implicit.c``), "vm" (RK4 without a
+        compiler), or "auto": explicit, with every step refined in which a contact or another kink asks for it, and all
+        of them halved if the eigenvalues along the first run do, down to an eighth, of a model of more than eight
+        states to one part in so many; else, and where refined steps become dearer, implicit.
     few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
     tolerance : error of a step that "auto" refines, in units of nominal + |x|; infinite: none is.
     zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
@@ -78,13 +78,14 @@ class Propagator:
         self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._nominal = np.array([q.nominal for q in flat.parameters])
         self._tolerance = tolerance
-        self._engines, self._recents = {}, {"explicit": Recent(), "rosenbrock": Recent()}
+        self._engines, self._recents = {}, {"explicit": Recent(), "implicit": Recent()}
         self._begin(self._asked[1])
-        if self.method != "rosenbrock":
+        if self.method != "implicit":
             self._engine(implicit=False)
 
     def _begin(self, method: str) -> None:
-        self._choice = Choice(method, Control(self._asked[0]))
+        exact = EXACT * TOLERANCE if method == "implicit" else np.inf
+        self._choice = Choice(method, Control(self._asked[0], exact))
         self._deciding, self._building = threading.Lock(), threading.Lock()
 
     @property
@@ -116,7 +117,7 @@ class Propagator:
     @property
     def engine(self) -> str:
         """What runs the model: "c" or "vm"."""
-        return "c" if isinstance(self._engine(self.method == "rosenbrock"), Library) else "vm"
+        return "c" if isinstance(self._engine(self.method == "implicit"), Library) else "vm"
 
     def run(self, time, u, p, x0, restart=None) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (n, ny) and states (n, nx) at ``time`` (n,) from inputs (n, nu), parameters (np,), start (nx,).
@@ -254,7 +255,7 @@ class Propagator:
         control = choice.control
         halved = [control._replace(step=control.step / 2.0**k) for k in range(1, int(np.log2(FINEST)) + 1)]
         finer = [choice._replace(control=c) for c in halved]
-        return finer if choice.implicit else [*finer, choice._replace(method="rosenbrock", control=control)]
+        return finer if choice.implicit else [*finer, choice._replace(method="implicit", control=control)]
 
     def _at_zero(self, p, with_states: bool = False) -> None:
         """Refuse sensitivities that were left out."""
@@ -315,14 +316,14 @@ class Propagator:
                     self._choice = choice._replace(at=p)
                     return answer
             self._engine(implicit=True)
-            self._choice = Choice("rosenbrock", Control(self._asked[0]), p)
+            self._choice = Choice("implicit", Control(self._asked[0], TOLERANCE), p)
             return None
 
     def explicit_choices(self) -> list[Choice]:
-        """Explicit ways to run, in the order in which "auto" tries them; none for "rosenbrock"."""
+        """Explicit ways to run, in the order in which "auto" tries them; none for "implicit"."""
         step, method = self._asked
         if method != "auto":
-            return [] if method == "rosenbrock" else [self._choice]
+            return [] if method == "implicit" else [self._choice]
         most = max(FINEST, len(self.flat.states))
         steps = step / 2.0 ** np.arange(int(np.log2(most)) + 1)
         return [Choice("explicit", Control(float(h), self._tolerance, TRIALS * most)) for h in steps]

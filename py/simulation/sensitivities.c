@@ -25,10 +25,10 @@ static void input_rates_at_sample(Run *run, long long k, double *rate) {
 #define ROW(i, sum) \
   for (int c = 0; c < LD; c++) rows[(i) * LD + c] = sum;
 
-/* One stage: xdot and its derivative to theta, rows = d xdot / d theta, at (x, dx). */
+/* One stage: xdot and its derivative to theta, rows = d xdot / d theta, at (x, dx); fx: nonzeros of df/dx. */
 static void linear_stage(Run *run, double t, const double *x, const double *u, const double *restrict dx,
-                         const double *du, double *xdot, double *restrict rows) {
-  double fx[FX_NNZ + 1], fp[FP_NNZ + 1], fu[FU_NNZ + 1];
+                         const double *du, double *xdot, double *restrict rows, double *fx) {
+  double fp[FP_NNZ + 1], fu[FU_NNZ + 1];
   const double *arg[RATE_ARG] = {&t, x, u, run->p};
   double *res[RATE_RES] = {xdot, fx, fp, fu};
   linear_rate(arg, res, run->integers, run->work, 0);
@@ -51,42 +51,26 @@ static inline void weigh(int n, double *restrict to, const double *restrict x, d
   for (int i = 0; i < n; i++) to[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
 }
 
-#if IMPLICIT
-static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
-  const double *dx = z + NX;
-  double mean[NU + 1], rate[ND + 1];
-  double seeds[NX * NT + 1], after[NX * NT + 1]; /* column by column, as CasADi stores matrices */
-  const double *arg[TANGENT_ARG] = {&t, z, mean, run->p, &h, seeds, rate};
-  double *res[TANGENT_RES] = {after};
-  int status = step_state(run, k, t, h, whole, z, next);
-  if (status) return status;
-  mean_inputs(run, k, t, h, whole, mean);
-  mean_input_rates(run, t, h, rate);
-  for (int i = 0; i < NX; i++)
-    for (int c = 0; c < NT; c++) seeds[c * NX + i] = dx[i * LD + c];
-  if (implicit_tangent(arg, res, run->integers, run->work, 0)) return 3;
-  for (int i = 0; i < NX; i++)
-    for (int c = 0; c < NT; c++) next[NX + i * LD + c] = after[c * NX + i];
-  return not_finite(after, NX * NT) ? 3 : 0;
-}
+#if IMPLICIT /* in implicit.c */
+static Step step_tangent;
 #else
 static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
   const double *x = z, *dx = z + NX;
   double u[NU + 1], du[ND + 1];
-  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1], roughness[NX + 1];
+  double k1[NX + 1], k2[NX + 1], k3[NX + 1], k4[NX + 1], xs[NX + 1], roughness[NX + 1], fx[FX_NNZ + 1];
   double d1[NS * LD + 1], d2[NS * LD + 1], d3[NS * LD + 1], d4[NS * LD + 1], ds[NS * LD + 1];
   mean_inputs(run, k, t, h, whole, u);
   mean_input_rates(run, t, h, du);
-  linear_stage(run, t, x, u, dx, du, k1, d1);
+  linear_stage(run, t, x, u, dx, du, k1, d1, fx);
   combine(NX, xs, x, h / 2, k1);
   combine(NS * LD, ds, dx, h / 2, d1);
-  linear_stage(run, t + h / 2, xs, u, ds, du, k2, d2);
+  linear_stage(run, t + h / 2, xs, u, ds, du, k2, d2, fx);
   combine(NX, xs, x, h / 2, k2);
   combine(NS * LD, ds, dx, h / 2, d2);
-  linear_stage(run, t + h / 2, xs, u, ds, du, k3, d3);
+  linear_stage(run, t + h / 2, xs, u, ds, du, k3, d3, fx);
   combine(NX, xs, x, h, k3);
   combine(NS * LD, ds, dx, h, d3);
-  linear_stage(run, t + h, xs, u, ds, du, k4, d4);
+  linear_stage(run, t + h, xs, u, ds, du, k4, d4, fx);
   weigh(NX, next, x, h, k1, k2, k3, k4);
   for (int i = 0; i < NX; i++) { /* as in rk4_substep */
     double bend = k1[i] - k2[i] - k3[i] + k4[i], turn = 2 * (k3[i] - k2[i]);

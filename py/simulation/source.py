@@ -1,7 +1,8 @@
-"""The C text of one model: sizes, sparse products, CasADi functions, driver."""
+"""The C text of one model: sizes, sparse products, CasADi functions, driver, sensitivities, implicit steps."""
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 from pathlib import Path
 
@@ -10,13 +11,13 @@ import casadi as ca
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations
-from .control import BURST, DEEPEST, SMOOTH
+from .control import BURST, DEEPEST, IMPLICIT_SHARE, IMPLICIT_STEPS, SMOOTH, TOLERANCE
 from .equations import Directions
 from .vectors import vector_text
 
-DRIVER, SENSITIVITIES, VECTORS, WALK_OF_LANES = (
+DRIVER, SENSITIVITIES, IMPLICIT, VECTORS, WALK_OF_LANES = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
-    for name in ("driver.c", "sensitivities.c", "vectors.c", "lanes.c")
+    for name in ("driver.c", "sensitivities.c", "implicit.c", "vectors.c", "lanes.c")
 )
 
 # Friction and every smoothed corner call it: half the time of the library's, within 2 units in the last place of it.
@@ -35,6 +36,7 @@ static inline double hydrotwin_tanh(double x) {
 
 def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
     """Everything in one translation unit, so that the compiler can inline the model into the loop."""
+    to = dataclasses.replace(to, zero=()) if implicit else to  # runs and sensitivities share its equations
     functions = _functions(flat, to, implicit)
     kept = list(range(len(flat.states))) if implicit else equations.states_with_rows(flat, to)
     lines = [*_sizes(flat, to, kept), f"#define IMPLICIT {int(implicit)}"]
@@ -42,11 +44,13 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
         lines += [f"#define {prefix}_ARG {function.sz_arg()}", f"#define {prefix}_RES {function.sz_res()}"]
     lines.append(f"#define WORK_REALS {max(f.sz_w() for f in functions.values())}")
     lines.append(f"#define WORK_INTEGERS {max(f.sz_iw() for f in functions.values())}")
-    if to.count:
-        row = {i: position for position, i in enumerate(kept)}
+    row = {i: position for position, i in enumerate(kept)}
+    if to.count or implicit:
         lines += _products("F", functions["RATE"], row, row)
+    if to.count:
         lines += _products("H", functions["SEEN"], {i: i for i in range(len(flat.outputs))}, row)
-    return "\n".join((TANH, _generated(functions), *lines, DRIVER, SENSITIVITIES if to.count else ""))
+    walks = (DRIVER, SENSITIVITIES if to.count else "", IMPLICIT if implicit else "")
+    return "\n".join((TANH, _generated(functions), *lines, *walks))
 
 
 def lanes_source(flat: FlatModel) -> str | None:
@@ -58,13 +62,12 @@ def lanes_source(flat: FlatModel) -> str | None:
 
 
 def _functions(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, ca.Function]:
-    chosen = {"IMPLICIT": equations.implicit_substep(flat)} if implicit else {"RK4": equations.rk4_substep(flat)}
+    chosen = {} if implicit else {"RK4": equations.rk4_substep(flat)}
     chosen["OUTPUT"] = equations.output(flat)
-    if to.count:
+    if to.count or implicit:
         chosen["RATE"] = equations.linear_rate(flat, to)
+    if to.count:
         chosen["SEEN"] = equations.linear_output(flat, to)
-        if implicit:
-            chosen["TANGENT"] = equations.implicit_tangent(flat, to)
     return chosen
 
 
@@ -95,6 +98,9 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
     return [
         *(f"#define {name} {size}" for name, size in sizes.items()),
         f"#define SMOOTH {SMOOTH!r} /* tolerances */",
+        f"#define TOLERANCE {TOLERANCE!r}",
+        f"#define IMPLICIT_STEPS {IMPLICIT_STEPS} /* per sample */",
+        f"#define IMPLICIT_SHARE {IMPLICIT_SHARE!r} /* of the tolerance */",
         f"#define DEEPEST {DEEPEST} /* halvings */",
         f"#define BURST {BURST} /* steps */",
         _table("NOMINAL", [repr(float(s.nominal)) for s in flat.states], "double"),
@@ -126,8 +132,7 @@ def _products(prefix: str, linear: ca.Function, row: dict[int, int], seed: dict[
         if i in row:
             sums[row[i]].append(f"ENTRY({e}) * SEED({seed[j]})")
     lines = [f"#define {prefix}X_ROWS(ROW) " + " ".join(f"ROW({i}, {' + '.join(r) or '0.0'})" for i, r in sums.items())]
-    lines.append(f"#define {prefix}X_NNZ {linear.nnz_out(1)}")
-    for name, which in (("P", 2), ("U", 3)):
+    for name, which in (("X", 1), ("P", 2), ("U", 3)):
         entries = enumerate(zip(*linear.sparsity_out(which).get_triplet(), strict=True))
         each = " ".join(f"ADD({e}, {row[i]}, {j})" for e, (i, j) in entries if i in row)
         lines += [f"#define {prefix}{name}_NNZ {linear.nnz_out(which)}", f"#define {prefix}{name}_EACH(ADD) {each}"]

@@ -56,7 +56,7 @@ def raise_stop(flat: FlatModel, status: int, where, time, u, p) -> None:
     raise Diverged(
         f"{name}.{flat.states[blown].name}: the run {what} at t = {t:.6g} s "
         f"(got {x[blown]:.3g} {flat.states[blown].unit} last). "
-        "Check parameters and start there, or give a smaller step or method='rosenbrock'.",
+        "Check parameters and start there, or give a smaller step or method='implicit'.",
         t,
         flat.states[blown].name,
     )

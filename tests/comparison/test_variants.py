@@ -79,7 +79,7 @@ def test_every_combination_of_a_matrix_is_a_variant_named_by_its_values():
         ("[variants.cold]\nparameters = {a = true}", "a is no number"),
         ("[variants.cold]\nstep = 0", "step is no time above zero"),
         ("[variants.cold]\nperiod = 'slow'", "period is no time above zero"),
-        ("[variants.cold]\nmethod = 'rosenbrok'", "no method 'rosenbrok'. Did you mean 'rosenbrock'"),
+        ("[variants.cold]\nmethod = 'implict'", "no method 'implict'. Did you mean 'implicit'"),
         ("[variants.cold]\nmethod = 3", "method is no text"),
         ("[variants.cold]\ninitial_states = 'fre'", "no initial_states 'fre'. Did you mean 'free'"),
         ("[variants.cold]\neffects_off = 'leak'", "effects_off is no list of texts"),

@@ -71,7 +71,7 @@ def stiffly(model, time, opening):
     flat = model.flat
     p, u = flat.parameter_vector(), opening[:, None]
     x = np.asarray(flat.start_given()(u[0], p, [])).ravel()
-    return np.asarray(prepare(flat, method="rosenbrock").run(time, u, p, x)[0])
+    return np.asarray(prepare(flat, method="implicit").run(time, u, p, x)[0])
 
 
 def test_a_twin_is_added_and_excluded_by_its_own_name():

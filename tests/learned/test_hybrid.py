@@ -110,7 +110,7 @@ def test_an_output_that_is_not_corrected_stays_that_of_the_model(hybrid, identif
     assert np.abs(run["arm_angle"] - plain["arm_angle"]).max() > 1e-3
 
 
-@pytest.mark.parametrize("method", ["explicit", "rosenbrock"])
+@pytest.mark.parametrize("method", ["explicit", "implicit"])
 def test_a_corrected_output_is_the_model_s_and_what_the_residual_says_of_it(actuator, lopsided, method):
     residual = random_residual(actuator, size=100.0)
     block, record = join(actuator, residual, method=method), lopsided[1].window(0.0, 1.0)

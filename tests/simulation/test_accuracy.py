@@ -44,7 +44,7 @@ def run(propagator, time, u=None, p=None, x0=(1.0, 0.0)):
     return propagator.run(time, u, p, np.array(x0, dtype=float))
 
 
-@pytest.mark.parametrize("method", ["auto", "rosenbrock"])
+@pytest.mark.parametrize("method", ["auto", "implicit"])
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8, 1e10])
 def test_a_ball_rebounds_to_the_height_it_fell_from(stiffness, method):
     """Its contacts last 31 ms to 31 us and lie between samples, whichever these are."""
@@ -63,7 +63,7 @@ def test_energy_stays_in_ten_seconds_of_hard_contacts():
     assert energy == pytest.approx(G, rel=2e-5)
 
 
-@pytest.mark.parametrize("method", ["auto", "rosenbrock"])
+@pytest.mark.parametrize("method", ["auto", "implicit"])
 @pytest.mark.parametrize("stiffness", [1e4, 1e6, 1e8])
 def test_derivatives_go_through_contacts(stiffness, method):
     """How the stiffness moves the height, seconds and contacts later; the closed form's central difference."""
@@ -105,7 +105,7 @@ def test_parameters_that_moved_far_are_decided_again():
     run(propagator, time, p=near, x0=[1.0])
     assert propagator.method == "explicit"
     y, _ = run(propagator, time, p=far, x0=[1.0])
-    assert propagator.method == "rosenbrock"
+    assert propagator.method == "implicit"
     assert y[:, 0] == pytest.approx(np.cos(time), abs=1e-7)
     run(propagator, time, x0=[1.0])
     assert propagator.method == "explicit"
@@ -216,9 +216,9 @@ def test_a_coarse_step_that_misses_the_accuracy_is_halved():
 
 
 def test_a_block_whose_steps_are_unstable_is_refused():
-    with pytest.raises(DeclarationError, match=r"grows in steps of 0\.001 s.*method='rosenbrock'"):
+    with pytest.raises(DeclarationError, match=r"grows in steps of 0\.001 s.*method='implicit'"):
         lower(stiff_pair(fast=1e4), 0.01)
-    assert lower(stiff_pair(fast=1e4), 0.01, method="rosenbrock").period == 0.01
+    assert lower(stiff_pair(fast=1e4), 0.01, method="implicit").period == 0.01
     assert lower(stiff_pair(fast=1e3), 0.01).period == 0.01
 
 

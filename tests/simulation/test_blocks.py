@@ -47,9 +47,9 @@ def test_a_lowered_block_equals_the_simulation_to_rounding():
     assert_same(simulate(lower(model, 0.01), record), simulate(model, record), 1e-10)
 
 
-def test_a_rosenbrock_block_equals_the_rosenbrock_simulation():
+def test_an_implicit_block_equals_the_implicit_simulation():
     model, record = flat_cehA(), command_record()
-    assert_same(simulate(lower(model, 0.01, "rosenbrock"), record), simulate(model, record, method="rosenbrock"), 1e-6)
+    assert_same(simulate(lower(model, 0.01, "implicit"), record), simulate(model, record, method="implicit"), 1e-6)
 
 
 @pytest.mark.parametrize("Td", [0.0, 0.01, 0.0137, 0.05])

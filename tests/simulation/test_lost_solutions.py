@@ -11,7 +11,7 @@ from hydrotwin.models.language import Component, Input, Model, Output, Parameter
 from hydrotwin.records import Record
 from hydrotwin.simulation import Diverged, prepare, simulate
 
-METHODS = ("auto", "explicit", "vm", "rosenbrock")
+METHODS = ("auto", "explicit", "vm", "implicit")
 TIME = np.linspace(0, 2, 201)
 RAMP = Record(TIME, {"u": 0.8 * TIME}, {"u": "1"}, "ramp")
 

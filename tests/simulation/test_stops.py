@@ -11,7 +11,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Diverged, lower, prepare, simulate
 from tests.simulation.small_models import explosion, lag, small_model
 
-METHODS = ("auto", "explicit", "vm", "rosenbrock")
+METHODS = ("auto", "explicit", "vm", "implicit")
 TIME = np.linspace(0, 2, 201)
 NO_INPUT = np.empty((201, 0))
 

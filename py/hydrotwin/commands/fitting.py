@@ -72,7 +72,7 @@ def identify(
         list[str] | None, typer.Option("--bounds", metavar="PATH=LOW:HIGH", help="limits of a free parameter, SI")
     ] = None,
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
-    method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, explicit, implicit or vm")] = "auto",
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
     interpolation: InterpolationOption = None,
     as_json: JsonOption = False,

@@ -66,7 +66,7 @@ def simulate(
         ),
     ] = None,
     step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
-    method: Annotated[str, typer.Option(help="auto, explicit, rosenbrock or vm")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, explicit, implicit or vm")] = "auto",
     interpolation: InterpolationOption = None,
     initial_states: InitialStatesOption = "measured",
     as_json: JsonOption = False,

@@ -58,7 +58,7 @@ def learn_hybrid(
             model lose anything worth having.
         validate: checked, and nothing else. select: recordings to choose by, which take no part in training.
         features: simulated outputs that the residual may depend on; None: all that move.
-        method: "explicit", "rosenbrock" (for a stiff model, see `lower`), or "auto": what `simulate` takes.
+        method: "explicit", "implicit" (for a stiff model, see `lower`), or "auto": what `simulate` takes.
         lags: past increments of the residual, samples of the inputs.
         training: seed, starts, hidden, effort, budget and progress of `train_network`.
 
@@ -162,7 +162,7 @@ def _method(flat, record: Record) -> dict:
     settled = prepare(flat)
     u, p = record.array([s.name for s in flat.inputs]), flat.parameter_vector()
     settled.run(record.time, u, p, flat.start_given(())(u[0], p, []).full().ravel())
-    return {"method": "rosenbrock" if settled.method == "rosenbrock" else "explicit", "substep": settled.step}
+    return {"method": "implicit" if settled.method == "implicit" else "explicit", "substep": settled.step}
 
 
 def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float:

@@ -252,7 +252,7 @@ static int open_run(Run *run) {
   run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
 #if IMPLICIT
   run->trials[0] = BURST + IMPLICIT_STEPS * (double)run->samples;
-  run->control.tolerance = IMPLICIT_SHARE * fmin(run->control.tolerance, TOLERANCE);
+  run->control.tolerance = IMPLICIT_SHARE * (run->control.tolerance < INFINITY ? run->control.tolerance : TOLERANCE);
 #endif
   memset(run->cursor, 0, sizeof run->cursor);
   units_of_errors(run);

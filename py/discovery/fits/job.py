@@ -17,11 +17,13 @@ from hydrotwin.identification.problem import FreeParameters, Recording, free_par
 from hydrotwin.identification.shooting import Prior
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
+from hydrotwin.simulation.control import TOLERANCE
 
 from ..evidence.score import Spectrum
 
 KNOWN_TO = np.log(2.0)  # one sigma of what a model came with, of ln p
 WINDOWS = 200  # of a length, at most
+ROUGH = 10.0  # times the error in a step of a run that only tells candidates apart
 BROAD = 0.05  # of the spread of an output: the error allowed before anything is known of it
 
 
@@ -140,7 +142,8 @@ def task_of(
     """The task of a fit from one start, where a residual of ``size`` (ny,), SI, costs as much as noise does."""
     q = job.question
     free = free_parameters(job.flat, job.free, inside(job.flat, start))
-    propagator = prepare(job.flat, free_parameters=free.names, free_states=list(states), step=q.step, few_runs=few_runs)
+    settings = {"few_runs": True, "tolerance": ROUGH * TOLERANCE} if few_runs else {}
+    propagator = prepare(job.flat, free_parameters=free.names, free_states=list(states), step=q.step, **settings)
     return Task(
         job.flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads,
         _silent, q.noise, prior=prior_of(free, q),

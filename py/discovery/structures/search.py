@@ -165,6 +165,10 @@ class Search:
             if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
                 break
         base.failed = "" if base.fitted else base.failed
+        if not self.first:  # else it leaves far too much, wherever it would come to rest
+            self._fit_base_further(base)
+
+    def _fit_base_further(self, base: Entry) -> None:
         if base.fitted and not base.fitted.converged:
             (found,) = self._ran([self.jobs.further(base)])
             self.table.keep_better(base, found)
@@ -305,7 +309,14 @@ class Search:
             return
         self.least = table.score(best)
         (found,) = self._ran([self.jobs.from_there(base, best)])
+        own = base.fitted
         self.table.keep_better(base, found)
+        if table.score(base) > FREED * before:
+            return
+        freed, base.fitted = base.fitted, own
+        self._fit_base_further(base)
+        before = table.score(base)
+        self.table.keep_better(base, freed)
         if table.score(base) > FREED * before:
             return
         if self.first and best.look:

@@ -22,6 +22,7 @@ INVISIBLE = 1.0  # a change of 100 % that moves the recordings by less than one 
 VAGUE = 0.2  # a direction known worse than this (relative to the start) ...
 PARALLEL = 0.05  # ... and with a singular value below this is a trade, not just a weak effect
 MEMBER = 0.2
+FAR = 3.0  # times what the worst training recording leaves: a validation recording that leaves more is told
 REVEALING = 1e-3  # of what the parameter that moves an output most does: what a sensor of it must see at least
 
 
@@ -108,7 +109,7 @@ def bounds_reached(names: Sequence[str], values, lower, upper, units, at_bound) 
 
 
 def unexplained(residuals: Sequence) -> list[Finding]:
-    """One sentence per output whose training residual is more than noise."""
+    """One sentence per output whose training residual is more than noise, or which is left at far more elsewhere."""
     findings = []
     for output in dict.fromkeys(r.output for r in residuals):
         rows = [r for r in residuals if r.output == output and r.role == "train"]
@@ -120,4 +121,27 @@ def unexplained(residuals: Sequence) -> list[Finding]:
             f"identify: the fitted model leaves {np.sqrt(worst.chi2_per_sample):.2f} times the noise on {output} in "
             f"{worst.record}{colour}. The parameters cannot explain it. Look for a missing effect, or free more."
         )))  # fmt: skip
+    return [*findings, *not_borne_out(residuals)]
+
+
+def not_borne_out(residuals: Sequence) -> list[Finding]:
+    """One sentence per output of which a validation recording leaves far more than any that was fitted to."""
+    findings = []
+    for output in dict.fromkeys(r.output for r in residuals):
+        trained, judged = (
+            max((r for r in residuals if (r.output, r.role) == (output, role)), key=_times, default=None)
+            for role in ("train", "validate")
+        )
+        if trained and judged and _times(judged) > FAR * max(1.0, _times(trained)):
+            findings.append(Finding("not_borne_out", (), (
+                f"identify: {judged.record}, which took no part, leaves {_times(judged):.3g} times the noise on "
+                f"{output}; the training recordings leave {_times(trained):.3g} at most. What was fitted does not hold "
+                "there. Look whether its start, its inputs or its machine are others (hydrotwin inspect), or what is "
+                "missing."
+            )))  # fmt: skip
     return findings
+
+
+def _times(residual) -> float:
+    """RMSE over the noise."""
+    return float(np.sqrt(residual.chi2_per_sample))

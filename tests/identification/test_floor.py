@@ -141,3 +141,20 @@ def test_neither_a_tiny_scale_nor_a_huge_offset_makes_a_gap(size, offset, noise)
 def test_less_than_the_noise_is_never_unexplained():
     rest = OutputResidual("run", "angle", "train", 0.5, 1.0, "rad", 1000, 0.25, 0.99, 0.0, False)
     assert rest.explained
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (1.3, True), (5.0, True)])
+def test_a_validation_recording_of_another_machine_is_told_beside_convergence(factor, told):
+    model, random = lagging(1.0, 0.0), np.random.default_rng(3)
+    time = np.arange(0.0, 20.0, 0.02)
+
+    def recorded(name: str, gain: float) -> Record:
+        u = np.repeat(random.normal(size=len(time) // 50 + 1), 50)[: len(time)]
+        y, _ = prepare(model).run(time, u[:, None], np.array([gain, 0.3]), np.array([0.0]))
+        level = y[:, 0] + 1e-2 * random.normal(size=len(time))
+        return Record(time, {"command": u, "level": level}, {"command": "V", "level": "Pa"}, name)
+
+    fit = identify(model, [recorded("same", 1.0)], validate=[recorded("other", factor)])
+    found = [f for f in fit.findings if f.kind == "not_borne_out"]
+    assert fit.converged and bool(found) is told
+    assert not told or ("other, which took no part" in found[0].sentence and "level" in found[0].sentence)

@@ -34,6 +34,8 @@ from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
 from hydrotwin.simulation import simulate
 
+from .page import put_first
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HOLD, ARX, AUTO = "hold", "arx", "auto"
 SEEDS = 5
@@ -228,7 +230,7 @@ def main() -> None:
     (given.out / "table.md").write_text(text + "\n", encoding="utf-8")
     if given.scoreboard:
         page = scoreboard(text, [known[name] for name in given.data], given)
-        given.scoreboard.write_text(page, encoding="utf-8")
+        put_first(given.scoreboard, page)
     print(text)
 
 

@@ -27,14 +27,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import kendalltau
 
+from benchmarks.learned.page import put_first
 from hydrotwin.learned import learn, learn_best, refitted
 from hydrotwin.learned.learning import KINDS, takes, trainer
 from hydrotwin.learned.ranking import ALONE
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
 from hydrotwin.simulation import simulate
-
-from .page import put_first
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 HOLD, ARX, AUTO = "hold", "arx", "auto"

@@ -21,14 +21,13 @@ from pathlib import Path
 import numpy as np
 
 import hydrotwin as ht
+from benchmarks.learned.foreign import EXAMPLES, Task, tasks
+from benchmarks.learned.page import put_section
 from hydrotwin.identification import Fit, identify
 from hydrotwin.identification.beginning import BEGINNING, estimate_start
 from hydrotwin.models.effects import candidates
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
-
-from .foreign import EXAMPLES, Task, tasks
-from .page import put_section
 
 HEADING = "Identified physics"
 FIRST = 50  # samples of a test file that may tell its start: what the tanks' benchmark allows; ten of them make a tenth

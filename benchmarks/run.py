@@ -1,7 +1,8 @@
 """make bench: run every benchmark of this folder, one after the other, and keep what it prints.
 
 ``python benchmarks/run.py [NAME...]`` runs those whose path contains a NAME; those of `LONG` only when
-named. Times are of a shared, noisy machine: quote the ratios, each measured in one run. What is printed also goes to out/benchmarks/.
+named. Times are of a shared, noisy machine: quote the ratios, each measured in one run.
+What is printed also goes to out/benchmarks/.
 """
 
 from __future__ import annotations

@@ -59,7 +59,7 @@ def demo(
     machines: Annotated[
         list[str] | None, typer.Option("--machine", help="cehA or spool_valve; both by default")
     ] = None,
-    budget: Annotated[float, typer.Option(help="seconds for each network")] = 40.0,
+    budget: Annotated[float, typer.Option(help="seconds for each network")] = 30.0,
 ) -> None:
     """Identify, learn, export, find what is missing, compare and report, on the shipped recordings."""
     check_folder(output)

@@ -190,8 +190,8 @@ def _draws_told(draws: Sequence[Mapping]) -> str:
     ratios, seconds = [d["ratio"] for d in inside], [d["seconds"] for d in draws]
     found = f"median {np.median(ratios):.3f}, {min(ratios):.3f} to {max(ratios):.3f}" if inside else "none"
     return (
-        f"{DRAWS} draws over sensitivities, parameters alone, {len(inside)} of {len(draws)} cases, of which no draw leaves the bounds: "
-        f"{found}. Processor time {np.median(seconds):.2g} s a case, {max(seconds):.2g} s at most."
+        f"{DRAWS} draws over sensitivities, parameters alone, {len(inside)} of {len(draws)} cases, in which no draw "
+        f"leaves the bounds: {found}. Processor time {np.median(seconds):.2g} s a case, {max(seconds):.2g} s at most."
     )
 
 

@@ -6,11 +6,12 @@ OUT ?= out/demo
 WORKERS ?= 2
 # A test that kills its worker ends the run: pytest-xdist hangs where it restarts one.
 TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
+OFFICIAL ?= --seeds 1 --data tanks emps --kinds arx linear piecewise grey_box symbolic gp state_nn nn
 GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo fmus gates test lint bench bench-gap bench-learned clean
+.PHONY: help demo fmus gates test lint bench bench-bands bench-gap bench-learned scoreboard clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
@@ -20,9 +21,12 @@ help:
 	@echo "make test   the tests"
 	@echo "make lint   style"
 	@echo "make bench  slow proofs, then speed, as ratios"
+	@echo "make bench-bands  whether bands cover what sensors read, and are doubted where something is missing, on 80 cases;"
+	@echo "                in pieces: make bench-bands BANDS='--cases 4 --kind right'"
 	@echo "make bench-gap  which hidden effects the gap workflow finds, beside the baselines, on 10 short cases;"
 	@echo "                all of them: make bench-gap GAP='--seeds fresh --out out/gap_fresh'"
 	@echo "make bench-learned  every kind of learned model by its defaults on recordings made by others"
+	@echo "make scoreboard  docs/scoreboard.md: learned models and identified physics on official benchmarks"
 
 # torch==2.13.0 comes from constraints.txt
 $(VENV)/.run: pyproject.toml constraints.txt
@@ -57,8 +61,15 @@ bench: $(VENV)/.dev
 bench-gap: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.gap --processes $(WORKERS) $(GAP)
 
+bench-bands: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.comparison.band_coverage $(BANDS)
+
 bench-learned: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.learned.foreign $(LEARNED)
+
+scoreboard: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.learned.foreign $(OFFICIAL) --scoreboard docs/scoreboard.md
+	$(BIN)/python -m benchmarks.learned.physical --scoreboard docs/scoreboard.md
 
 clean:
 	rm -rf out build dist .pytest_cache .ruff_cache .import_linter_cache

@@ -1,7 +1,8 @@
 """make bench: run every benchmark of this folder, one after the other, and keep what it prints.
 
-``python benchmarks/run.py [NAME...]`` runs those whose path contains a NAME. Times are of a shared, noisy machine:
-quote the ratios, each measured in one run. What is printed also goes to out/benchmarks/.
+``python benchmarks/run.py [NAME...]`` runs those whose path contains a NAME; those of `LONG` only when
+named. Times are of a shared, noisy machine: quote the ratios, each measured in one run.
+What is printed also goes to out/benchmarks/.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+LONG = ("comparison/band_coverage.py",)  # has a target of its own in the Makefile
 OUT = HERE.parent / "out" / "benchmarks"
 
 
 def main(wanted: list[str]) -> int:
     scripts = sorted(p for p in HERE.glob("*/*.py") if not p.name.startswith("_") and _has_main(p))
-    chosen = [p for p in scripts if not wanted or any(name in str(p.relative_to(HERE)) for name in wanted)]
+    paths = {p: p.relative_to(HERE).as_posix() for p in scripts}
+    chosen = [p for p, path in paths.items() if (any(n in path for n in wanted) if wanted else path not in LONG)]
     OUT.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {"PYTHONPATH": str(HERE.parent), "OMP_NUM_THREADS": "1"}
     failed = []

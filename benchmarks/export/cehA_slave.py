@@ -42,9 +42,7 @@ class CehASlave(Fmi2Slave):
         k2 = rate([a + h / 2 * b for a, b in zip(x, k1, strict=True)], u)
         k3 = rate([a + h / 2 * b for a, b in zip(x, k2, strict=True)], u)
         k4 = rate([a + h * b for a, b in zip(x, k3, strict=True)], u)
-        self.state = x = [
-            a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
-        ]
+        self.state = x = [a + h / 6 * (b + 2 * c + 2 * d + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
         self.motor_speed, self.pressure_cap, self.pressure_rod, self.arm_angle, _ = x
         pin, distance = self.pin, self.distance
         self.rod_position = sqrt(pin**2 + distance**2 + 2 * pin * distance * sin(x[3])) - self.retracted

@@ -1,6 +1,6 @@
 """Seconds per Gauss-Newton evaluation against samples and against free parameters: both should be straight lines.
 
-    python -m benchmarks.identification.scaling
+python -m benchmarks.identification.scaling
 """
 
 from __future__ import annotations

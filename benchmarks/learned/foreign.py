@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import kendalltau
 
+from benchmarks.learned.page import put_first
 from hydrotwin.learned import learn, learn_best, refitted
 from hydrotwin.learned.learning import KINDS, takes, trainer
 from hydrotwin.learned.ranking import ALONE
@@ -228,7 +229,7 @@ def main() -> None:
     (given.out / "table.md").write_text(text + "\n", encoding="utf-8")
     if given.scoreboard:
         page = scoreboard(text, [known[name] for name in given.data], given)
-        given.scoreboard.write_text(page, encoding="utf-8")
+        put_first(given.scoreboard, page)
     print(text)
 
 

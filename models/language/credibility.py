@@ -73,7 +73,9 @@ class Evidence:
         counts = {role: sum(r["role"] == role for r in self.recordings) for role in (FIT, JUDGE)}
         on = " and ".join(f"{n} recording{'s' if n > 1 else ''} to {role}" for role, n in counts.items() if n)
         made = ", ".join(f"{name} {number}" for name, number in self.versions.items())
-        return f"{self.by} on {self.date[:10]} ({made}), {on or 'no recordings'}: {self._result()}"
+        doubted = ", ".join(str(name) for name in _listed(self.facts.get("untrusted_bands")))
+        doubt = f". Its bands cannot be trusted for {doubted}" if doubted else ""
+        return f"{self.by} on {self.date[:10]} ({made}), {on or 'no recordings'}: {self._result()}{doubt}"
 
     def _result(self) -> str:
         if self.criteria:
@@ -148,8 +150,9 @@ def from_data(data: object, where: str) -> Credibility:
         raise DataError(f"{where}: [credibility] has no 'format' (got {told!r}), so it cannot be read. {NEXT}")
     if told > FORMAT:
         raise DataError(f"{where}: its [credibility] is of a newer version (format {told}). Update hydrotwin.")
-    rows = data.get("evidence", [])
-    return Credibility(tuple(_evidence(row, f"{where}: evidence {k}") for k, row in enumerate(rows, 1)))
+    rows = [_evidence(row, f"{where}: evidence {k}") for k, row in enumerate(data.get("evidence", []), 1)]
+    once = {_digest(one.as_data()): one for one in rows}  # an entry that was pasted twice was found once
+    return Credibility(tuple(once.values()))
 
 
 def _evidence(row: object, where: str) -> Evidence:
@@ -194,6 +197,10 @@ def _values(node: object) -> object:
     if any(not isinstance(below, Mapping) for below in node.values()):
         return {key: node[key] for key in ("value", "unit") if key in node}
     return {key: _values(below) for key, below in node.items()}
+
+
+def _listed(value: object) -> list:
+    return value if isinstance(value, list) else []
 
 
 def _margin(row: Mapping) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -17,6 +18,7 @@ import numpy as np
 
 from .errors import DataError
 
+_WRITING = stat.S_IWUSR | stat.S_IWGRP | stat.S_IWOTH
 _NEXT = "Check the folder, its permissions and the free space."
 
 
@@ -24,11 +26,13 @@ _NEXT = "Check the folder, its permissions and the free space."
 def replacing(path: Path | str) -> Iterator[Path]:
     """A path beside ``path`` to write to; it takes the place of ``path`` when the block ends without an error.
 
+    A link stays one: what it points to is replaced.
+
     Raises
     ------
-    DataError : the folder does not exist and cannot be made, or may not be written to.
+    DataError : the folder does not exist and cannot be made, or may not be written to; the file is read-only.
     """
-    path = Path(path)
+    path = target(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, beside = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
@@ -43,6 +47,22 @@ def replacing(path: Path | str) -> Iterator[Path]:
         raise DataError(f"{path}: cannot be written ({error.strerror or error}). {_NEXT}") from None
     finally:
         Path(beside).unlink(missing_ok=True)
+
+
+def target(path: Path | str) -> Path:
+    """The file that is written where ``path`` is: that behind a link.
+
+    Raises DataError for a file that is read-only: somebody means it to stay, and a rename would not ask.
+    """
+    path = Path(path)
+    try:
+        if path.is_symlink():
+            path = Path(os.path.realpath(path, strict=False))
+        if path.is_file() and not (path.stat().st_mode & _WRITING and os.access(path, os.W_OK)):
+            raise DataError(f"{path}: it is read-only and stays as it is. Write elsewhere, or make it writable.")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror or error}). {_NEXT}") from None
+    return path
 
 
 def write_whole(path: Path | str, content: str | bytes) -> None:

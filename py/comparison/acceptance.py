@@ -109,12 +109,21 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
 
 
 def _with_reason(one: Judged, comparison: Comparison, model: str) -> Judged:
-    """The same with why there is no number, where a recording failed."""
+    """The same with the samples that it was judged on, and why there is no number, where a recording failed."""
+    one = dataclasses.replace(one, samples=_samples(one, comparison, model))
     if np.isfinite(one.value) or np.isnan(one.value):
         return one
     chosen = of_group(comparison.records, one.criterion.group)
     failed = [f for f in comparison.failures if f.model == model and f.record in chosen]
     return dataclasses.replace(one, reason=f"{failed[0].record}: {failed[0].sentence}" if failed else "")
+
+
+def _samples(one: Judged, comparison: Comparison, model: str) -> int | None:
+    """Of all recordings that a criterion is about; None where nothing was scored."""
+    chosen, mode = of_group(comparison.records, one.criterion.group), comparison.modes[0]
+    key = (model, one.criterion.output, mode)
+    counts = [s.samples for s in comparison.scores if (s.model, s.output, s.mode) == key and s.record in chosen]
+    return sum(counts) if counts else None
 
 
 def check_wanted(wanted: Wanted, models: Sequence[str], outputs: Sequence[Signal], records: Sequence[Record]) -> None:
@@ -304,6 +313,8 @@ def junit(found: Acceptance, title: str) -> str:
         if not one.passed:
             words = one.undefined or f"found {one.value:.6g}, allowed {one.low:.6g} to {one.high:.6g} (SI)"
             ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
+        if one.caution:
+            ElementTree.SubElement(case, "system-out").text = one.caution
     root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
     root.append(suite)
     ElementTree.indent(root)

@@ -13,6 +13,7 @@ from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 
+from .band import Band
 from .field import FieldMetrics
 from .residual import Residual
 from .starts import Started
@@ -149,7 +150,7 @@ class DomainShare:
 
 @dataclass(frozen=True)
 class Entrant:
-    """A contender as it was listed: what it is, without what it can do."""
+    """A contender as it was listed: what it is, without what it can do. ``bands``: those of its free run."""
 
     name: str
     kind: str
@@ -157,6 +158,7 @@ class Entrant:
     outputs: tuple[Signal, ...]
     parameters: tuple[ParameterValue, ...] = ()
     provenance: Mapping = field(default_factory=dict)
+    bands: tuple[Band, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -12,6 +12,7 @@ import numpy as np
 
 from hydrotwin.identification.bands import SPREAD, Spread, deviations
 from hydrotwin.identification.beginning import StartEstimate, estimate_start
+from hydrotwin.learned.bands import WIDE, known_bands
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -135,26 +136,34 @@ class PhysicalContender:
 
 
 class BlockContender:
-    """A sampled Block: a trained network, Gaussian process or formula."""
+    """A sampled Block: a trained network, Gaussian process, formula or hybrid.
 
-    def __init__(self, block: Block, kind: str = "learned", name: str | None = None):
+    half_widths : of the conformal band (SI) in free run, by output, for outputs without own deviations; by default
+    what the block's provenance tells of what was held out (`known_bands`), so none where nothing was.
+    """
+
+    def __init__(
+        self, block: Block, kind: str = "learned", name: str | None = None, half_widths: Mapping | None = None
+    ):
         self.block, self.kind, self.name = block, kind, name or block.name
         self.inputs, self.outputs, self.parameters = block.inputs, block.outputs, block.parameters
         self.domain, self.provenance = block.domain, dict(block.provenance)
+        self.half_widths = _half_widths(block) if half_widths is None else dict(half_widths)
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> BlockContender:
         """The same whose inputs do something else between samples, see `changed`."""
-        return BlockContender(self.block.with_inputs(changes), self.kind, self.name)
+        return BlockContender(self.block.with_inputs(changes), self.kind, self.name, self.half_widths)
 
     @property
     def content(self) -> tuple:
         """What its runs depend on."""
-        return tuple(getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS)
+        own = tuple(getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS)
+        return (*own, self.half_widths)
 
     def to_travel(self) -> BlockContender:
         """The same block without what it was made of."""
         own = {f.name: getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS}
-        return BlockContender(Block(**own), self.kind, self.name)
+        return BlockContender(Block(**own), self.kind, self.name, self.half_widths)
 
     def free_run(self, record: Record) -> Record:
         """Outputs of the block run at its own period."""
@@ -163,6 +172,17 @@ class BlockContender:
     def one_step(self, record: Record) -> Record:
         """Outputs of the block, its measured states set to the measurement at every sample."""
         return predict_one_step(self.block, record)
+
+    def deviations(self, record: Record) -> dict[str, np.ndarray]:
+        """Standard deviation (n,), SI, that gives the conformal band of a free run, by output that has one."""
+        return {name: np.full(len(record), wide / WIDE) for name, wide in self.half_widths.items()}
+
+
+def _half_widths(block: Block) -> dict[str, float]:
+    """Of the conformal bands, by output."""
+    own = {s.name for s in block.outputs}
+    told = {n: b.half_width for n, b in known_bands(block.provenance).items() if b.half_width is not None}
+    return {n: wide for n, wide in told.items() if n in own and f"{n}.sd" not in own}
 
 
 class HoldLast:

@@ -48,6 +48,7 @@ UNDEFINED: Mapping[str, str] = {
     "vv20": "the model has no band",
 }
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
 _WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
 _BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
@@ -83,6 +84,7 @@ class Judged:
 
     value : SI or a share of 1. low, high : what it had to lie in. margin : how far inside, over the size of the bound;
     negative outside. reason : why a recording left no number, in a sentence; what has none passes nothing.
+    samples : that it was judged on, None where nobody counted.
     """
 
     criterion: Criterion
@@ -90,6 +92,7 @@ class Judged:
     low: float
     high: float
     reason: str = ""
+    samples: int | None = None
 
     @property
     def passed(self) -> bool:
@@ -104,6 +107,13 @@ class Judged:
             one = self.criterion
             return f"{one.than} has no {one.metric} to compare with" if np.isnan(self.high) else ""
         return f"not defined: {UNDEFINED.get(self.criterion.metric, 'nothing was found to judge')}"
+
+    @property
+    def caution(self) -> str:
+        """What to know before it is relied on; empty where there is nothing."""
+        if self.samples is None or self.samples >= FEWEST:
+            return ""
+        return f"judged on only {self.samples} sample{'s' * (self.samples != 1)}"
 
     @property
     def margin(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
 
 from .acceptance import Acceptance
+from .band import made_from
 from .comparison import Comparison, Entrant, Score
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
@@ -82,6 +83,7 @@ def _evidence(file: ModelFile, comparison: Comparison, accepted: Acceptance | No
         "model": name,
         "title": comparison.title,
         "initial_states": "estimated" if any(s.model == name for s in comparison.starts) else "measured",
+        "untrusted_bands": _untrusted(comparison, name),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
     return Evidence(
@@ -97,11 +99,11 @@ def fitted_recordings(file: ModelFile) -> frozenset[str]:
     return file.credibility.fitted_on | made_from(file.provenance)
 
 
-def made_from(provenance: Mapping) -> frozenset[str]:
-    """SHA-256 of the recordings that a model was fitted to or a block trained on, as far as its provenance says it."""
-    rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
-    rows += [r for r in provenance.get("trained_on", ()) if isinstance(r, Mapping)]
-    return frozenset(r["sha256"] for r in rows if r.get("sha256"))
+def _untrusted(comparison: Comparison, name: str) -> list[str]:
+    """Scored outputs whose band is not to be believed."""
+    scored = {s.name for s in comparison.outputs}
+    bands = [band for e in comparison.entrants if e.name == name for band in e.bands]
+    return [band.output for band in bands if band.trusted is False and band.output in scored]
 
 
 def _metrics(score: Score, role: str) -> dict:

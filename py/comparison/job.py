@@ -20,6 +20,7 @@ from hydrotwin.records import NoiseFloor, Record, require
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.memory import key_of
 
+from .band import SD
 from .comparison import FREE_RUN, MODES, Failure, Score, Unscored
 from .field import Predicted, field_metrics
 from .metrics import errors_of
@@ -28,7 +29,6 @@ from .residual import Residual, explain
 from .starts import Started, start_of
 from .travel import Carried
 
-SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
 WARNINGS: Mapping[str, type[Warning]] = {w.__name__: w for w in (InaccurateWarning, StartValueWarning)}
 
@@ -151,12 +151,12 @@ def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict
     """Standard deviations by output where the contender has them for this mode; without them it is scored, too."""
     own = {s.name for s in contender.outputs}
     known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
-    if known or mode != FREE_RUN or not hasattr(contender, "deviations"):
+    if mode != FREE_RUN or not hasattr(contender, "deviations"):
         return known
     try:
-        return contender.deviations(record)
+        return contender.deviations(record) | known
     except HydrotwinError:
-        return {}
+        return known
 
 
 def _lean(run: Run, contender, record: Record) -> Run:

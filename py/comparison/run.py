@@ -17,6 +17,7 @@ from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
 
+from .band import bands_of
 from .comparison import MODES, Comparison, Entrant, Inaccurate, Timing, Trajectory, mean_scores, relative_scores
 from .contender import Contender, as_contender
 from .domain import domain_shares
@@ -203,6 +204,7 @@ def _entrant(contender) -> Entrant:
         tuple(contender.outputs),
         tuple(getattr(contender, "parameters", None) or ()),
         {**(getattr(contender, "provenance", None) or {}), **({"inputs between samples": chosen} if chosen else {})},
+        bands_of(contender),
     )
 
 

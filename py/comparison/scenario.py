@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,6 +24,7 @@ JUDGING = ("tags", "accept", "judge", "against")
 VARYING = ("variants", "matrix")
 KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING, *VARYING)
 _FILES = (".toml", ".fmu", ".npz")
+_VARIABLE = re.compile(r"\$(?:\{(\w+)\}|([A-Za-z_]\w*))")
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,7 @@ class Scenario:
 
 
 def read_scenario(path: str | Path) -> Scenario:
-    """Read a scenario from TOML; paths in it are relative to the file, and may hold ``*``.
+    """Read a scenario from TOML; paths in it are relative to the file, and may hold ``*`` and ``$VARIABLE``.
 
     ::
 
@@ -243,27 +246,57 @@ def _located(model: str, path: Path) -> str:
     """The model with its path made relative to the scenario file, when it is a path."""
     file, colon, factory = model.partition(".py:")
     if colon:
-        return f"{path.parent / file}.py:{factory}"
+        factory, at, values = factory.partition("@")
+        return f"{path.parent / file}.py:{factory}" + (f"@{_model_file(values, path)}" if at and values else at)
     name, fmu, outputs = model.partition(".fmu:")
     name += ".fmu" if fmu else ""
     if not name.endswith(_FILES):
         return model
-    file = path.parent / name
+    file = _model_file(name, path)
+    return f"{file}:{outputs}" if fmu else str(file)
+
+
+def _model_file(name: str, path: Path) -> Path:
+    file = path.parent / _expanded(name, path)
     if not file.exists():
         raise DataError(f"{path.name}: no model file '{name}'. {_nearest_file(file)}")
-    return f"{file}:{outputs}" if fmu else str(file)
+    return file
+
+
+def _expanded(name: str, path: Path) -> str:
+    """A path with what its environment variables say, ``$DATA/a.csv`` or ``${DATA}/a.csv``.
+
+    Raises DataError for a variable that is not set, or empty: the rest of the path would be looked for at the root.
+    """
+
+    def value(found: re.Match) -> str:
+        variable = found[1] or found[2]
+        if not os.environ.get(variable):
+            raise DataError(
+                f"{path.name}: '{name}' needs the environment variable {variable}, which is not set. Set it to the "
+                f"folder that is meant: export {variable}=/path/to/folder."
+            )
+        return os.environ[variable]
+
+    return name if (path.parent / name).exists() else _VARIABLE.sub(value, name)
 
 
 def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:
     """The recordings named, each once; a pattern that is no file stands for all files it matches, sorted."""
     found: dict[Path, None] = {}
-    for name in names:
+    for name in (_expanded(name, path) for name in names):
         is_pattern = ("*" in name or "?" in name) and not (path.parent / name).is_file()
-        matches = sorted(path.parent.glob(name)) if is_pattern else [path.parent / name]
+        matches = _matches(path.parent, name) if is_pattern else [path.parent / name]
         if not matches or not matches[0].exists():
             raise DataError(f"{path.name}: no recording '{name}'. {_nearest_file(path.parent / name)}")
         found |= dict.fromkeys(matches)
     return tuple(found)
+
+
+def _matches(folder: Path, pattern: str) -> list[Path]:
+    """Files that a pattern stands for; one that begins at the root is looked for from there."""
+    anchor = Path(pattern).anchor
+    return sorted((Path(anchor) if anchor else folder).glob(str(Path(pattern).relative_to(anchor))))
 
 
 def _nearest_file(path: Path) -> str:

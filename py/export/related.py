@@ -1,6 +1,7 @@
 """Files that belong to an FMU and lie inside it, with their roles: the manifest of the layered standard FMI-LS-REF.
 
-Source: FMI Layered Standard References 1.0.0-beta.1, Modelica Association, 2026 (its manifests say 1.0.0-alpha.1).
+Source: FMI Layered Standard References 1.0.0-beta.1, Modelica Association, 2026. In that release, too,
+``fmi-ls-version`` of a manifest is 1.0.0-alpha.1 (docs/index.adoc, table of the manifest's attributes).
 An importer must be ready for files that the manifest names and that are gone.
 """
 

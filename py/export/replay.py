@@ -146,7 +146,7 @@ def _record(path: Path, description: Description, wrong: str) -> tuple[str, str]
     if changed := changed_files(path, inside):
         return wrong, f"files beside it were changed or are gone: {', '.join(changed[:SHOWN])}. Export the model again."
     failed = [one for one in inside.credibility.evidence if one.passed is False]
-    return (REMARK if failed else PASS), f"{inside.model}, by {inside.made_by}: {_sentences(inside)}"
+    return (wrong if failed else PASS), f"{inside.model}, by {inside.made_by}: {_sentences(inside)}"
 
 
 def _sentences(inside: Inside) -> str:

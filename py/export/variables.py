@@ -68,8 +68,15 @@ def variables_of(lowered: Lowered, *, always_time: bool = False) -> tuple[Variab
         ),
         *(
             Variable(
-                s.name, "start", s.unit, s.description, s.value, s.nominal, s.bounds,
-                measured_by=s.output, restarts_from=s.measured,
+                s.name,
+                "start",
+                s.unit,
+                s.description,
+                s.value,
+                s.nominal,
+                s.bounds,
+                measured_by=s.output,
+                restarts_from=s.measured,
             )
             for s in lowered.starts
         ),

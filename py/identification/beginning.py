@@ -76,9 +76,7 @@ def check_initial_states(how: str, where: str) -> str:
     return how
 
 
-def estimate_start(
-    model, record: Record, how: str = AUTO, known: Mapping[str, float] | None = None
-) -> StartEstimate:
+def estimate_start(model, record: Record, how: str = AUTO, known: Mapping[str, float] | None = None) -> StartEstimate:
     """The start states of a Model or FlatModel on a recording, from its first tenth, at least FEWEST_SAMPLES samples.
 
     how : "measured" estimates none: first samples count as exact, the model finds the rest. "auto" estimates those

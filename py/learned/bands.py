@@ -14,7 +14,7 @@ Wasserman, J. American Statistical Association 113 (2018) 1094-1111 (conformal).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr, ndtri
@@ -28,6 +28,9 @@ from .block_file import LearnedBlock, assemble, learned_kinds
 from .held_out import Part, as_parts, through
 
 LEVEL = 0.95
+WIDE = float(ndtri(0.5 + LEVEL / 2))  # standard deviations of a band of that level
+OWN, CONFORMAL = "own", "conformal"  # what a band is made of
+BAND, CARD = "band", "free_run"  # where a block's provenance tells it: found in training, and judged in `report_card`
 GOOD = (0.90, 0.99)  # coverage at `LEVEL` of a band to be trusted
 FAR = 2.0  # factor of a correction, either way, from which on the band's own shape is not to be trusted
 WORTH = 0.1  # of a factor: a smaller correction is not worth words
@@ -89,7 +92,7 @@ def band_of_all(pairs: Sequence[tuple[Block, Sequence[Record | Part]]], level: f
     found = {}
     for signal in first.outputs:
         if records and all(signal.name in r for r in records):
-            source = "own" if f"{signal.name}.sd" in own else "conformal"
+            source = OWN if f"{signal.name}.sd" in own else CONFORMAL
             found[signal.name] = {"unit": signal.unit, "level": level, "source": source}
     for mode, run in RUNS.items():
         try:
@@ -129,7 +132,7 @@ def _judge(told: dict, mode: str, name: str, runs: Sequence[tuple[Record, Record
         told["why"] = f"only {len(miss)} samples to judge the band on (at least {FEWEST} are needed)"
         return
     least = LEAST * max(float(np.std(measured)), 1e-300)
-    if told["source"] == "own":
+    if told["source"] == OWN:
         sd = np.concatenate([run[f"{name}.sd"][k] for (run, _), k in zip(runs, fine, strict=True)])
         told[mode] = scores(miss, np.maximum(sd, least), level)
     else:
@@ -168,9 +171,9 @@ def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record
     without own deviations keep their arrays; their conformal band is told instead.
     """
     if not any(records for _, records in pairs):
-        return replace(block, provenance={**block.provenance, "band": {}})
+        return replace(block, provenance={**block.provenance, BAND: {}})
     before = band_of_all(pairs)
-    names = [n for n, told in before.items() if told["source"] == "own"]
+    names = [n for n, told in before.items() if told["source"] == OWN]
     factors = {mode: np.array([_factor(before[n].get(mode)) for n in names]) for mode in RUNS}
     scaled = block
     known = {SCALES[mode]: factor for mode, factor in factors.items() if SCALES[mode] in block.arrays}
@@ -178,7 +181,7 @@ def calibrated(block: LearnedBlock, pairs: Sequence[tuple[Block, Sequence[Record
         scaled = rescaled(block, known)
     by_name = {n: {mode: float(factors[mode][j]) for mode in RUNS} for j, n in enumerate(names)}
     told = {name: _told(name, entry, by_name.get(name, {})) for name, entry in before.items()}
-    return replace(scaled, provenance={**block.provenance, "band": told})
+    return replace(scaled, provenance={**block.provenance, BAND: told})
 
 
 def rescaled(block: LearnedBlock, factors: Mapping[str, np.ndarray]) -> LearnedBlock:
@@ -215,7 +218,7 @@ def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
     inside = {mode: before[mode]["coverage"] for mode in RUNS if mode in before}
     told = {"source": before["source"], "coverage": inside, "samples": before["samples"]}
     told["independent"] = before["free_run"]["independent"]
-    if before["source"] == "conformal":
+    if before["source"] == CONFORMAL:
         width = before["free_run"]["half_width"]
         says = (
             f"The block tells no deviation of {name}; 95 % of held out samples lay within {width:.3g} {before['unit']}."
@@ -228,3 +231,52 @@ def _told(name: str, before: dict, factors: dict[str, float]) -> dict:
     if not fine:
         says += " The model errs by other means than its band knows of: do not trust the band beyond what was recorded."
     return told | {"calibrated": factors, "trustworthy": fine, "says": says}
+
+
+@dataclass(frozen=True)
+class KnownBand:
+    """What a block's provenance tells of the free run's band of an output: ``half_width`` in SI, None of an own band.
+
+    trustworthy : whether it covered what it should of what was held out. says : what it covered.
+    """
+
+    source: str
+    trustworthy: bool
+    says: str
+    half_width: float | None = None
+
+
+def known_bands(provenance: Mapping) -> dict[str, KnownBand]:
+    """The bands that were judged on something held out, by output; {} where nothing was.
+
+    The card of `learn` has the last word: what it judged on had no part in the training, nor in scaling a band. An own
+    band that had to be scaled by more than `FAR` is not trusted, whatever the card says. What is garbled is left out.
+    """
+    found = {}
+    trained, card = _table(provenance, BAND), _table(_table(provenance, CARD), "outputs")
+    for name in dict.fromkeys([*trained, *card]):
+        own, judged = _table(trained, name), _table(_table(card, name), "band")
+        told = _known(judged) or _known(own)
+        if told is None:
+            continue
+        if told.source == OWN and own.get("trustworthy") is False:
+            told = replace(told, trustworthy=False, says=str(own.get("says", told.says)))
+        found[name] = told
+    return found
+
+
+def _table(of: Mapping, key: str) -> Mapping:
+    found = of.get(key)
+    return found if isinstance(found, Mapping) else {}
+
+
+def _known(told: Mapping) -> KnownBand | None:
+    """Of one entry; None where it tells no band."""
+    source, wide, inside = told.get("source"), told.get("half_width"), told.get("coverage")
+    inside = inside.get("free_run") if isinstance(inside, Mapping) else inside
+    if source not in (OWN, CONFORMAL) or not isinstance(inside, (int, float)):
+        return None
+    if source == CONFORMAL and not (isinstance(wide, (int, float)) and np.isfinite(wide) and wide > 0):
+        return None
+    says = f"{100 * inside:.0f} % of what was held out lay in it"
+    return KnownBand(source, told.get("trustworthy") is True, says, float(wide) if source == CONFORMAL else None)

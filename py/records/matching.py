@@ -66,9 +66,7 @@ def _only_one(signal: Signal, signals, columns, found, record: Record) -> Match:
 
 
 def _may_be(record: Record, signal: Signal, column: str) -> bool:
-    return column not in record.units or compatible(
-        record.display_units.get(column, record.units[column]), signal.unit
-    )
+    return column not in record.units or compatible(record.display_units.get(column, record.units[column]), signal.unit)
 
 
 def _problem(record: Record, signal: Signal, column: str) -> str:

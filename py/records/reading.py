@@ -207,7 +207,7 @@ def patterns_of(file: Path) -> list[str]:
     files = read_toml(file).get("files", ["*"])
     files = [files] if isinstance(files, str) else files
     if not (isinstance(files, list) and all(isinstance(pattern, str) for pattern in files)):
-        raise DataError(f"{file}: files: no list of patterns (got {files!r}). Write files = [\"run_*.csv\"].")
+        raise DataError(f'{file}: files: no list of patterns (got {files!r}). Write files = ["run_*.csv"].')
     return files
 
 
@@ -246,9 +246,9 @@ def import_from(table: Mapping, where: str) -> Reading:
         if key in _TABLES and not isinstance(value, Mapping):
             raise DataError(f"{where}: '{key}' is a table. Write [{key}] and below it name = 'text'.")
         if key in _PLAIN and (isinstance(value, bool) or not isinstance(value, str | int | float)):
-            raise DataError(f"{where}: {key}: no text (got {value!r}). Write {key} = \"...\".")
+            raise DataError(f'{where}: {key}: no text (got {value!r}). Write {key} = "...".')
         if key in _PLAIN and key != "rate" and not isinstance(value, str):
-            raise DataError(f"{where}: {key}: a text is needed (got {value!r}). Write {key} = \"{value}\".")
+            raise DataError(f'{where}: {key}: a text is needed (got {value!r}). Write {key} = "{value}".')
     said = {own: table[key] for key, own in _TABLES.items() if key in table}
     try:
         return reading_of(**said, **{key: table[key] for key in _PLAIN if key in table})
@@ -275,5 +275,3 @@ def import_text(reading: Reading, files: Sequence[str] = (), comments: Sequence[
             texts = {n: f"{v.factor!r} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
             document[key] = texts
     return tomlkit.dumps(document)
-
-

@@ -23,14 +23,17 @@ def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
         return ()
     tightest = min(accepted.judged, key=lambda one: one.margin if not math.isnan(one.margin) else math.inf)
     count = len(accepted.judged)
+    cautions = [one for one in accepted.judged if one.caution]
+    careful = (f"Careful: {min(cautions, key=lambda one: one.samples).caution}.",) if cautions else ()
     if accepted.passed:
         many = "its criterion" if count == 1 else f"all {count} criteria"
-        return (f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest)}.",)
+        told = f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest, '')}."
+        return (told, *careful)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
     words = [one.undefined or f"found {found_told(one, shown)}" for one in missed[:3]]
     told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
-    return (f"FAIL: {accepted.model} misses {many}: {told}.",)
+    return (f"FAIL: {accepted.model} misses {many}: {told}.", *careful)
 
 
 def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:
@@ -71,6 +74,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     criteria = [
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
+        | {"samples": one.samples}
         for one in accepted.judged
     ]
     changes = [asdict(one) | {"better": one.better, "worse": one.worse} for one in accepted.changes]
@@ -92,13 +96,15 @@ def found_told(one: Judged, shown: Mapping[str, str]) -> str:
     return _told(one.value, one, shown)
 
 
-def margin_told(one: Judged) -> str:
-    """How far inside or outside of its bound."""
+def margin_told(one: Judged, caution: str | None = None) -> str:
+    """How far inside or outside of its bound, and on how few samples; caution : in place of that."""
+    caution = one.caution if caution is None else caution
     if one.undefined:
         return one.undefined
-    if not math.isfinite(one.margin):
-        return "no number" if not one.passed else "any margin"
-    return f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
+    told = "no number" if not one.passed else "any margin"
+    if math.isfinite(one.margin):
+        told = f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
+    return f"{told}, {caution}" if caution else told
 
 
 def _told(value: float, one: Judged, shown: Mapping[str, str]) -> str:

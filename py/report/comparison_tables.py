@@ -285,6 +285,30 @@ def _bands(rows: Sequence[Score], unit: str) -> list[Column]:
     ]
 
 
+def band_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | None:
+    """What the band of every model and output is made of, and whether it is trusted; None where no model has one.
+
+    A model without any has one row: it says so.
+    """
+    scored, words = {s.name for s in comparison.outputs}, {True: "yes", False: "no", None: "not judged"}
+    rows = []
+    for entrant in (e for e in comparison.entrants if e.name not in comparison.yardsticks):
+        had = [b for b in entrant.bands if b.output in scored]
+        rows += [(entrant.name, b.output, b.source, words[b.trusted], _sentence(b.why)) for b in had]
+        lacking = [s.name for s in entrant.outputs if s.name in scored - {b.output for b in had}]
+        rows += [(entrant.name, ", ".join(lacking), "none", "", "")] if lacking else []
+    if all(row[2] == "none" for row in rows):
+        return None
+    models, *others = zip(*rows, strict=True)
+    keys = (("output", "Output"), ("source", "Band"), ("trusted", "Trusted"), ("why", "Why"))
+    columns = [texts(key, title, list(cells)) for (key, title), cells in zip(keys, others, strict=True)]
+    return table("bands", "What the bands are", [_models(models, look), *columns], folded=len(rows) > FOLDED)
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
+
+
 def _marked(column: Column, where: Sequence[bool]) -> Column:
     return replace(column, cells=tuple(replace(c, best=w) for c, w in zip(column.cells, where, strict=True)))
 

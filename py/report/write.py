@@ -8,13 +8,13 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
-from hydrotwin.identification.bands import SPREAD
 from hydrotwin.records.between import between
 
 from .acceptance import acceptance_data, acceptance_sections, verdict
 from .answer import answer, facts, winners
 from .comparison_figures import error_bar_groups, overlay_groups, peak, plan
 from .comparison_tables import (
+    band_table,
     domain_table,
     explained_table,
     failure_table,
@@ -82,6 +82,7 @@ def comparison_page(
         *(_scores(comparison, shown, look, mode) for mode in comparison.modes),
         _starts(comparison, look),
         field_section(comparison, shown, look),
+        _bands(comparison, look),
         _left(comparison, look),
         *(fit_section(f, id="fit" if k == 0 else f"fit-{k + 1}") for k, f in enumerate(fits)),
         Section("run-time", "Run time", (run_times(comparison, look),)),
@@ -179,6 +180,17 @@ def _starts(comparison: Comparison, look) -> Section:
     return Section("starts", "Where the runs start", parts, lead)
 
 
+def _bands(comparison: Comparison, look) -> Section:
+    found = band_table(comparison, look)
+    lead = (
+        "What the 95\u00a0% bands of the free runs are made of. Sensitivities: the covariance of identified parameters "
+        "through each run, sensors and what the fit left. Own: a deviation that the model gives itself. Conformal: one "
+        "width, from the misses on what was held out of the training. A band is trusted where it held there, or where "
+        "a fit left only noise; of a band that was never judged the page says so."
+    )
+    return Section("bands", "The bands", (found,) if found else (), lead)
+
+
 def _left(comparison: Comparison, look) -> Section:
     lead = (
         "Free run. Explained is the share of the measured variance. White noise has about 95\u00a0% of its first "
@@ -221,16 +233,17 @@ def _notices(comparison: Comparison) -> tuple[str, ...]:
 
 
 def _untrusted(comparison: Comparison) -> list[str]:
-    """Models whose bands are as wide as their fits were wrong, since something is missing in them."""
+    """Models whose bands are not to be believed, and why: one sentence for the outputs that share the reason."""
     found, scored = [], {s.name for s in comparison.outputs}
     for entrant in comparison.entrants:
-        told = entrant.provenance.get(SPREAD)
-        names = [n for n in told["left"] if n in scored and n not in told["explained"]] if told else []
-        if names:
-            found.append(
-                f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: its fit left more than noise. "
-                "Something is missing in it, and elsewhere the machine may be further off."
-            )
+        doubted: dict[str, list[str]] = {}
+        for band in entrant.bands:
+            if band.trusted is False and band.output in scored:
+                doubted.setdefault(band.why, []).append(band.output)
+        found += [
+            f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: {why.rstrip('.')}."
+            for why, names in doubted.items()
+        ]
     return found
 
 
@@ -265,7 +278,12 @@ def _entrant(entrant) -> dict:
         "between_samples": between(entrant.inputs),
         "parameters": {p.name: {"value": p.value, "unit": p.unit, "sigma": p.sigma} for p in entrant.parameters},
         "provenance": dict(entrant.provenance),
+        "bands": {b.output: _band(b) for b in entrant.bands},
     }
+
+
+def _band(band) -> dict:
+    return {k: v for k, v in asdict(band).items() if k != "output"}
 
 
 def _recording(record, role: str) -> dict:

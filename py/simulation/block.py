@@ -1,6 +1,6 @@
 """Block: a sampled system as one CasADi function, the form every learned or lowered model takes.
 
-    x[k+1], y[k] = step(x[k], u[k], p),   t[k+1] = t[k] + period
+x[k+1], y[k] = step(x[k], u[k], p),   t[k+1] = t[k] + period
 """
 
 from __future__ import annotations

@@ -95,5 +95,3 @@ def _stop_if_not_finite(block: Block, time, x, y, upto: int) -> None:
         float(time[k]),
         states[0] if states else None,
     )
-
-

@@ -14,6 +14,7 @@ from hydrotwin.comparison.scenario import ModelEntry
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import write_record
 from hydrotwin.report import write_report
+from hydrotwin.report.acceptance import acceptance_data, acceptance_lines, verdict
 from tests.comparison.toys import Toy, recording
 
 MODELS = {"good": Toy("good"), "bad": Toy("bad", gain=130.0), "broken": Toy("broken", fails_on="load2_stroke1")}
@@ -156,6 +157,22 @@ def test_a_run_that_failed_is_the_reason_and_passes_nothing_even_beside_another(
     *failed, passed = ElementTree.fromstring(junit(found, "Toys").encode())[0]
     assert all("load2_stroke1: broken: the run left the finite numbers" in f.find("failure").text for f in failed)
     assert passed.find("failure") is None
+
+
+def test_a_criterion_on_few_samples_says_how_few():
+    few = recording(1).window(end=0.04)
+    comparison = compare([MODELS["good"]], [few], repeats=0, modes=("free run",))
+    asked = Wanted(("arm_angle.rmse < 10 deg", "arm_angle.max < 10 deg"))
+    accepted = acceptance(comparison, asked)
+    assert accepted.passed and [one.samples for one in accepted.judged] == [5, 5]
+    told, careful = verdict(accepted, {"arm_angle": "deg"})
+    assert told.startswith("PASS") and careful == "Careful: judged on only 5 samples."
+    lines = [line for _, line in acceptance_lines(accepted, {"arm_angle": "deg"})]
+    assert all("judged on only 5 samples" in line for line in lines[1:])
+    assert junit(accepted, "few").count("<system-out>judged on only 5 samples</system-out>") == 2
+    assert [row["samples"] for row in acceptance_data(accepted)["acceptance"]["criteria"]] == [5, 5]
+    many = acceptance(compare([MODELS["good"]], [recording(1)], repeats=0, modes=("free run",)), asked)
+    assert len(verdict(many, {"arm_angle": "deg"})) == 1 and "system-out" not in junit(many, "many")
 
 
 def test_the_page_says_first_whether_it_is_good_enough(folder, tmp_path):

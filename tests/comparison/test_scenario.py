@@ -55,6 +55,38 @@ def test_a_scenario_reads_with_paths_beside_its_file(folder):
     assert found.reading.scale["command"].unit == "V/%" and found.reading.scale["command"].factor == 0.05
 
 
+def test_recordings_may_lie_in_a_folder_that_a_variable_names(folder, tmp_path_factory, monkeypatch):
+    monkeypatch.setenv("HYDROTWIN_TEST_DATA", str(folder))
+    (elsewhere := tmp_path_factory.mktemp("elsewhere") / "values").mkdir()
+    (elsewhere / "a$b.csv").write_bytes((folder / "validation_1.csv").read_bytes())
+    (elsewhere / "mine.toml").write_text('model = "mine.py:make"\n')
+    text = """
+        models = ["good", "mine.py:make@mine.toml"]
+        validate = [
+            {file = "${HYDROTWIN_TEST_DATA}/validation_1.csv", tags = {run = 1}},
+            "$HYDROTWIN_TEST_DATA/val*_2.csv", "a$b.csv",
+        ]
+        train = ["$HYDROTWIN_TEST_DATA/training_1.csv"]
+    """
+    found = read_scenario(scenario(elsewhere, text))
+    assert found.validate == (folder / "validation_1.csv", folder / "validation_2.csv", elsewhere / "a$b.csv")
+    assert found.train == (folder / "training_1.csv",)
+    assert found.tags.by_file == {folder / "validation_1.csv": {"run": 1}}
+    assert found.models[1].model == f"{elsewhere / 'mine'}.py:make@{elsewhere / 'mine.toml'}"
+    with pytest.raises(DataError, match=r"no model file 'other\.toml'"):
+        read_scenario(scenario(elsewhere, text.replace("@mine", "@other")))
+
+
+@pytest.mark.parametrize("said", [None, ""])
+def test_a_variable_that_is_not_set_is_named(folder, monkeypatch, said):
+    monkeypatch.delenv("HYDROTWIN_TEST_DATA", raising=False)
+    if said is not None:
+        monkeypatch.setenv("HYDROTWIN_TEST_DATA", said)
+    path = scenario(folder, 'models = ["good"]\nvalidate = ["$HYDROTWIN_TEST_DATA/a.csv"]\n')
+    with pytest.raises(DataError, match=r"environment variable HYDROTWIN_TEST_DATA, which is not set\. Set it"):
+        read_scenario(path)
+
+
 def test_a_file_is_found_whatever_stands_in_its_name_and_counts_once(folder):
     for name in ("run*[1].csv", "what?.csv"):
         (folder / "validation_1.csv").replace(folder / name)

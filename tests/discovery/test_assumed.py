@@ -145,4 +145,3 @@ def test_what_comes_closest_is_asked_for_its_start_though_it_is_not_named(monkey
 
     begun, given_up = doubting(monkeypatch, best, doubt)
     assert begun == ["auto", "free"] and len(given_up) == 1
-

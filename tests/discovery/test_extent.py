@@ -31,6 +31,7 @@ def residuals(question, gap):
 
 def extent(table, gap):
     """Samples of the first recording that a look goes through."""
+
     def left(question):
         return as_look(Fitted({}, (), spectrum(residuals(question, gap)), (), True, 1))
 

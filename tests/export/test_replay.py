@@ -314,8 +314,14 @@ def _sets() -> list[str]:
 def test_a_record_with_a_missed_criterion_is_a_remark(tmp_path):
     missed = Evidence(**{**vars(EVIDENCE), "criteria": ({**EVIDENCE.criteria[0], "passed": False, "margin": -0.5},)})
     path = carrying(tmp_path / "m.fmu", credibility=Credibility((missed,)), experiments=())
-    verdict, detail = rows_of(path)["record"]
+    verdict, detail = rows_of(path, again=False)["record"]
     assert verdict == "remark" and "FAIL, missed: “place.rmse < 1 mm” (-50 %)" in detail
+
+
+def test_a_missed_criterion_fails_a_replay_as_it_fails_the_check_of_a_model_file(tmp_path):
+    missed = Evidence(**{**vars(EVIDENCE), "criteria": ({**EVIDENCE.criteria[0], "passed": False, "margin": -0.5},)})
+    found = check_fmu(carrying(tmp_path / "m.fmu", credibility=Credibility((missed,))), replay=True)
+    assert not found.passed and {r.name: r.verdict for r in found.rows}["record"] == "FAIL"
 
 
 # -- tables and settings -------------------------------------------------------------------------------------------

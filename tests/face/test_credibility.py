@@ -238,6 +238,51 @@ def test_a_block_that_cannot_be_told_from_the_rest_is_left_alone(file, recording
         ht.record_comparison(file.parent / "absent.toml", None)
 
 
+def test_a_link_stays_a_link_and_what_it_points_to_is_written(file, recordings):
+    link = file.with_name("link.toml")
+    link.symlink_to(file.name)
+    answer = judged(link, recordings, "--accept", LOOSE)
+    assert answer.code == 0, answer.said
+    assert link.is_symlink() and len(ht.read_model_file(file).credibility.evidence) == 2
+    words = (recordings / "train_1.csv", "--free", "motor.gain", "--starts", 1, "--out", link)
+    assert hydrotwin("identify", "cehA", *words).code == 0
+    assert link.is_symlink() and len(ht.read_model_file(file).credibility.evidence) == 1
+
+
+def test_a_read_only_file_is_refused_before_anything_runs(file, recordings):
+    before = file.read_bytes()
+    file.chmod(0o444)
+    link = file.with_name("link.toml")
+    link.symlink_to(file.name)
+    written = (
+        judged(file, recordings),
+        judged(link, recordings),
+        hydrotwin("identify", "cehA", recordings / "train_1.csv", "--out", file),
+    )
+    for answer in written:
+        assert answer.code == 2 and "read-only" in answer.said, answer.said
+    assert file.read_bytes() == before and not (file.parent / "report").exists()
+
+
+def test_an_entry_that_was_pasted_twice_counts_once(file):
+    text = file.read_text(encoding="utf-8")
+    block = text[text.index("[[credibility.evidence]]") :]
+    file.write_text(f"{text}\n{block}", encoding="utf-8")
+    assert len(ht.read_model_file(file).credibility.evidence) == 1
+    answer = hydrotwin("check", file, "--json")
+    assert answer.code == 0 and len(json.loads(answer.out)["evidence"]) == 1
+
+
+def test_a_band_that_is_not_to_be_trusted_is_in_the_record(file, recordings):
+    model = PhysicalContender(ht.load(str(file)), "m")
+    spread = model.provenance["spread"]
+    model.provenance["spread"] = spread | {"explained": [n for n in spread["explained"] if n != "arm_angle"]}
+    found = compare([model], [ht.read_record(recordings / "validate_1.csv")], outputs=["arm_angle"], repeats=0)
+    known = ht.record_comparison(file, found).evidence[-1]
+    assert list(known.facts["untrusted_bands"]) == ["arm_angle"]
+    assert known.told.endswith("Its bands cannot be trusted for arm_angle")
+
+
 def test_an_archive_of_ssp_2_0_says_where_the_values_come_from(file, recordings):
     archive = file.parent / "m.ssp"
     answer = judged(file, recordings, "--accept", LOOSE, "--ssp", archive, "--ssp-version", "2.0")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from junitparser import JUnitXml
 
 import hydrotwin as ht
 from hydrotwin.commands import demonstrating
@@ -15,6 +17,7 @@ FILES = [
     "cehA_identified.fmu",
     "cehA_network.fmu",
     "compare.json",
+    "criteria.xml",
     "friction.html",
     "friction.json",
     "friction.md",
@@ -127,6 +130,50 @@ def test_the_fmu_of_the_network_is_the_network(demo):
     network, fmu = ht.load(folder / "network.toml"), ht.load(folder / "cehA_network.fmu")
     angles = [run["arm_angle"] for run in (ht.simulate(network, record), fmu.free_run(record))]
     assert angles[1] == pytest.approx(angles[0], abs=1e-9)
+
+
+def suite(folder):
+    """The criteria as a public parser of JUnit reads them."""
+    (found,) = JUnitXml.fromfile(str(folder / "criteria.xml"))
+    return found
+
+
+def test_the_completed_model_meets_the_criteria_and_every_screen_says_so(demo, data):
+    folder, answer = demo
+    assert "PASS: with the named effect meets all 5 criteria" in answer.said
+    assert data["answer"].startswith("PASS: with the named effect") and data["acceptance"]["passed"]
+    assert "PASS: with the named effect" in (folder / "report.md").read_text(encoding="utf-8")
+    found = suite(folder)
+    assert (found.tests, found.failures) == (5, 0)
+    assert [case.name for case in found] == list(demonstrating.CRITERIA["cehA"])
+
+
+def test_the_demo_has_bands_of_every_kind_and_its_recordings_have_tags(data):
+    sources = {m["name"]: {b["source"] for b in m["bands"].values()} for m in data["models"]}
+    assert sources["identified"] == sources["with the named effect"] == {"sensitivities"}
+    assert sources["network"] == {"conformal"} and not sources["published_formula"]
+    untrusted = [n for n in data["notices"] if "bands of identified cannot be trusted" in n]
+    assert untrusted, "an effect is missing in it"
+    assert [r["tags"] for r in data["recordings"] if r["role"] == "validate"] == [{"run": "1"}, {"run": "2"}]
+
+
+def test_the_wrong_model_fails_the_demo(demo, monkeypatch):
+    folder, _ = demo
+    recordings = [ht.read_record(SHIPPED / f"cehA/recordings/validate_{k}.csv").window(0.0, 3.0) for k in (1, 2)]
+    wrong, network = ht.load(folder / "model.toml"), ht.load(folder / "network.toml")  # what is missing is not in it
+    fit = SimpleNamespace(name="fit", parameters=())
+    told = []
+    monkeypatch.setattr("hydrotwin.report.write_report", lambda *a, accepted, **b: told.append(accepted) or {})
+    other = folder.parent / "wrong"
+    other.mkdir()
+    models = (wrong, wrong, network, [])
+    assert demonstrating.compare_all("cehA", other, models, fit, [], recordings) is False
+    (accepted,) = told
+    assert accepted.model == "with the named effect" and not accepted.passed
+    found = suite(other)
+    assert found.failures > 0 and sum(bool(case.result) for case in found) == found.failures
+    monkeypatch.setattr(demonstrating, "run_machine", lambda *_: False)
+    assert hydrotwin("demo", "--machine", "cehA", "--out", other).code == 1
 
 
 def test_what_the_demo_wrote_loads_and_runs(demo):

@@ -148,6 +148,12 @@ def test_wrong_words_are_answered_with_what_would_be_right(line, says):
         assert words in answer.err
 
 
+def test_what_there_is_instead_is_listed_once(here):
+    for option, often in (("--budget 5", 1), ("--set lagz=3", 1)):
+        answer = hydrotwin(*f"learn gp ramp_1.csv {SIGNALS} {option} --out a.toml".split())
+        assert answer.code == 2 and answer.err.count("evaluations") == often, answer.err
+
+
 def test_a_block_is_trained_again_on_all_when_it_was_judged(here):
     line = f"learn arx ramp_1.csv {SIGNALS} --json"
     judged, again = (hydrotwin(*f"{line} {flag} --out refit.toml".split()) for flag in ("", "--refit"))

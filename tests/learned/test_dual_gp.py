@@ -67,6 +67,8 @@ def in_scipy(coefficients, bounds, x):
     curve = BSpline(spline_knots(*bounds, len(coefficients)), coefficients, 3)
     at = np.clip(x, *bounds)
     return float(curve(at)), float(curve.derivative()(at))
+
+
 SEED = 1  # with which no curve of the input takes out a drift behind the processes
 
 

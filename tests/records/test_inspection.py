@@ -89,9 +89,7 @@ def columns_of(**names):
 
 
 def test_columns_are_found_by_name_and_proposed_by_likeness_and_dimension():
-    assert columns_of(command="V", pressure_cap="Pa", rod_position="m") == {
-        s.name: (s.name, True) for s in SIGNALS
-    }
+    assert columns_of(command="V", pressure_cap="Pa", rod_position="m") == {s.name: (s.name, True) for s in SIGNALS}
     assert columns_of(Command="V", pressureCap="Pa", rod_pos="m") == {
         "command": ("Command", False),
         "pressure_cap": ("pressureCap", False),

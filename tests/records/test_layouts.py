@@ -322,7 +322,6 @@ def test_a_column_that_cannot_be_used_is_never_taken_for_one_that_is_absent(tmp_
     assert "q" not in record and "p" in record.with_signals({"p": np.zeros(2)}, {"p": "Pa"})
 
 
-
 ODD = {
     "units in the cells": "time,p,n\n" + "".join(f"{k / 100} sec,{k}.5 bar,{k}\n" for k in range(9)),
     "German units in the cells": "Zeit;p [bar]\n" + "".join(f"{10 * k},000 ms;{k},5\n" for k in range(9)),

@@ -23,6 +23,8 @@ from .verdicts import PASS, REMARK, NotTried
 
 EQUAL = 1e-9  # of the larger of the two values
 MOST_VARIABLES = 10_000  # that CasADi's importer reads in seconds
+
+
 def _fmpy(description: ModelDescription, unzipped: str, path: str, interface: str):
     """FMPy's master with its defaults, under inputs that step as those of `_libcosimpy`."""
     step, names = step_of(description), [v.name for v in outputs_of(description)]

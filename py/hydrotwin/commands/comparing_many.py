@@ -111,7 +111,7 @@ def notes(matrix) -> list[str]:
 
 def _seen(comparison) -> list[str]:
     """Recordings that a model was fitted to or trained on: how good it is on those says little."""
-    from hydrotwin.comparison.evidence import made_from
+    from hydrotwin.comparison.band import made_from
 
     found = []
     for entrant in comparison.entrants:

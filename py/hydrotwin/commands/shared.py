@@ -17,7 +17,7 @@ from rich.text import Text
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError, nearest
 from hydrotwin.models.language.flat import INTERPOLATIONS
 from hydrotwin.models.language.units import convert
-from hydrotwin.models.language.writing import json_values
+from hydrotwin.models.language.writing import json_values, target
 from hydrotwin.records.between import sentences
 from hydrotwin.records.reading import constant
 
@@ -86,7 +86,8 @@ def check_folder(path: Path) -> Path:
 
 
 def check_writable(path: Path) -> Path:
-    """Refuse before a long run what could not be written after it."""
+    """Refuse before a long run what could not be written after it, a read-only file too."""
+    given, path = path, target(path)
     folder = path if path.is_dir() else next((p for p in path.absolute().parents if p.exists()), path)
     probe = folder / ".hydrotwin-probe"
     try:
@@ -94,7 +95,7 @@ def check_writable(path: Path) -> Path:
         probe.unlink()
     except OSError as error:
         raise DataError(f"{path}: cannot be written ({error.strerror}). Choose a folder you may write to.") from None
-    return path
+    return given
 
 
 def settings_from(changes: list[str] | None, option: str, units: Mapping[str, str] | None = None) -> dict[str, float]:

@@ -40,7 +40,10 @@ def options_of(what: str, function: Callable, settings, flags: dict, *more: Call
     own = [k for k in known if k not in OWN]
     for key, value in found.items():
         if key not in own:
-            raise DeclarationError(f"{what}: has no option '{key}'. {nearest(key, own)} It has: {', '.join(own)}.")
+            told, listed = nearest(key, own), ", ".join(own)
+            raise DeclarationError(
+                f"{what}: has no option '{key}'. {told}" + ("" if listed in told else f" It has: {listed}.")
+            )
         if not _fits(value, known[key]):
             given = ",".join(map(str, value)) if isinstance(value, tuple) else value
             raise DeclarationError(f"{what}: {key} cannot be '{given}'. It takes {_words(known[key])}.")

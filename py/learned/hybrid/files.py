@@ -1,9 +1,9 @@
 """A hybrid in files: a header that names the model and the residual beside it. All of it is data, never code.
 
-    h.toml            which files belong together, and how the model is sampled
-    h_model.toml      the values of the model, as `identify` writes them
-    h_physics.toml    the equations of a model that was written in Python (`physics`), with h_physics.npz
-    h_residual.toml   the learned residual, with h_residual.npz; none where it did not help
+h.toml            which files belong together, and how the model is sampled
+h_model.toml      the values of the model, as `identify` writes them
+h_physics.toml    the equations of a model that was written in Python (`physics`), with h_physics.npz
+h_residual.toml   the learned residual, with h_residual.npz; none where it did not help
 """
 
 from __future__ import annotations

@@ -88,4 +88,3 @@ def rebuilt(
     except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
         raise DataError(f"{where}: not the equations of a model ({error!r}). Copy the file again.") from None
     return ca.Function(name, inputs, [ca.vertcat(*o) for o in outputs], *(list(n) for n in names))
-

@@ -180,8 +180,10 @@ def _recursion(weights, shape: NarxShape, scales: Scales, s: Stretches, run: Run
     z = np.concatenate([run.states[part], s.u[part]], axis=2)
     seen, h = np.clip(z, scales.feature_lower, scales.feature_upper), run.hidden[part]
     slope = W2 * (1.0 - h * h)[:, :, None, :]
-    D = (slope @ W1[:, :fb]) * (seen == z)[:, :, None, :fb] + W[:, :fb] if shape.hidden else np.broadcast_to(
-        W[:, :fb], (*z.shape[:2], ny, fb)
+    D = (
+        (slope @ W1[:, :fb]) * (seen == z)[:, :, None, :fb] + W[:, :fb]
+        if shape.hidden
+        else np.broadcast_to(W[:, :fb], (*z.shape[:2], ny, fb))
     )
     moving, inside = run.moving[part][..., None], run.inside[part][..., None]
     So, direct = D * moving, _direct(slope, seen, h, z, ny)[..., trained] * moving

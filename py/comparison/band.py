@@ -1,0 +1,82 @@
+"""Which 95 % band a model has of each output, what it was made of, and whether it is to be trusted.
+
+    sensitivities  the covariance of an identified model's parameters, through the exact sensitivities of each run
+    own            standard deviations that a block gives beside its outputs (``<name>.sd``): Gaussian processes
+    conformal      one width, from the misses of a block's free run on what was held out of its training
+
+Where nothing was held out, a block without deviations has no band. A model that is no Model and no learned block (an
+FMU) has the deviations among its outputs, or none. Sources: `identification.bands`, `learned.bands`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from hydrotwin.identification.bands import SPREAD
+from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
+
+SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
+SENSITIVITIES = "sensitivities"
+MISSING = "its fit left more than noise. Something is missing in it, and elsewhere the machine may be further off."
+SEEN = ", though its physics was identified on these recordings to their end"
+
+
+@dataclass(frozen=True)
+class Band:
+    """The band of one output: its ``source``, see above; ``half_width`` (SI) of a conformal one, else None.
+
+    trusted : None where it was never judged on anything that was held out. why : what there is to say of it.
+    """
+
+    output: str
+    source: str
+    trusted: bool | None
+    why: str = ""
+    half_width: float | None = None
+
+
+def bands_of(contender) -> tuple[Band, ...]:
+    """The bands of a contender in free run, in the order of its outputs; none for an output without one."""
+    own = {s.name for s in contender.outputs}
+    known, found = _known(contender), []
+    for name in (s.name for s in contender.outputs if not s.name.endswith(SD)):
+        if name in known:
+            found.append(known[name])
+        elif f"{name}{SD}" in own:
+            found.append(Band(name, OWN, None, "it was judged on nothing that was held out"))
+    return tuple(found)
+
+
+def made_from(provenance: Mapping) -> frozenset[str]:
+    """SHA-256 of the recordings that a model was fitted to or a block trained on, as far as its provenance says it."""
+    rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
+    rows += [r for r in provenance.get("trained_on", ()) if isinstance(r, Mapping)]
+    return frozenset(r["sha256"] for r in rows if r.get("sha256"))
+
+
+def _known(contender) -> dict[str, Band]:
+    told = getattr(contender, "provenance", None) or {}
+    if hasattr(contender, "deviations") and SPREAD in told:
+        return _of_fit(told[SPREAD])
+    found = _of_block({s.name for s in contender.outputs}, told, getattr(contender, "half_widths", {}))
+    physics = getattr(getattr(contender, "block", None), "model", None)  # of a hybrid
+    if made_from(getattr(physics, "provenance", None) or {}) & made_from(told):
+        return {n: replace(band, why=f"{band.why}{SEEN}") for n, band in found.items()}
+    return found
+
+
+def _of_fit(told: Mapping) -> dict[str, Band]:
+    explained = set(told.get("explained", ()))
+    return {n: Band(n, SENSITIVITIES, n in explained, "" if n in explained else MISSING) for n in told.get("left", ())}
+
+
+def _of_block(outputs: set[str], provenance: Mapping, widths: Mapping[str, float]) -> dict[str, Band]:
+    """Conformal bands that the contender draws, and own ones that were judged."""
+    found = {}
+    for name, told in known_bands(provenance).items():
+        if told.source == CONFORMAL and name in widths:
+            found[name] = Band(name, CONFORMAL, told.trustworthy, told.says, widths[name])
+        elif told.source == OWN and f"{name}{SD}" in outputs:
+            found[name] = Band(name, OWN, told.trustworthy, told.says)
+    return found

@@ -297,10 +297,10 @@ static int through_piece(Run *run, Stages *s, const Piece *piece, double end, in
     double h = last ? end - t : run->ahead, error = trial(run, s, piece, t, h, size, z, next);
     double growth = growth_after(error);
     run->reached = t;
-    if ((run->trials[0] -= 1) < 0) return 3;
+    if ((run->trials[0] -= 1) < 0) return not_finite(next, NX) ? 1 : 3;
     if (error > 1.0) {
       run->ahead = h * fmin(growth, SAFETY);
-      if (run->ahead < least) return 3;
+      if (run->ahead < least) return not_finite(next, NX) ? 1 : 3;
       continue;
     }
     if (!last || growth * h > run->ahead || growth < 1.0) run->ahead = growth * h;

@@ -29,7 +29,7 @@ from .jobs import Effort, Jobs
 from .starts import compatible, different
 from .table import Entry, Table
 
-BY_WINDOWS = 2  # effects of a structure up to which windows alone must show something that promises much
+BY_WINDOWS = 2  # effects of a structure up to which windows alone are looked at
 FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
@@ -46,7 +46,7 @@ class Search:
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
-    base was fitted, too.
+    base was fitted, too. stood : structures that were fitted as they stood.
     """
 
     table: Table
@@ -59,6 +59,7 @@ class Search:
     pause: Callable[[Search], None] | None = None
     surprises: list[Entry] = field(default_factory=list)
     least: float = np.inf
+    stood: set = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -91,14 +92,18 @@ class Search:
     def _go(self) -> None:
         if self.table.explained([self.identify()]):
             return
-        if not (self.first and self._through(min(self.most, BY_WINDOWS))):
+        if self.first:
+            seen = self._through(min(self.most, BY_WINDOWS))
+            if not self.table.explained():
+                self._climb(sorted(seen, key=self.table.promise)[: self.effort.together])
+        if not self.table.explained():
             self._to_whole_recordings()
         self._through(self.most)
         self._climb(list(self.table.entries.values()))
         self.alternatives.settle()
 
-    def _through(self, most: int) -> bool:
-        """Go through structures of up to ``most`` effects until one explains all; whether any of them promises much."""
+    def _through(self, most: int) -> list[Entry]:
+        """Go through structures of up to ``most`` effects until one explains all: those that promise much."""
         table, seen = self.table, []
         for size in range(1, min(most, len(table.candidates)) + 1):
             entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
@@ -110,21 +115,24 @@ class Search:
             seen += entries
             if self.table.explained():
                 break
-        return any(table.promise(e) < EARLY for e in seen)
+        return [e for e in seen if table.promise(e) < EARLY]
 
     def _to_whole_recordings(self) -> None:
-        """Look at whole recordings from now on: windows show too little of what is missing.
+        """Look at whole recordings from now on: windows show too little of what is missing, it is slow or acts seldom.
 
-        The base is near what it would be then, or what is missing acts seldom.
+        What they led to is known already.
         """
         table, base = self.table, self.table.entry()
         self.jobs.windows = table.question if table.question.lengths else self.jobs.windows
+        slow = self.first > 0  # all of it is needed: the beginnings show no more than windows did
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
 
         def look(question: Question):
             return self._ran([self.jobs.glance(base, question)])[0]
 
-        self.jobs.extent, base.look = enough_of(table, look, as_look(base.fitted))
+        base.look = as_look(base.fitted)
+        if not slow:
+            self.jobs.extent, base.look = enough_of(table, look, base.look)
         table.look_anew()
 
     def identify(self) -> Entry:
@@ -240,6 +248,8 @@ class Search:
         if self.table.explained():
             return
         seen = sorted((e for e in entries if e.open and e.look), key=self.table.promise)[: self.effort.together]
+        seen = [e for e in seen if e.key not in self.stood]
+        self.stood |= {e.key for e in seen}
         for entry, found in zip(seen, self._ran([self.jobs.whole_soon(e) for e in seen]), strict=True):
             entry.fitted = found if isinstance(found, Fitted) else None
             if entry.fitted and self.table.share(entry) > self.table.promise(entry):

@@ -10,7 +10,7 @@ import numpy as np
 
 TOLERANCE = 2e-6  # between a step and its two halves, in units of nominal + |x| of each state
 IMPLICIT_SHARE = 0.005  # of it, that an implicit step may have: it is not the same for all values of the parameters
-IMPLICIT_STEPS = 300  # for every sample, on the average of a run, and BURST: an implicit run gives up beyond
+IMPLICIT_BURST, IMPLICIT_STEPS = 300_000, 300  # steps of an implicit run, and for every sample: it gives up beyond
 EXACT = 0.01  # tolerances of an implicit run that was asked for: what others are held against
 SMOOTH = 40.0  # tolerances of roughness (`equations.rk4_substep`) up to which an explicit step is not looked at
 DEEPEST = 30  # halvings of a step around a kink: a nanosecond of a second

@@ -251,7 +251,7 @@ static int open_run(Run *run) {
   double span = run->time[run->samples - 1] - run->time[0], plain = span / run->control.step + (double)run->samples;
   run->trials[0] = run->trials[1] = BURST + run->control.trials * plain;
 #if IMPLICIT
-  run->trials[0] = BURST + IMPLICIT_STEPS * (double)run->samples;
+  run->trials[0] = IMPLICIT_BURST + IMPLICIT_STEPS * (double)run->samples;
   run->control.tolerance = IMPLICIT_SHARE * (run->control.tolerance < INFINITY ? run->control.tolerance : TOLERANCE);
 #endif
   memset(run->cursor, 0, sizeof run->cursor);

@@ -22,7 +22,7 @@ from .stops import raise_stop
 
 METHODS = ("auto", "explicit", "implicit", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
-TRIALS = 1  # by how much more it may divide the steps around kinks, on the average of a run
+TRIALS = 4  # by how much more it may divide the steps around kinks, on the average of a run
 
 
 def prepare(

@@ -11,7 +11,7 @@ import casadi as ca
 from hydrotwin.models.language.flat import FlatModel
 
 from . import equations
-from .control import BURST, DEEPEST, IMPLICIT_SHARE, IMPLICIT_STEPS, SMOOTH, TOLERANCE
+from .control import BURST, DEEPEST, IMPLICIT_BURST, IMPLICIT_SHARE, IMPLICIT_STEPS, SMOOTH, TOLERANCE
 from .equations import Directions
 from .vectors import vector_text
 
@@ -100,6 +100,7 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         f"#define SMOOTH {SMOOTH!r} /* tolerances */",
         f"#define TOLERANCE {TOLERANCE!r}",
         f"#define IMPLICIT_STEPS {IMPLICIT_STEPS} /* per sample */",
+        f"#define IMPLICIT_BURST {IMPLICIT_BURST} /* steps */",
         f"#define IMPLICIT_SHARE {IMPLICIT_SHARE!r} /* of the tolerance */",
         f"#define DEEPEST {DEEPEST} /* halvings */",
         f"#define BURST {BURST} /* steps */",

@@ -42,9 +42,11 @@ _PENDING_GUID = "{00000000-0000-0000-0000-000000000000}"
 _INTERFACE_NAMES = {"cs": "Co-Simulation", "me": "Model Exchange"}
 _EXCHANGE = "Model Exchange: the importer integrates; derivatives and outputs are computed when asked for."
 _SOLVERS = {
-    "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each.",
+    "explicit": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over "
+    "each, which ends where a late input jumps.",
     "refined": "Runge-Kutta of order 4, internal steps of at most {step:g} s with the mean of the inputs over each, "
-    f"cut around contacts and other kinks until a part and its halves agree to {TOLERANCE:g} in nominal units.",
+    "cut where a late input jumps, and around contacts and other kinks until a part and its halves agree to "
+    f"{TOLERANCE:g} in nominal units.",
     "implicit": "Rosenbrock method of order 5, internal steps of at most {step:g} s, each of the same cost.",
     "adaptive": "Rosenbrock method of order 5(4), adaptive, tolerance {tolerance:g} in nominal units.",
     "sampled": "A sampled block: it moves every {step:g} s and is held in between, whatever the master's step.",

@@ -105,15 +105,45 @@ static double input_at(Run *run, int j, double a, int side, double *slope) {
   return run->u[i * NU + j] + *slope * (a - time[i]);
 }
 
+static double mean_input(Run *run, long long k, int j, double t, double h, int whole) {
+  if (DELAY[j] < 0 && !LINEAR[j]) return run->u[k * NU + j];
+  if (DELAY[j] < 0 && whole) return 0.5 * (run->u[k * NU + j] + run->u[(k + 1) * NU + j]);
+  double slope, a = t - delay_of(run, j), b = t + h - delay_of(run, j);
+  return b > a ? input_mean(run, j, a, b) : input_at(run, j, a, 1, &slope);
+}
+
 static void mean_inputs(Run *run, long long k, double t, double h, int whole, double *u) {
+  for (int j = 0; j < NU; j++) u[j] = mean_input(run, k, j, t, h, whole);
+}
+
+/* Inputs just behind time t of interval k, and their slopes there. */
+static void inputs_behind(Run *run, long long k, double t, double *u, double *slope) {
   for (int j = 0; j < NU; j++) {
-    if (DELAY[j] < 0 && !LINEAR[j])
-      u[j] = run->u[k * NU + j];
-    else if (DELAY[j] < 0 && whole)
-      u[j] = 0.5 * (run->u[k * NU + j] + run->u[(k + 1) * NU + j]);
-    else
-      u[j] = input_mean(run, j, t - delay_of(run, j), t + h - delay_of(run, j));
+    if (DELAY[j] >= 0) {
+      u[j] = input_at(run, j, t - delay_of(run, j), 1, slope + j);
+      continue;
+    }
+    slope[j] = slope_on(run, j, k);
+    u[j] = run->u[k * NU + j] + slope[j] * (t - run->time[k]);
   }
+}
+
+/* Where a step from t ends: at `end`, or before, where a late input that is held jumps. What follows from the mean of two
+   values is not the mean of what follows from each. Implicit steps, which may be long, end at kinks, too. */
+static double end_of_piece(Run *run, double t, double end) {
+  const double *time = run->time;
+  for (int j = 0; CUT && j < NU; j++) {
+    double late = delay_of(run, j);
+    if (DELAY[j] < 0 || (LINEAR[j] && !IMPLICIT)) continue;
+    for (long long i = t - late < time[0] ? 0 : piece_at(run, j, t - late) + 1; i < run->samples; i++) {
+      double at = time[i] + late, near = 1e-9 * (i ? time[i] - time[i - 1] : time[1] - time[0]);
+      if (at > end - near) break;
+      if (at < t + near || (!LINEAR[j] && (!i || run->u[i * NU + j] == run->u[(i - 1) * NU + j]))) continue;
+      end = at;
+      break;
+    }
+  }
+  return end;
 }
 
 static void inputs_at_sample(Run *run, long long k, double *u) {
@@ -214,20 +244,35 @@ static int refine(Run *run, Step *step, int size, long long k, double t, double 
 }
 #endif
 
-/* The substeps of interval k. On a stop run->reached and z are the last that is finite. */
+/* What a longer dead time changes where its inputs jump; in sensitivities.c. */
+#if ND > 0
+static void derive_jumps(Run *run, long long k, double t, const double *x, double *dx);
+#endif
+
+/* The substeps of interval k, each in pieces without a jump. On a stop run->reached and z are the last that is finite. */
 static inline int cross(Run *run, Step *step, int size, long long k, double *z) {
   double next[MOVING + 1], dt = run->time[k + 1] - run->time[k];
   long long n = substeps_in(run, dt);
   int status = 0;
-  for (long long i = 0; i < n && !status; i++) {
-    double h = dt / (double)n, t = run->reached = run->time[k] + (double)i * h;
-    status = step(run, k, t, h, n == 1, z, next);
-    if (status == ROUGH)
-      status = refine(run, step, size, k, t, h, z, NX);
-    else if (!status || IMPLICIT)
-      memcpy(z, next, size * sizeof(double));
+  for (long long i = 0; i < n; i++) {
+    double all = dt / (double)n, start = run->time[k] + (double)i * all, end = start + all;
+    for (double t = start, until; t < end && !status; t = until) {
+      until = end_of_piece(run, t, end);
+      int cut = t > start || until < end;
+      double h = cut ? until - t : all;
+      run->reached = t;
+#if ND > 0
+      if (size > NX) derive_jumps(run, k, t, z, z + NX);
+#endif
+      status = step(run, k, t, h, n == 1 && !cut, z, next);
+      if (status == ROUGH)
+        status = refine(run, step, size, k, t, h, z, NX);
+      else if (!status || IMPLICIT)
+        memcpy(z, next, size * sizeof(double));
+    }
+    if (status) return status;
   }
-  return status;
+  return 0;
 }
 
 static int write_output(Run *run, long long k, const double *x, double *y) {

@@ -152,6 +152,25 @@ def rk4_tangent(flat: FlatModel, to: Directions) -> ca.Function:
     return _shared("rk4_tangent", [t, x, u, p, h, dx, du], [*after, _roughness(h, k1, k2, k3, k4)])
 
 
+def jump_tangent(flat: FlatModel, to: Directions) -> ca.Function:
+    """``(t, x, p, behind, before, dx) -> dx``: a longer dead time means the slope of before the jump for a while.
+
+    before (nu, columns): inputs before the jump of those with one dead time, a column for each of `dead_columns`.
+    """
+    t, x, behind, p = symbols(flat)
+    dx = ca.SX.sym("dx", x.numel(), to.count)
+    before = ca.SX.sym("before", behind.numel(), len(dead_columns(to)))
+    rates, after = linear_rate(flat, to), ca.SX(dx)
+    for m, column in enumerate(dead_columns(to)):
+        after[:, column] += rates(t, x, before[:, m], p)[0] - rates(t, x, behind, p)[0]
+    return _shared("jump_tangent", [t, x, p, behind, before, dx], [after])
+
+
+def dead_columns(to: Directions) -> list[int]:
+    """Columns of the free dead times, one for all inputs that share it."""
+    return sorted({column for _, column in to.dead})
+
+
 def output_tangent(flat: FlatModel, to: Directions) -> ca.Function:
     """``(t, x, u, p, dx, du) -> y, dy``."""
     t, x, u, p = symbols(flat)

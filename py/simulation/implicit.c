@@ -30,9 +30,9 @@ static const double BEFORE[STAGES][STAGES - 1] = {
 static const double EMBEDDED[STAGES] = {4586570599 / 29645900160.0,    0.0, 178811875 / 945068544.0,
                                         814220225 / 1159782912.0, -3700637 / 11593932.0, 61727 / 225920.0};
 
-/* Inputs along a piece without a jump: u + slope (t - from). */
+/* Inputs along a piece without a jump or a kink: u + slope (t - from). */
 typedef struct {
-  double from, end, u[NU + 1], slope[NU + 1];
+  double from, u[NU + 1], slope[NU + 1];
 } Piece;
 
 /* What a step works on: slopes of the stages, their derivatives (rows as in sensitivities.c), the matrix in factors. */
@@ -44,30 +44,6 @@ typedef struct {
 #endif
 } Stages;
 
-/* Input j, which comes late, behind time t: its value and slope there; when it is the next sample's turn. */
-static double late_input(Run *run, int j, double t, double *u, double *slope) {
-  const double *time = run->time;
-  double a = t - delay_of(run, j);
-  *u = input_at(run, j, a, 1, slope);
-  if (a < time[0] - 1e-9 * (time[1] - time[0])) return time[0] + delay_of(run, j);
-  long long i = a < time[0] ? 0 : piece_at(run, j, a);
-  if (i + 1 < run->samples && time[i + 1] - a < 1e-9 * (time[i + 1] - time[i])) i++;
-  return i + 1 < run->samples ? time[i + 1] + delay_of(run, j) : INFINITY;
-}
-
-/* The piece of interval k that begins at t. */
-static Piece piece_at_time(Run *run, long long k, double t) {
-  Piece piece = {t, run->time[k + 1]};
-  for (int j = 0; j < NU; j++) {
-    if (DELAY[j] < 0) {
-      piece.slope[j] = slope_on(run, j, k);
-      piece.u[j] = run->u[k * NU + j] + piece.slope[j] * (t - run->time[k]);
-    } else
-      piece.end = fmin(piece.end, late_input(run, j, t, piece.u + j, piece.slope + j));
-  }
-  return piece;
-}
-
 /* Inputs at time t, and their rates to dead times. */
 static void inputs_in(const Piece *piece, double t, double *u, double *du) {
   for (int j = 0; j < NU; j++) u[j] = piece->u[j] + piece->slope[j] * (t - piece->from);
@@ -75,7 +51,7 @@ static void inputs_in(const Piece *piece, double t, double *u, double *du) {
 }
 
 /* x' and the nonzeros of df/dx at (t, x); those of the other derivatives too, where there are any. */
-static void rates_at(Run *run, double t, const double *x, const double *u, double *xdot, double *fx) {
+static void rates_and_jacobian(Run *run, double t, const double *x, const double *u, double *xdot, double *fx) {
   double fp[FP_NNZ + 1], fu[FU_NNZ + 1];
   const double *arg[RATE_ARG] = {&t, x, u, run->p};
   double *res[RATE_RES] = {xdot, fx, fp, fu};
@@ -169,7 +145,7 @@ static double size_of(const Run *run, const double *x, const double *change) {
 static int solve_stage(Run *run, Stages *s, int i, double t, const double *u, double h, const double *base, double *x) {
   double change[NX + 1], xdot[NX + 1], fx[FX_NNZ + 1], before = INFINITY;
   for (int n = 0; n < ITERATIONS; n++) {
-    rates_at(run, t, x, u, xdot, fx);
+    rates_and_jacobian(run, t, x, u, xdot, fx);
     if (factorise_stage(s, fx, h * G)) return 1;
     for (int m = 0; m < NX; m++) change[m] = base[m] + h * G * xdot[m] - x[m];
     solve(s, change, 1, 1);
@@ -219,26 +195,6 @@ static int derive_stage(Run *run, Stages *s, const Piece *piece, int i, double a
   for (int m = 0; m < NS * LD; m++) next[m] = seeds[m] + h * G * rows[m];
   return 0;
 }
-
-/* Where a late input jumps at t, a longer dead time means the slope of before for a while. */
-static void derive_jumps(Run *run, const Piece *piece, double t, const double *x, double *dx) {
-  double before[NU + 1], slope, fx[FX_NNZ + 1], k[2][NX + 1];
-  for (int m = 0; m < ND; m++) {
-    int c = DEAD_COLUMN[m], known = 0, jumps = 0;
-    for (int n = 0; n < m; n++) known |= DEAD_COLUMN[n] == c;
-    memcpy(before, piece->u, NU * sizeof(double));
-    for (int n = 0; n < ND; n++)
-      if (DEAD_COLUMN[n] == c) {
-        int j = DEAD_INPUT[n];
-        before[j] = input_at(run, j, t - delay_of(run, j), 0, &slope);
-        jumps |= before[j] != piece->u[j];
-      }
-    if (known || !jumps) continue;
-    rates_at(run, t, x, before, k[0], fx);
-    rates_at(run, t, x, piece->u, k[1], fx);
-    for (int i = 0; i < NX; i++) dx[i * LD + c] += k[0][i] - k[1][i];
-  }
-}
 #endif
 
 /* A trial from z to next; its error in units of the tolerance, infinite where a stage has no solution. */
@@ -274,12 +230,11 @@ static void begin_piece(Run *run, Stages *s, const Piece *piece, double t, int s
   inputs_in(piece, t, u, du);
 #if NT > 0
   if (size > NX) {
-    derive_jumps(run, piece, t, z, z + NX);
     linear_stage(run, t, z, u, z + NX, du, s->k[0], s->dk[0], fx);
     return;
   }
 #endif
-  rates_at(run, t, z, u, s->k[0], fx);
+  rates_and_jacobian(run, t, z, u, s->k[0], fx);
 }
 
 static double growth_after(double error) {
@@ -314,27 +269,22 @@ static int through_piece(Run *run, Stages *s, const Piece *piece, double end, in
   return 0;
 }
 
-static int through_interval(Run *run, long long k, int size, const double *z, double *next) {
-  double t = run->time[k], end = run->time[k + 1], least = 1e-9 * (end - t);
+static int through(Run *run, long long k, double t, double h, int size, const double *z, double *next) {
+  Piece piece = {t};
   Stages s;
-  int status = 0;
+  inputs_behind(run, k, t, piece.u, piece.slope);
   memcpy(next, z, size * sizeof(double));
-  while (t < end && !status) {
-    Piece piece = piece_at_time(run, k, t);
-    double until = end - piece.end < least ? end : fmax(piece.end, t + least);
-    status = through_piece(run, &s, &piece, until, size, next);
-    t = until;
-  }
+  int status = through_piece(run, &s, &piece, t + h, size, next);
   return status ? status : not_finite(next, NX);
 }
 
 static int step_state(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
-  return through_interval(run, k, NX, z, next);
+  return through(run, k, t, h, NX, z, next);
 }
 
 #if NT > 0
 static int step_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
-  return through_interval(run, k, MOVING, z, next);
+  return through(run, k, t, h, MOVING, z, next);
 }
 #endif
 

@@ -4,9 +4,10 @@ With U(t) the integral of an input from the first sample, the mean over a subste
 
     u_mean = (U(t + h - Td) - U(t - Td)) / h
 
-exact for held and for linear inputs, without half a sample of delay, and differentiable in Td. Before the first sample
-an input has its first value, after the last sample its last. The same rules are in ``driver.c``, for one substep at a
-time; here they are for whole arrays.
+exact for held and for linear inputs, without half a sample of delay, and differentiable in Td. Substeps end where a
+delayed input that is held jumps: what follows from the mean of two values is not the mean of what follows from each.
+Before the first sample an input has its first value, after the last sample its last. The same rules are in
+``driver.c``, for one substep at a time; here they are for whole arrays.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ SNAP = 1e-9  # a delayed instant this close to a sample, in intervals, is that s
 class Substeps:
     """All substeps of a recording in order: start time and length (m,), mean input (m, nu) and its rate by Td.
 
-    ``first`` and ``last`` (n - 1,) are the positions of the first and last substep of every interval.
+    ``first`` and ``last`` (n - 1,) are the positions of the first and last substep of every interval, ``interval`` (m,)
+    is where each lies.
     """
 
     time: np.ndarray
@@ -33,21 +35,60 @@ class Substeps:
     mean_rate: np.ndarray
     first: np.ndarray
     last: np.ndarray
+    interval: np.ndarray
 
 
 def substeps(
     time: np.ndarray, u: np.ndarray, step: float, linear: list[bool], dead_time: list[float | None]
 ) -> Substeps:
-    """Cut every interval of ``time`` (n,) into ceil(dt / step) equal substeps and average ``u`` (n, nu) over each."""
+    """Every interval of ``time`` (n,) in ceil(dt / step) substeps, cut at jumps, with the mean of ``u`` (n, nu)."""
     dt = np.diff(time)
     counts = np.maximum(np.ceil(dt / step - 1e-6), 1.0).astype(int)
     interval = np.repeat(np.arange(len(dt)), counts)
     within = np.arange(len(interval)) - np.repeat(np.cumsum(counts) - counts, counts)
     h = (dt / counts)[interval]
-    start = time[interval] + within * h
+    owner, start, h = _cut(time[interval] + within * h, h, *_jumps(time, u, linear, dead_time))
+    interval = interval[owner]
     mean, rate = means(time, u, interval, start, h, linear, dead_time)
-    ends = np.cumsum(counts)
-    return Substeps(start, h, mean, rate, ends - counts, ends - 1)
+    ends = np.cumsum(np.bincount(interval, minlength=len(dt)))
+    return Substeps(start, h, mean, rate, np.append(0, ends[:-1]), ends - 1, interval)
+
+
+def _jumps(time, u, linear, dead_time) -> tuple[np.ndarray, np.ndarray]:
+    """Where inputs that are delayed and held jump, in order, and how near to each another instant is the same."""
+    at, near = [np.empty(0)], [np.empty(0)]
+    for j, Td in enumerate(dead_time):
+        if Td is not None and not linear[j]:
+            k = np.flatnonzero(np.diff(u[:, j]))
+            at.append(time[k + 1] + Td)
+            near.append(SNAP * (time[k + 1] - time[k]))
+    at, near = np.concatenate(at), np.concatenate(near)
+    order = np.argsort(at, kind="stable")
+    at, near = at[order], near[order]
+    own = np.diff(at, prepend=-np.inf) > near
+    return at[own], near[own]
+
+
+def _cut(start, h, at, near) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Substeps cut ``at`` instants inside them: of which each is a piece, its start and its length."""
+    i = np.searchsorted(start, at, side="right") - 1
+    inside = (i >= 0) & (at > start[i] + near) & (at < start[i] + h[i] - near) if len(start) else i > i
+    begin, owner = np.concatenate([start, at[inside]]), np.concatenate([np.arange(len(start)), i[inside]])
+    order = np.argsort(begin, kind="stable")
+    begin, owner = begin[order], owner[order]
+    last = np.append(owner[1:] != owner[:-1], True)
+    end = np.where(last, start[owner] + h[owner], np.append(begin[1:], 0.0))
+    whole = np.bincount(owner)[owner] == 1
+    return owner, begin, np.where(whole, h[owner], end - begin)
+
+
+def behind(time, u, interval, start, linear, dead_time) -> np.ndarray:
+    """Inputs (m, nu) just behind ``start`` (m,) of substeps in ``interval`` (m,)."""
+    seen = u[interval]
+    for j, Td in enumerate(dead_time):
+        if Td is not None or linear[j]:
+            seen[:, j] = at(time, u[:, j], start - (Td or 0.0), linear[j], "right")
+    return seen
 
 
 def means(time, u, interval, start, h, linear, dead_time) -> tuple[np.ndarray, np.ndarray]:
@@ -59,7 +100,7 @@ def means(time, u, interval, start, h, linear, dead_time) -> tuple[np.ndarray, n
             continue
         a = start - (Td or 0.0)
         mean[:, j] = mean_over(time, u[:, j], a, a + h, linear[j])
-        if Td is not None:
+        if Td is not None and linear[j]:
             rate[:, j] = (at(time, u[:, j], a, linear[j], "left") - at(time, u[:, j], a + h, linear[j], "left")) / h
     return mean, rate
 
@@ -74,7 +115,8 @@ def mean_over(time: np.ndarray, u: np.ndarray, a: np.ndarray, b: np.ndarray, lin
         past = instant - time[i]
         return integral[i] + past * u[i] + 0.5 * past**2 * _slope(time, u, i, instant, linear)
 
-    return (upto(b) - upto(a)) / (b - a)
+    length = np.where(b > a, b - a, 1.0)
+    return np.where(b > a, (upto(b) - upto(a)) / length, at(time, u, a, linear, "right"))
 
 
 def as_seen(signal: Signal, time: np.ndarray, column: np.ndarray) -> np.ndarray:

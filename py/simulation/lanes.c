@@ -39,15 +39,14 @@ static void stop_lane(Walk *walk, int lane, int status, double t, const double *
 
 /* ---- inputs: those without a dead time are the same for all ---- */
 
-static void mean_inputs_of_lanes(Walk *walk, long long k, double t, double h, int whole, Lanes *u) {
-  double mean[NU + 1];
-  mean_inputs(walk->run + walk->lead, k, t, h, whole, mean);
+/* Over the piece of each lane; one whose substep has ended keeps what it had. */
+static void mean_inputs_of_lanes(Walk *walk, long long k, const Lanes *t, const Lanes *h, int whole, int first, Lanes *u) {
   for (int j = 0; j < NU; j++) {
-    u[j] = in_all(mean[j]);
-    for (int l = walk->lead + 1; DELAY[j] >= 0 && l < LANES; l++) {
-      double a = t - delay_of(walk->run + l, j);
-      if (walk->running[l]) LANE(u[j], l) = input_mean(walk->run + l, j, a, a + h);
-    }
+    int same = DELAY[j] < 0 && !(CUT && LINEAR[j]), lead = walk->lead;
+    if (first) u[j] = in_all(mean_input(walk->run + lead, k, j, LANE(*t, lead), LANE(*h, lead), whole));
+    for (int l = first ? lead + 1 : 0; !same && l < LANES; l++)
+      if (walk->running[l] && LANE(*h, l) > 0.0)
+        LANE(u[j], l) = mean_input(walk->run + l, k, j, LANE(*t, l), LANE(*h, l), whole);
   }
 }
 
@@ -100,24 +99,48 @@ static void settle(Walk *walk, int lane, long long k, double t, double h, Lanes 
   if (status) stop_lane(walk, lane, status, run->reached, x);
 }
 
+/* The next piece without a jump of every lane, from t on: where it ends, and how long it is, 0 where the substep has
+   ended. Whether all are whole substeps. */
+static int pieces_of_lanes(Walk *walk, const Lanes *t, double end, double all, int first, Lanes *until, Lanes *h) {
+  int whole = first;
+  *until = in_all(end);
+  for (int l = 0; CUT && l < LANES; l++) {
+    double from = LANE(*t, l);
+    if (from < end && walk->running[l]) LANE(*until, l) = end_of_piece(walk->run + l, from, end);
+    int cut = !first || LANE(*until, l) < end;
+    LANE(*h, l) = cut ? LANE(*until, l) - from : all;
+    whole = whole && !cut;
+  }
+  return whole;
+}
+
+/* One substep from `start` on; 0 when no lane is left. */
+static int substep_of_lanes(Walk *walk, long long k, double start, double all, int alone) {
+  Lanes u[NU + 1], next[NX + 1], roughness[NX + 1], t = in_all(start), h = in_all(all), until;
+  long long rough[LANES];
+  int any_left = 1;
+  for (int first = 1, ended = 0; any_left && !ended; first = 0, t = until) {
+    int whole = pieces_of_lanes(walk, &t, start + all, all, first, &until, &h);
+    mean_inputs_of_lanes(walk, k, &t, &h, alone && whole, first, u);
+    rk4_lanes(&t, walk->x, u, walk->p, &h, next, roughness);
+    int open = rough_lanes(walk, roughness, rough);
+    for (int l = 0; open && l < LANES; l++)
+      if (rough[l]) settle(walk, l, k, LANE(t, l), LANE(h, l), next);
+    memcpy(walk->x, next, NX * sizeof(Lanes));
+    if (open) any_left = follow(walk);
+    ended = 1;
+    for (int l = 0; !whole && l < LANES; l++) ended = ended && !(LANE(until, l) < start + all);
+  }
+  return any_left;
+}
+
 static int cross_lanes(Walk *walk, long long k) {
   const double *time = walk->run->time;
   double dt = time[k + 1] - time[k];
   long long n = substeps_in(walk->run, dt);
-  Lanes u[NU + 1], next[NX + 1], roughness[NX + 1];
-  long long rough[LANES];
   int any_left = 1;
-  for (long long i = 0; i < n && any_left; i++) {
-    double h = dt / (double)n, t = time[k] + (double)i * h;
-    Lanes t_lanes = in_all(t), h_lanes = in_all(h);
-    mean_inputs_of_lanes(walk, k, t, h, n == 1, u);
-    rk4_lanes(&t_lanes, walk->x, u, walk->p, &h_lanes, next, roughness);
-    int open = rough_lanes(walk, roughness, rough);
-    for (int l = 0; open && l < LANES; l++)
-      if (rough[l]) settle(walk, l, k, t, h, next);
-    memcpy(walk->x, next, NX * sizeof(Lanes));
-    if (open) any_left = follow(walk);
-  }
+  for (long long i = 0; i < n && any_left; i++)
+    any_left = substep_of_lanes(walk, k, time[k] + (double)i * (dt / (double)n), dt / (double)n, n == 1);
   return any_left;
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import casadi as ca
@@ -90,11 +91,13 @@ def _step(flat: FlatModel, lines: dict[int, int], period: float, method: str) ->
     substep = equations.rk4_substep(flat) if method == "explicit" else equations.implicit_substep(flat)
     x, u, p, past = _symbols(kind, flat, lines)
     count = _count(flat, period) if method == "explicit" or lines else 1
-    h, after = period / count, x
+    after = x
     for i in range(count):
-        mean = _delayed(flat, lines, u, past, p, i * h, (i + 1) * h, period)
-        after = substep.call([0, after, mean, p, h])[0]
-    seen = _delayed(flat, lines, u, past, p, 0.0, 0.0, period)
+        cuts = _cuts(flat, lines, p, i * period / count, (i + 1) * period / count, period)
+        for begin, end in itertools.pairwise(cuts):
+            seen = _delayed(flat, lines, u, past, p, 0.5 * (begin + end), period)
+            after = substep.call([0, after, seen, p, end - begin])[0]
+    seen = _delayed(flat, lines, u, past, p, 0.0, period)
     y = equations.output(flat)(0, x, seen, p)
     shifted = [ca.vertcat(u[j], past[j][:-1]) for j in lines]
     whole, following = ca.vertcat(x, *past.values()), ca.vertcat(after, *shifted)
@@ -106,30 +109,33 @@ def _symbols(kind, flat: FlatModel, lines: dict[int, int]):
     return x, u, p, {j: kind.sym(f"past_{j}", length) for j, length in lines.items()}
 
 
-def _delayed(flat, lines, u, past, p, begin: float, end: float, period: float):
-    """Inputs averaged over [begin, end] of this period, each delayed by its dead time; u[k] holds from 0 to period."""
+def _cuts(flat, lines, p, begin: float, end: float, period: float) -> list:
+    """Where a substep begins, where delayed inputs jump inside it, in order, and where it ends."""
+    cuts = []
+    for delay in sorted({equations.delays(flat)[j] for j in lines}):
+        jump = p[delay] + period * (ca.ceil((end - p[delay]) / period) - 1)  # the last before the end
+        cuts.append(ca.fmax(begin, jump))
+    for last in range(len(cuts) - 1, 0, -1):
+        for i in range(last):
+            cuts[i : i + 2] = ca.fmin(*cuts[i : i + 2]), ca.fmax(*cuts[i : i + 2])
+    return [begin, *cuts, end]
+
+
+def _delayed(flat, lines, u, past, p, instant, period: float):
+    """Inputs at an instant of this period, each delayed by its dead time; u[k] holds from 0 to period."""
     seen = []
     for j in range(len(flat.inputs)):
         if j not in lines:
             seen.append(u[j])
             continue
-        Td = p[equations.delays(flat)[j]]
         held = [u[j], *ca.vertsplit(past[j])]
-        if end > begin:
-            weights = [_overlap(begin - Td, end - Td, -back * period, (1 - back) * period) for back in range(len(held))]
-            seen.append(sum(w * value for w, value in zip(weights, held, strict=True)) / (end - begin))
-        else:
-            seen.append(_value_at(begin - Td, held, period))
+        seen.append(_value_at(instant - p[equations.delays(flat)[j]], held, period))
     return ca.vertcat(*seen)
 
 
-def _overlap(a, b, low: float, high: float):
-    return ca.fmax(ca.fmin(b, high) - ca.fmax(a, low), 0)
-
-
 def _value_at(instant, held, period: float):
-    """The sample that holds at ``instant`` <= 0; a sample instant is met within 1e-9 of the period."""
-    back = ca.fmin(ca.ceil(-instant / period - 1e-9), len(held) - 1)
+    """The sample that holds at ``instant``; a sample instant is met within 1e-9 of the period."""
+    back = ca.fmin(ca.fmax(ca.ceil(-instant / period - 1e-9), 0), len(held) - 1)
     return sum(ca.if_else(back == k, value, 0) for k, value in enumerate(held))
 
 

@@ -98,24 +98,38 @@ class VirtualMachine:
     @functools.cached_property
     def many(self) -> ca.Function:
         """CHUNK substeps: (x, data (.., CHUNK), p) -> x and roughness (nx, CHUNK)."""
-        return self._on_axis(0).mapaccum("walk", CHUNK, 1)
+        return self._on_axis().mapaccum("walk", CHUNK, 1)
 
     @functools.cached_property
     def many_tangents(self) -> ca.Function:
         """The same with dx (nx, n_theta), one beside the other, behind x."""
-        return self._on_axis(len(self.to.dead), tangent=True).mapaccum("walk_tangent", CHUNK, 2)
+        return self._tangent_on_axis().mapaccum("walk_tangent", CHUNK, 2)
 
-    def _on_axis(self, rates: int, tangent: bool = False):
-        """The substep as ``(x[, dx], [t; u; du; h], p) -> x[, dx], roughness``: the order that mapaccum takes."""
-        kind = ca.MX if self.implicit else ca.SX
-        nx, nu = len(self.flat.states), len(self.flat.inputs)
-        x, p = kind.sym("x", nx), kind.sym("p", len(self.flat.parameters))
-        data = kind.sym("data", nu + rates + 2)
-        t, u, du, h = data[0], data[1 : nu + 1], data[nu + 1 : nu + 1 + rates], data[nu + 1 + rates]
-        if not tangent:
-            return ca.Function("on_axis", [x, data, p], self.substep.call([t, x, u, p, h]))
-        dx = kind.sym("dx", nx, self.to.count)
-        return ca.Function("on_axis", [x, dx, data, p], self.tangent_substep.call([t, x, u, p, h, dx, du]))
+    def _on_axis(self):
+        """The substep as ``(x, [t; u; h], p) -> x, roughness``: the order that mapaccum takes."""
+        x, data, p = self._symbols(0)
+        t, u, h = ca.vertsplit(data, [0, 1, data.numel() - 1, data.numel()])
+        return ca.Function("on_axis", [x, data, p], self.substep.call([t, x, u, p, h]))
+
+    def _tangent_on_axis(self):
+        """``(x, dx, [t; u; du; behind; before; h], p) -> x, dx, roughness``."""
+        nu, rates, columns = len(self.flat.inputs), len(self.to.dead), len(equations.dead_columns(self.to))
+        x, data, p = self._symbols(rates + nu * (1 + columns))
+        dx = type(x).sym("dx", x.numel(), self.to.count)
+        places = np.cumsum([0, 1, nu, rates, nu, nu * columns, 1]).tolist()
+        t, u, du, behind, before, h = ca.vertsplit(data, places)
+        (jumped,) = self.jump.call([t, x, p, behind, ca.reshape(before, nu, columns), dx])
+        return ca.Function("on_axis", [x, dx, data, p], self.tangent_substep.call([t, x, u, p, h, jumped, du]))
+
+    def _symbols(self, further: int):
+        """x, what a substep is told beside it, p."""
+        kind, flat = ca.MX if self.implicit else ca.SX, self.flat
+        sizes = {"x": len(flat.states), "data": 2 + len(flat.inputs) + further, "p": len(flat.parameters)}
+        return [kind.sym(name, size) for name, size in sizes.items()]
+
+    @functools.cached_property
+    def jump(self) -> ca.Function:
+        return equations.jump_tangent(self.flat, self.to)
 
     @functools.cached_property
     def tangent_substep(self) -> ca.Function:
@@ -155,7 +169,9 @@ class _Walk:
     def tangents(self, x, dx):
         """The same, and the derivatives (m, nx, n_theta)."""
         cut, (nx, nt) = self.cut, dx.shape
-        data = np.column_stack([cut.time, cut.mean, cut.mean_rate[:, self._dead], cut.length])
+        self.behind, self.before = self._beside_jumps()
+        sides = self.behind, self.before.reshape(len(cut.time), -1)
+        data = np.column_stack([cut.time, cut.mean, cut.mean_rate[:, self._dead], *sides, cut.length])
 
         def many(part, z):
             made, tangent, rough = self.machine.many_tangents(*z, part.T, self.p)
@@ -163,6 +179,17 @@ class _Walk:
             return (made.full().T, tangent), rough.full().T
 
         return self._through(data, (x, dx), many)
+
+    def _beside_jumps(self):
+        """Inputs (m, nu) behind the start of every substep; before it, of those with one dead time (m, columns, nu)."""
+        cut, to, linear, Td = self.cut, self.machine.to, self.machine.linear, self.machine.dead_time(self.p)
+        behind = inputs.behind(self.time, self.u, cut.interval, cut.time, linear, Td)
+        before = np.repeat(behind[:, None], len(columns := equations.dead_columns(to)), axis=1)
+        for j, column in to.dead:
+            if not linear[j]:
+                seen = inputs.at(self.time, self.u[:, j], cut.time - Td[j], False, "left")
+                before[:, columns.index(column), j] = seen
+        return behind, before
 
     def each(self, restart):
         """States after every substep, every interval from its own start: all intervals side by side."""
@@ -204,7 +231,9 @@ class _Walk:
 
     def _refined(self, j: int, z):
         """After the rough substep j."""
-        k = int(np.searchsorted(self.cut.last, j))
+        k = int(self.cut.interval[j])
+        if len(z) > 1:
+            z = z[0], self.machine.jump(self.cut.time[j], z[0], self.p, self.behind[j], self.before[j].T, z[1]).full()
 
         def trial(t, h, z):
             window = np.array([k]), np.array([t]), np.array([h])

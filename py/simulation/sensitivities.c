@@ -3,12 +3,12 @@
    Rows of length LD, one column per free parameter or start state. NS of the NX states have a row: those in KEPT, where
    nothing that is measured depends on the others. */
 
-/* d mean / d Td = (u(a) - u(b)) / h, one-sided towards longer dead time. */
+/* d mean / d Td = (u(a) - u(b)) / h of inputs that are linear in between: held ones are constant in a step. */
 static void mean_input_rates(Run *run, double t, double h, double *rate) {
   for (int m = 0; m < ND; m++) {
     int j = DEAD_INPUT[m];
     double a = t - delay_of(run, j), slope;
-    rate[m] = (input_at(run, j, a, 0, &slope) - input_at(run, j, a + h, 0, &slope)) / h;
+    rate[m] = LINEAR[j] ? (input_at(run, j, a, 0, &slope) - input_at(run, j, a + h, 0, &slope)) / h : 0.0;
   }
 }
 
@@ -40,6 +40,36 @@ static void linear_stage(Run *run, double t, const double *x, const double *u, c
 #undef ADD_P
 #undef ADD_U
 }
+
+#if ND > 0
+static void rates_at(Run *run, double t, const double *x, const double *u, double *xdot) {
+  double fx[FX_NNZ + 1], fp[FP_NNZ + 1], fu[FU_NNZ + 1];
+  const double *arg[RATE_ARG] = {&t, x, u, run->p};
+  double *res[RATE_RES] = {xdot, fx, fp, fu};
+  linear_rate(arg, res, run->integers, run->work, 0);
+}
+
+/* Where late inputs jump at t, a longer dead time means the slope of before for a while, not that of behind. */
+static void derive_jumps(Run *run, long long k, double t, const double *x, double *dx) {
+  double behind[NU + 1], before[NU + 1], slopes[NU + 1], slope, rate[2][NX + 1];
+  inputs_behind(run, k, t, behind, slopes);
+  for (int m = 0; m < ND; m++) {
+    int c = DEAD_COLUMN[m], known = 0, jumps = 0;
+    for (int n = 0; n < m; n++) known |= DEAD_COLUMN[n] == c;
+    memcpy(before, behind, NU * sizeof(double));
+    for (int n = m; n < ND; n++)
+      if (DEAD_COLUMN[n] == c) {
+        int j = DEAD_INPUT[n];
+        if (!LINEAR[j]) before[j] = input_at(run, j, t - delay_of(run, j), 0, &slope);
+        jumps |= before[j] != behind[j];
+      }
+    if (known || !jumps) continue;
+    rates_at(run, t, x, before, rate[0]);
+    rates_at(run, t, x, behind, rate[1]);
+    for (int i = 0; i < NS; i++) dx[i * LD + c] += rate[0][KEPT[i]] - rate[1][KEPT[i]];
+  }
+}
+#endif
 
 static inline void combine(int n, double *restrict to, const double *restrict from, double factor,
                            const double *restrict rate) {

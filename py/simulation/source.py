@@ -39,7 +39,7 @@ def c_source(flat: FlatModel, to: Directions, implicit: bool) -> str:
     to = dataclasses.replace(to, zero=()) if implicit else to  # runs and sensitivities share its equations
     functions = _functions(flat, to, implicit)
     kept = list(range(len(flat.states))) if implicit else equations.states_with_rows(flat, to)
-    lines = [*_sizes(flat, to, kept), f"#define IMPLICIT {int(implicit)}"]
+    lines = [*_sizes(flat, to, kept, implicit), f"#define IMPLICIT {int(implicit)}"]
     for prefix, function in functions.items():
         lines += [f"#define {prefix}_ARG {function.sz_arg()}", f"#define {prefix}_RES {function.sz_res()}"]
     lines.append(f"#define WORK_REALS {max(f.sz_w() for f in functions.values())}")
@@ -81,7 +81,7 @@ def _generated(functions: dict[str, ca.Function]) -> str:
         return (Path(folder) / "model.c").read_text(encoding="utf-8")
 
 
-def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
+def _sizes(flat: FlatModel, to: Directions, kept: list[int], implicit: bool) -> list[str]:
     sizes = {
         "NX": len(flat.states),
         "NS": len(kept),
@@ -93,6 +93,7 @@ def _sizes(flat: FlatModel, to: Directions, kept: list[int]) -> list[str]:
         "ND": len(to.dead),
         "NZ": len(to.zero),
     }
+    sizes["CUT"] = int(any(s.dead_time and (s.held or implicit) for s in flat.inputs))
     sizes["MOVING"] = sizes["NX"] + sizes["NS"] * sizes["LD"]
     delay = [-1 if d is None else d for d in equations.delays(flat)]
     return [

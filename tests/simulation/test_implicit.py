@@ -115,18 +115,3 @@ def test_a_run_that_asks_for_ever_finer_steps_gives_up_soon():
     model = small_model("blow_up", ["x"], {"a": 1.0}, lambda t, x, u, p: (p[0] * x**2, x), start=[1.0])
     with pytest.raises(Exception, match=r"t = (0\.99|1)"):
         prepare(model, method="implicit").run(np.array([0.0, 2.0]), np.empty((2, 0)), np.ones(1), np.ones(1))
-
-
-def test_two_late_inputs_that_jump_together_and_act_as_a_product_have_the_derivative_of_their_runs():
-    def equations(t, x, u, p):
-        return ca.vertcat(300 * (u[0] * u[1] - x[0]), (x[0] - x[1]) / p[1]), x
-
-    inputs = tuple(Signal(name, "1", interpolation="hold", dead_time="Td") for name in ("u", "w"))
-    model = small_model("shared", ["fast", "slow"], {"Td": 0.0137, "tau": 0.2}, equations, inputs=inputs)
-    time = np.arange(0.0, 0.5, 0.02)
-    u, p, d = np.random.default_rng(1).normal(size=(len(time), 2)), model.parameter_vector(), np.array([1e-5, 0.0])
-    propagator = prepare(model, free_parameters=("Td",), method="implicit")
-    _, dy, _, _ = propagator.sensitivity(time, u, p, np.zeros(2), np.zeros((2, 1)))
-    later, sooner = (propagator.run(time, u, q, np.zeros(2))[0] for q in (p + d, p - d))
-    moved = (later - sooner) / (2 * d[0])
-    assert np.all(np.abs(dy[:, :, 0] - moved) < 1e-4 * np.abs(moved).max(axis=0))

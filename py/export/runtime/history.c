@@ -1,8 +1,11 @@
+#include <math.h>
+
 #include "history.h"
 
 #define COUNT 0
 #define NEWEST 1
 #define PIECES 2
+#define HT_SAME 1e-9 /* of a piece, of a value: what differs less is the same */
 
 size_t ht_history_doubles(size_t pieces) { return PIECES + HT_PIECE * pieces; }
 
@@ -103,4 +106,16 @@ double ht_history_mean(const double *history, size_t capacity, double from, doub
     }
     if (end > from) sum += p[1] * (end - from);
     return sum / (to - from);
+}
+
+double ht_history_jump(const double *history, size_t capacity, double from, double to) {
+    size_t count = (size_t)history[COUNT], age;
+    double found = to;
+    for (age = 0; age + 1 < count; age++) {
+        const double *p = piece(history, capacity, age), *before = piece(history, capacity, age + 1);
+        double ended = before[1] + before[2] * (p[0] - before[0]), near = HT_SAME * (p[0] - before[0]);
+        if (p[0] <= from + near) break;
+        if (p[0] < found - near && fabs(p[1] - ended) > HT_SAME * (fabs(p[1]) + fabs(ended))) found = p[0];
+    }
+    return found;
 }

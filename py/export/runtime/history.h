@@ -15,5 +15,7 @@ void ht_history_push(double *history, size_t capacity, double time, double value
 void ht_history_at(const double *history, size_t capacity, double time, double *value, double *slope);
 /* mean over [from, to], from < to */
 double ht_history_mean(const double *history, size_t capacity, double from, double to);
+/* where the value jumps first behind `from` and before `to`, else `to` */
+double ht_history_jump(const double *history, size_t capacity, double from, double to);
 
 #endif

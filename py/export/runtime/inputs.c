@@ -40,6 +40,19 @@ void ht_inputs_mean(const ht_instance *s, double from, double to, double *u) {
     }
 }
 
+double ht_inputs_jump(const ht_instance *s, double from, double to) {
+    size_t k;
+    double first = to;
+    for (k = 0; k < s->model->inputs; k++) {
+        const double *history = ht_history_of(s, k);
+        if (history) {
+            double td = ht_dead_time(s, k), seen = ht_history_jump(history, s->model->history, from - td, to - td);
+            if (seen < to - td && seen + td < first) first = seen + td;
+        }
+    }
+    return first;
+}
+
 void ht_remember_inputs(ht_instance *s) {
     size_t k;
     double now = ht_time(s);

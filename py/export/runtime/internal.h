@@ -28,6 +28,8 @@ int ht_finite(const double *values, size_t n);
 double ht_dead_time(const ht_instance *self, size_t input);
 void ht_inputs_at(const ht_instance *self, double time, double *u, double *slope); /* slope may be NULL */
 void ht_inputs_mean(const ht_instance *self, double from, double to, double *u);
+/* where a delayed input jumps first behind `from`, else `to`: a step ends there */
+double ht_inputs_jump(const ht_instance *self, double from, double to);
 int ht_inputs_steady(const ht_instance *self); /* constant until the next communication point */
 void ht_remember_inputs(ht_instance *self);
 

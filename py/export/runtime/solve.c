@@ -119,6 +119,17 @@ static int adaptive_step(ht_instance *s, double t, double h, double *x, double *
 /* An internal step from t over h, x in place; not 0: it failed. */
 typedef int internal_step(ht_instance *s, double t, double h, double *x, double *scratch);
 
+/* One from `from` to `to`, h apart, in pieces: what follows from the mean of two values is not the mean of what follows from
+   each, so that a piece ends where a delayed input jumps. */
+static int step_in_pieces(ht_instance *s, internal_step *step, double from, double to, double h, double *x, double *scratch) {
+    double t, until;
+    for (t = from; t < to; t = until) {
+        until = ht_inputs_jump(s, t, to);
+        if (step(s, t, t > from || until < to ? until - t : h, x, scratch)) return 1;
+    }
+    return 0;
+}
+
 ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
     const ht_model *m = s->model;
     internal_step *step = m->method == HT_EXPLICIT ? explicit_step : m->method == HT_REFINED ? refined_step : m->method == HT_IMPLICIT ? implicit_step : adaptive_step;
@@ -132,7 +143,7 @@ ht_status ht_integrate(ht_instance *s, double t, double size, double *end) {
         h = size / count;
         to = k < count ? t + k * h : t + size;
         if (to > *end) to = *end, h = to - from; /* a watcher wants to return inside this internal step */
-        if (step(s, from, h, x, work))
+        if (step_in_pieces(s, step, from, to, h, x, work))
             return ht_fail(s, HT_DISCARD, "the solver did not converge between t = %.9g s and %.9g s", from, to);
         if (!ht_finite(x, m->states)) {
             size_t i = 0;

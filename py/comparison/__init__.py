@@ -1,6 +1,6 @@
 """Comparison: every kind of model on the same recordings, scored alike."""
 
-from .acceptance import FORMAT, Acceptance, Change, Wanted, acceptance, junit
+from .acceptance import Acceptance, Wanted, acceptance
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -19,7 +19,9 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
+from .earlier import FORMAT, Change
 from .evidence import record_comparison
+from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix
 from .metrics import Errors, errors_of
 from .residual import Residual, explain

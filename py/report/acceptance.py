@@ -24,7 +24,7 @@ def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
     tightest = min(accepted.judged, key=lambda one: one.margin if not math.isnan(one.margin) else math.inf)
     count = len(accepted.judged)
     cautions = [one for one in accepted.judged if one.caution]
-    careful = (f"Careful: {min(cautions, key=lambda one: one.samples).caution}.",) if cautions else ()
+    careful = (f"Careful: {min(cautions, key=lambda one: one.samples or 0).caution}.",) if cautions else ()
     if accepted.passed:
         many = "its criterion" if count == 1 else f"all {count} criteria"
         told = f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest, '')}."
@@ -74,7 +74,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     criteria = [
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
-        | {"samples": one.samples}
+        | {"samples": one.samples, "without": list(one.without)}
         for one in accepted.judged
     ]
     changes = [asdict(one) | {"better": one.better, "worse": one.worse} for one in accepted.changes]
@@ -101,9 +101,10 @@ def margin_told(one: Judged, caution: str | None = None) -> str:
     caution = one.caution if caution is None else caution
     if one.undefined:
         return one.undefined
-    told = "no number" if not one.passed else "any margin"
+    told = "any margin" if one.passed else "no number" if not math.isfinite(one.value) else "not allowed at all"
     if math.isfinite(one.margin):
-        told = f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
+        outside = "too little" if one.value < one.low else "too much"
+        told = f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else outside}"
     return f"{told}, {caution}" if caution else told
 
 

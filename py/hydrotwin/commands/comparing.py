@@ -78,6 +78,12 @@ def compare(
     tags: Annotated[
         str, typer.Option(metavar="PATTERN", help="conditions in file names: 'load{load}_stroke{stroke}'")
     ] = "",
+    tag_columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tag-column", metavar="TAG=COLUMN", help="conditions in columns: 'oil=oil_temperature by 10 degC'"
+        ),
+    ] = None,
     junit_file: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE.xml", help="also write the criteria as JUnit XML")
     ] = None,
@@ -122,7 +128,12 @@ def compare(
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
-    said |= {"--interpolation": interpolation, "--tags": tags, "--initial-states": initial_states != MEASURED}
+    said |= {
+        "--interpolation": interpolation,
+        "--tags": tags,
+        "--tag-column": tag_columns,
+        "--initial-states": initial_states != MEASURED,
+    }
     doubled = [option for option, value in {**said, "--title": title}.items() if value]
     doubled += told_in(reading)
     if scenario is not None and doubled:
@@ -146,7 +157,7 @@ def compare(
             reading=reading or Reading(),
             interpolation=interpolation_from(interpolation),
             initial_states=check_initial_states(initial_states, "compare"),
-            tags=Tags(tags),
+            tags=Tags(tags, columns=told_columns(tag_columns)),
             wanted=asked,
         )
     if junit_file is not None and not described.wanted.accept:
@@ -180,6 +191,15 @@ def compare(
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if accepted and not accepted.passed:
         raise typer.Exit(1)
+
+
+def told_columns(pairs: list[str] | None) -> dict[str, str]:
+    """The ``oil=oil_temperature by 10 degC`` pairs of --tag-column."""
+    parted = [pair.partition("=") for pair in pairs or []]
+    for tag, _, column in parted:
+        if not tag.strip() or not column.strip():
+            raise DeclarationError(f"--tag-column {tag}: no 'TAG=COLUMN'. Write load=load_mass.")
+    return {tag.strip(): column.strip() for tag, _, column in parted}
 
 
 class Loaded(dict):

@@ -1,6 +1,7 @@
 """Comparison: every kind of model on the same recordings, scored alike."""
 
 from .acceptance import Acceptance, Wanted, acceptance
+from .again import Again, replay
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -20,7 +21,7 @@ from .contender import BlockContender, Contender, HoldLast, PhysicalContender, a
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
 from .earlier import FORMAT, Change
-from .evidence import record_comparison
+from .evidence import asked_by, record_comparison
 from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix
 from .metrics import Errors, errors_of
@@ -39,6 +40,7 @@ __all__ = [
     "MODES",
     "ONE_STEP",
     "Acceptance",
+    "Again",
     "BlockContender",
     "Change",
     "Comparison",
@@ -68,6 +70,7 @@ __all__ = [
     "Where",
     "acceptance",
     "as_contender",
+    "asked_by",
     "compare",
     "criterion",
     "domain_shares",
@@ -78,6 +81,7 @@ __all__ = [
     "load_contenders",
     "read_scenario",
     "record_comparison",
+    "replay",
     "run_matrix",
     "run_scenario",
 ]

@@ -114,7 +114,7 @@ def compare(
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario, record_comparison
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, asked_by, junit, read_scenario, record_comparison
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
 
     check_folder(output)
@@ -177,7 +177,7 @@ def compare(
         write_whole(junit_file, junit(accepted, matrix.title))
         paths |= {"junit": junit_file}
     if record is not None:
-        record_comparison(record, matrix.base, accepted, named)
+        record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
         paths |= {"record": record}
     if ssp is not None:
         paths |= {"ssp": pack(described, loaded, matrix.base, ssp, ssp_version)}

@@ -68,7 +68,7 @@ class PhysicalContender:
         self.name, self.kind = name or self.flat.name, kind
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
-        self.estimated: dict[str, dict[str, float]] = {}  # by recording
+        self.estimated: dict[str, StartEstimate] = {}  # by recording
         self.how: dict[str, float | str] = {}  # step [s] and method of its runs where they are not its own
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
@@ -89,7 +89,7 @@ class PhysicalContender:
 
     def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
         """The same that starts, on the recordings of ``estimates``, as they say."""
-        return with_changes(self, estimated={e.record: e.values for e in estimates})
+        return with_changes(self, estimated={e.record: e for e in estimates if e.states})
 
     @property
     def content(self) -> tuple | None:
@@ -112,12 +112,15 @@ class PhysicalContender:
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
         told = self.provenance.get(SPREAD)
-        return deviations(self.flat, record, Spread.from_told(told), self._start_of(record)) if told else {}
+        if not told:
+            return {}
+        estimated = self.estimated.get(record.name)
+        return deviations(self.flat, record, Spread.from_told(told), self._known_start(record), estimated)
 
     def _given(self) -> list[tuple[str, ...]]:
         """States that are given together in a run, beside those that a recording measures."""
         own = [s for s in (self._starts() or {"": self.start or {}}).values() if s]
-        own = [{**s, **e} for s in own or [{}] for e in (*self.estimated.values(), {})]
+        own = [{**s, **e} for s in own or [{}] for e in (*(e.values for e in self.estimated.values()), {})]
         measured = [s.name for s in self.flat.states if s.measured_by is not None]
         together = [
             {*s, *some} for s in own if s for n in range(len(measured) + 1) for some in combinations(measured, n)
@@ -129,10 +132,12 @@ class PhysicalContender:
         return self.start if any(isinstance(value, Mapping) for value in (self.start or {}).values()) else None
 
     def _start_of(self, record: Record) -> Mapping[str, float] | None:
+        given, estimated = self._known_start(record), self.estimated.get(record.name)
+        return {**(given or {}), **estimated.values} if estimated else given
+
+    def _known_start(self, record: Record) -> Mapping[str, float] | None:
         by_record = self._starts()
-        given = self.start if by_record is None else by_record.get(record.name)
-        estimated = self.estimated.get(record.name)
-        return {**(given or {}), **estimated} if estimated else given
+        return self.start if by_record is None else by_record.get(record.name)
 
 
 class BlockContender:

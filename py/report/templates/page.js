@@ -22,6 +22,9 @@
     try {
       const spec = JSON.parse(unpacked(plot.parentElement.querySelector("script.spec")));
       if (narrow) Object.assign(spec.layout.margin, { l: 48, r: 8 });
+      const thumb = plot.querySelector(".thumb");
+      library();
+      if (thumb) thumb.remove();
       library().newPlot(plot, spec.data, spec.layout, config).then(function () { plot.dataset.drawn = "yes"; });
     } catch (error) {
       plot.dataset.drawn = "no";

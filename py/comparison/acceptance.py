@@ -21,7 +21,7 @@ from .variants import Variant
 class Acceptance:
     """What was judged: the model, its mode, every criterion, and changes against an earlier comparison.
 
-    new, gone : models that only one of the two comparisons has.
+    new, gone : models that only one of the two comparisons has. otherwise : what else is not as it was, in sentences.
     """
 
     model: str
@@ -30,6 +30,7 @@ class Acceptance:
     changes: tuple[Change, ...] = ()
     new: tuple[str, ...] = field(default=())
     gone: tuple[str, ...] = field(default=())
+    otherwise: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -82,10 +83,11 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
         check_criterion(one, asked, model)
         judged.append(judge(one, _Values(comparison, model, one, wanted.folder(text), variant)))
     judged = tuple(_told(one, comparison, model) for one in judged)
-    changes = ((), (), ())
-    if wanted.against:
-        changes = _earlier(wanted.against, variant).against(comparison)
-    return Acceptance(model, comparison.modes[0], judged, *changes)
+    if not wanted.against:
+        return Acceptance(model, comparison.modes[0], judged)
+    before = _earlier(wanted.against, variant)
+    changes, otherwise = before.against(comparison), () if variant else before.otherwise(comparison)
+    return Acceptance(model, comparison.modes[0], judged, *changes, otherwise)
 
 
 def _earlier(path: Path, variant: str):

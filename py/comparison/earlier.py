@@ -44,12 +44,28 @@ class Earlier:
     """An earlier comparison: mean scores, and those of each recording, by (model, output, mode).
 
     recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
+    started : models whose start was estimated. samples : of each recording by name.
     """
 
     path: Path
     means: Mapping[Key, Mapping]
     recordings: Mapping[str, str] = field(default_factory=dict)
     scores: Mapping[Key, Mapping[str, Mapping]] = field(default_factory=dict)
+    started: frozenset[str] = frozenset()
+    samples: Mapping[str, int] = field(default_factory=dict)
+
+    def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
+        """What else than the models is not as it was, in sentences: a change may come from that."""
+        found = []
+        now = frozenset(s.model for s in comparison.starts)
+        both = {model for model, *_ in self.means} & set(comparison.models)
+        for words, models in (("now, and not then", now - self.started), ("then, and not now", self.started - now)):
+            if some := sorted(models & both):
+                found.append(f"The start of {', '.join(some)} was estimated {words}: errors may differ by that alone.")
+        other = [r.name for r in comparison.records if self.samples.get(r.name, len(r)) != len(r)]
+        if other:
+            found.append(f"{', '.join(other[:3])} had another number of samples then: it was read otherwise.")
+        return tuple(found)
 
     def check_recordings(self, records: Sequence[Record]) -> None:
         """Raises DeclarationError where it was made on other recordings: means over those say nothing of these."""
@@ -116,6 +132,8 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         if not all(isinstance(s["rmse"], float | int) for s in means.values()):
             raise ValueError("a mean without rmse")
         scores = _scores(told.get("scores", ()) if not variant else ())
+        started = frozenset(s["model"] for s in told.get("starts", ()))
+        samples = {r["name"]: r["samples"] for r in judged if "samples" in r}
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read ({error.strerror}). Name the compare.json of an earlier run."
@@ -127,7 +145,9 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
     own = path.parent / folder / path.name
     if variant and means and folder and own.is_file():
         scores = _of_the_same(means, earlier(own))
-    return Earlier(path, means, recordings, scores)
+    if variant:  # the file tells these of the base
+        started, samples = frozenset(), {}
+    return Earlier(path, means, recordings, scores, started, samples)
 
 
 def _of_the_same(means: Mapping[Key, Mapping], own: Earlier) -> Mapping[Key, Mapping[str, Mapping]]:

@@ -42,6 +42,7 @@ def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tup
     for one in accepted.judged:
         word = "PASS" if one.passed else "FAIL"
         lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one, shown)}, {margin_told(one)}"))
+    lines += [(False, f"  {sentence}") for sentence in accepted.otherwise]
     for one in accepted.changes:
         if one.better or one.worse:
             now, before = (_size(value, one, shown).text for value in (one.now, one.before))
@@ -55,7 +56,8 @@ def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tup
 def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[Section, ...]:
     """The criteria one by one, and what changed against an earlier comparison."""
     lead = (
-        f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest."
+        f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest; "
+        "bias, lag and steady by their size."
     )
     judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged, shown),) if accepted.judged else (), lead)
     if not accepted.changes and not accepted.new and not accepted.gone:
@@ -63,6 +65,7 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
     lead = "Mean RMSE, and what it was in the earlier comparison. Changes of less than 2\u00a0% are none."
     lead += f" New: {', '.join(accepted.new)}." if accepted.new else ""
     lead += f" No longer compared: {', '.join(accepted.gone)}." if accepted.gone else ""
+    lead += "".join(f" {sentence}" for sentence in accepted.otherwise)
     parts = (_changes(accepted.changes, shown),) if accepted.changes else ()
     return judged, Section("changes", "Against the earlier comparison", parts, lead)
 
@@ -87,6 +90,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
             "changes": changes,
             "new": list(accepted.new),
             "gone": list(accepted.gone),
+            "otherwise": list(accepted.otherwise),
         }
     }
 

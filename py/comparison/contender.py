@@ -87,6 +87,12 @@ class PhysicalContender:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
         return estimate_start(self.flat, record, how, self._start_of(record))
 
+    def unknown_at_first(self, record: Record) -> list[str]:
+        """Outputs that say where a state starts, and of which the first sample is not known."""
+        given = self._known_start(record) or {}
+        told = [s.measured_by for s in self.flat.states if s.measured_by and s.name not in given]
+        return [name for name in told if name in record.signals and not np.isfinite(record[name][0])]
+
     def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
         """The same that starts, on the recordings of ``estimates``, as they say."""
         return with_changes(self, estimated={e.record: e for e in estimates if e.states})
@@ -208,18 +214,30 @@ class HoldLast:
         return self.outputs
 
     def free_run(self, record: Record) -> Record:
-        """Every output stays at its first sample."""
-        return self._record(record, {n: np.full(len(record.time), record[n][0]) for n in self._known(record)})
+        """Every output stays at its first sample, the first that is known."""
+        return self._record(record, {n: np.full(len(record.time), _first(record[n])) for n in self._known(record)})
 
     def one_step(self, record: Record) -> Record:
-        """Every output repeats its last sample."""
-        return self._record(record, {n: np.r_[record[n][0], record[n][:-1]] for n in self._known(record)})
+        """Every output repeats its last sample, the last that is known."""
+        return self._record(record, {n: _last(record[n]) for n in self._known(record)})
 
     def _known(self, record: Record) -> list[str]:
         return [s.name for s in self.outputs if s.name in record.signals]
 
     def _record(self, record: Record, signals: dict[str, np.ndarray]) -> Record:
         return Record(record.time, signals, {n: record.units[n] for n in signals}, self.name)
+
+
+def _first(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known[0]) if len(known) else float("nan")
+
+
+def _last(values: np.ndarray) -> np.ndarray:
+    """(n,) before every sample the last one that is known; before the first of these, that one."""
+    before = np.r_[_first(values), values[:-1]]
+    at = np.maximum.accumulate(np.where(np.isfinite(before), np.arange(len(before)), 0))
+    return before[at]
 
 
 def as_contender(thing, name: str | None = None) -> Contender:

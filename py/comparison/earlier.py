@@ -57,7 +57,7 @@ class Earlier:
     def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
         """What else than the models is not as it was, in sentences: a change may come from that."""
         found = []
-        now = frozenset(s.model for s in comparison.starts)
+        now = frozenset(s.model for s in comparison.starts if s.estimate.states)
         both = {model for model, *_ in self.means} & set(comparison.models)
         for words, models in (("now, and not then", now - self.started), ("then, and not now", self.started - now)):
             if some := sorted(models & both):
@@ -132,7 +132,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         if not all(isinstance(s["rmse"], float | int) for s in means.values()):
             raise ValueError("a mean without rmse")
         scores = _scores(told.get("scores", ()) if not variant else ())
-        started = frozenset(s["model"] for s in told.get("starts", ()))
+        started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
         samples = {r["name"]: r["samples"] for r in judged if "samples" in r}
     except OSError as error:
         raise DataError(

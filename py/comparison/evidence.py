@@ -98,7 +98,9 @@ def _evidence(
     facts = {
         "model": name,
         "title": comparison.title,
-        "initial_states": "estimated" if any(s.model == name for s in comparison.starts) else "measured",
+        "initial_states": "estimated"
+        if any(s.model == name and s.estimate.states for s in comparison.starts)
+        else "measured",
         "asked": {"modes": list(comparison.modes), "outputs": _outputs(comparison, asked), **asked},
         "untrusted_bands": _untrusted(comparison, name),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],

@@ -113,7 +113,7 @@ def test_a_change_that_may_come_from_how_it_was_asked_is_told(folder, tmp_path):
     told = json.loads((tmp_path / "compare.json").read_text())
     (tmp_path / "same.json").write_text(json.dumps(told))
     told["recordings"][0]["samples"] -= 1
-    told["starts"] = [{"model": "good", "record": "load1_stroke1"}]
+    told["starts"] = [{"model": "good", "record": "load1_stroke1", "states": [{"name": "speed"}]}]
     (tmp_path / "other.json").write_text(json.dumps(told))
     same, other = (acceptance(before, Wanted(against=tmp_path / f"{name}.json")) for name in ("same", "other"))
     assert same.otherwise == () and len(other.otherwise) == 2

@@ -211,8 +211,8 @@ def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Cri
     if metric not in ERRORS:
         raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
     by = float(found["by"] or 0.0) / 100
-    written = _written(None, signals[output], metric)
-    return Criterion(text, output, metric, found["group"] or "", than=found["than"].strip(), by=by, **written)
+    written, than = _written(None, signals[output], metric), found["than"].strip().strip("\"'")
+    return Criterion(text, output, metric, found["group"] or "", than=than, by=by, **written)
 
 
 def _written(unit: str | None, signal: Signal, metric: str) -> dict[str, str | float]:

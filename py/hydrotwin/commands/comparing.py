@@ -169,9 +169,12 @@ def compare(
     matrix = run(described, loaded, output, runs)
     for word in dict.fromkeys(notes(matrix)):
         mark(err, "note", word)
-    if not any(one.comparison.scores for one in matrix.runs):
-        refuse_unscored(matrix.base)
     accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
+    if not any(one.comparison.scores for one in matrix.runs):
+        require_inputs(matrix.base)
+        if junit_file is not None:  # all missed: a server shall not read those of an earlier run
+            write_whole(junit_file, junit(accepted, matrix.title))
+        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title))
@@ -252,12 +255,11 @@ def shipped_values(spec: str, thing) -> dict[str, float]:
     return {p.name: p.value for p in base.flat.parameters}
 
 
-def refuse_unscored(comparison) -> None:
-    """No score, no report: a recording that a model cannot take is unusable input, anything else an honest failure."""
+def require_inputs(comparison) -> None:
+    """A recording that a model cannot take is unusable input, anything else an honest failure."""
     for record in comparison.records:
         for entrant in comparison.entrants:
             require(record, entrant.inputs, entrant.name)
-    raise SolveError(f"compare: no model could be scored. {comparison.failures[0].sentence}")
 
 
 def entry(text: str):

@@ -1,6 +1,7 @@
 """Comparison: every kind of model on the same recordings, scored alike."""
 
-from .acceptance import FORMAT, Acceptance, Change, Wanted, acceptance, junit
+from .acceptance import Acceptance, Wanted, acceptance
+from .again import Again, replay
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -19,7 +20,9 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
-from .evidence import record_comparison
+from .earlier import FORMAT, Change
+from .evidence import asked_by, record_comparison
+from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
@@ -37,6 +40,7 @@ __all__ = [
     "MODES",
     "ONE_STEP",
     "Acceptance",
+    "Again",
     "BlockContender",
     "Change",
     "Comparison",
@@ -66,6 +70,7 @@ __all__ = [
     "Where",
     "acceptance",
     "as_contender",
+    "asked_by",
     "compare",
     "criterion",
     "domain_shares",
@@ -76,6 +81,7 @@ __all__ = [
     "load_contenders",
     "read_scenario",
     "record_comparison",
+    "replay",
     "run_matrix",
     "run_scenario",
 ]

@@ -68,7 +68,7 @@ class PhysicalContender:
         self.name, self.kind = name or self.flat.name, kind
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
-        self.estimated: dict[str, dict[str, float]] = {}  # by recording
+        self.estimated: dict[str, StartEstimate] = {}  # by recording
         self.how: dict[str, float | str] = {}  # step [s] and method of its runs where they are not its own
         self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
 
@@ -87,9 +87,15 @@ class PhysicalContender:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
         return estimate_start(self.flat, record, how, self._start_of(record))
 
+    def unknown_at_first(self, record: Record) -> list[str]:
+        """Outputs that say where a state starts, and of which the first sample is not known."""
+        given = self._known_start(record) or {}
+        told = [s.measured_by for s in self.flat.states if s.measured_by and s.name not in given]
+        return [name for name in told if name in record.signals and not np.isfinite(record[name][0])]
+
     def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
         """The same that starts, on the recordings of ``estimates``, as they say."""
-        return with_changes(self, estimated={e.record: e.values for e in estimates})
+        return with_changes(self, estimated={e.record: e for e in estimates if e.states})
 
     @property
     def content(self) -> tuple | None:
@@ -112,12 +118,15 @@ class PhysicalContender:
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
         told = self.provenance.get(SPREAD)
-        return deviations(self.flat, record, Spread.from_told(told), self._start_of(record)) if told else {}
+        if not told:
+            return {}
+        estimated = self.estimated.get(record.name)
+        return deviations(self.flat, record, Spread.from_told(told), self._known_start(record), estimated)
 
     def _given(self) -> list[tuple[str, ...]]:
         """States that are given together in a run, beside those that a recording measures."""
         own = [s for s in (self._starts() or {"": self.start or {}}).values() if s]
-        own = [{**s, **e} for s in own or [{}] for e in (*self.estimated.values(), {})]
+        own = [{**s, **e} for s in own or [{}] for e in (*(e.values for e in self.estimated.values()), {})]
         measured = [s.name for s in self.flat.states if s.measured_by is not None]
         together = [
             {*s, *some} for s in own if s for n in range(len(measured) + 1) for some in combinations(measured, n)
@@ -129,10 +138,12 @@ class PhysicalContender:
         return self.start if any(isinstance(value, Mapping) for value in (self.start or {}).values()) else None
 
     def _start_of(self, record: Record) -> Mapping[str, float] | None:
+        given, estimated = self._known_start(record), self.estimated.get(record.name)
+        return {**(given or {}), **estimated.values} if estimated else given
+
+    def _known_start(self, record: Record) -> Mapping[str, float] | None:
         by_record = self._starts()
-        given = self.start if by_record is None else by_record.get(record.name)
-        estimated = self.estimated.get(record.name)
-        return {**(given or {}), **estimated} if estimated else given
+        return self.start if by_record is None else by_record.get(record.name)
 
 
 class BlockContender:
@@ -203,18 +214,30 @@ class HoldLast:
         return self.outputs
 
     def free_run(self, record: Record) -> Record:
-        """Every output stays at its first sample."""
-        return self._record(record, {n: np.full(len(record.time), record[n][0]) for n in self._known(record)})
+        """Every output stays at its first sample, the first that is known."""
+        return self._record(record, {n: np.full(len(record.time), _first(record[n])) for n in self._known(record)})
 
     def one_step(self, record: Record) -> Record:
-        """Every output repeats its last sample."""
-        return self._record(record, {n: np.r_[record[n][0], record[n][:-1]] for n in self._known(record)})
+        """Every output repeats its last sample, the last that is known."""
+        return self._record(record, {n: _last(record[n]) for n in self._known(record)})
 
     def _known(self, record: Record) -> list[str]:
         return [s.name for s in self.outputs if s.name in record.signals]
 
     def _record(self, record: Record, signals: dict[str, np.ndarray]) -> Record:
         return Record(record.time, signals, {n: record.units[n] for n in signals}, self.name)
+
+
+def _first(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known[0]) if len(known) else float("nan")
+
+
+def _last(values: np.ndarray) -> np.ndarray:
+    """(n,) before every sample the last one that is known; before the first of these, that one."""
+    before = np.r_[_first(values), values[:-1]]
+    at = np.maximum.accumulate(np.where(np.isfinite(before), np.arange(len(before)), 0))
+    return before[at]
 
 
 def as_contender(thing, name: str | None = None) -> Contender:

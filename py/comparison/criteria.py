@@ -10,7 +10,7 @@ GROUP is the name of a recording, or ``tag=value``; without one a criterion is a
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,8 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible, convert, display_units
+
+from .comparison import mean_known
 
 OF_OUTPUT, SHARE, TIME, PLAIN = "output", "share", "time", "number"  # what a metric is measured in
 METRICS: Mapping[str, str] = {
@@ -36,6 +38,11 @@ METRICS: Mapping[str, str] = {
     "vv20": PLAIN,  # RMSE over the validation uncertainty of ASME V&V 20
 }
 SIZED = ("bias", "lag", "steady")  # judged by their size, whatever their sign
+SCORED: Mapping[str, str] = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias", "fit": "fit_percent"} | {
+    name: name for name in ("r2", "theil", "iso18571", "lag", "steady", "vv20", "coverage")
+}  # metric -> field of a `Score`
+BEST = ("fit", "r2", "iso18571", "coverage")  # the larger the better
+OF_BAND = ("coverage", "vv20")  # a model without a band has none
 ERRORS = ("rmse", "mae", "max", "bias", "nrmse", "theil", "lag", "steady", "vv20")  # the smaller the better
 UNDEFINED: Mapping[str, str] = {
     "r2": "the measurement does not move",
@@ -45,7 +52,8 @@ UNDEFINED: Mapping[str, str] = {
     "iso18571": "a curve does not move or is too short, or the mode is not free run",
     "lag": "a curve does not move, or they do not correlate best within a fifth of the recording",
     "steady": "inputs and measurement never rest together",
-    "vv20": "the model has no band",
+    "vv20": "the model has no band there",
+    "coverage": "the model has no band there",
 }
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
@@ -65,7 +73,8 @@ class Criterion:
     """One sentence, understood.
 
     text : as written. group : "" for all recordings. low, high : SI, or a share of 1; both are allowed themselves.
-    than : the model that must not be better, ``by`` : the share that it may be.
+    than : the model that must not be better, ``by`` : the share that it may be. unit : that it is written in, or else
+    read in; scale : one of it, in SI.
     """
 
     text: str
@@ -76,6 +85,12 @@ class Criterion:
     high: float = np.inf
     than: str = ""
     by: float = 0.0
+    unit: str = ""
+    scale: float = 1.0
+
+    def as_written(self, value: float) -> float:
+        """A number of it (SI, or a share of 1) in ``unit``."""
+        return value / self.scale
 
 
 @dataclass(frozen=True)
@@ -84,7 +99,8 @@ class Judged:
 
     value : SI or a share of 1. low, high : what it had to lie in. margin : how far inside, over the size of the bound;
     negative outside. reason : why a recording left no number, in a sentence; what has none passes nothing.
-    samples : that it was judged on, None where nobody counted.
+    samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
+    output, so that it was judged on the others.
     """
 
     criterion: Criterion
@@ -93,6 +109,7 @@ class Judged:
     high: float
     reason: str = ""
     samples: int | None = None
+    without: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -111,15 +128,41 @@ class Judged:
     @property
     def caution(self) -> str:
         """What to know before it is relied on; empty where there is nothing."""
-        if self.samples is None or self.samples >= FEWEST:
-            return ""
-        return f"judged on only {self.samples} sample{'s' * (self.samples != 1)}"
+        told = [f"not judged on {', '.join(self.without[:3])}{' and others' * (len(self.without) > 3)}, which "
+                f"hold{'s' * (len(self.without) == 1)} no {self.criterion.output}"] if self.without else []  # fmt: skip
+        if self.samples is not None and self.samples < FEWEST:
+            told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
+        return "; ".join(told)
 
     @property
     def margin(self) -> float:
+        if not np.isfinite(self.value):
+            return -np.inf
         sides = [(self.value - self.low, self.low), (self.high - self.value, self.high)]
-        found = [room / (abs(bound) or 1.0) for room, bound in sides if np.isfinite(bound)]
-        return min(found) if np.isfinite(self.value) and found else float("nan" if self.passed else "-inf")
+        found = [_share_of(room, abs(bound) or self._size) for room, bound in sides if np.isfinite(bound)]
+        return min(found) if found else float("nan" if self.passed else "-inf")
+
+    @property
+    def _size(self) -> float:
+        """What a bound of zero is measured by: the other bound, or of a share or a number one; zero where none is."""
+        own = max((abs(bound) for bound in (self.low, self.high) if np.isfinite(bound)), default=0.0)
+        return own or float(METRICS[self.criterion.metric] in (SHARE, PLAIN))
+
+
+def _share_of(room: float, size: float) -> float:
+    return room / size if size else float(np.copysign(np.inf, room)) if room else 0.0
+
+
+def over_recordings(metric: str, values: Sequence[float]) -> float:
+    """What a criterion takes of the scores of several recordings: the largest maximum, of those in SIZED the
+    mean size (of errors at rest where something rests), else the mean; what is in percent as a share.
+    """
+    if metric == "max":
+        return float(max(values))
+    if metric == "steady":
+        return mean_known(np.abs(values))
+    value = float(np.mean(np.abs(values) if metric in SIZED else values))
+    return value / 100 if metric == "fit" else value
 
 
 def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
@@ -141,15 +184,17 @@ def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judge
     found = abs(found) if one.metric in SIZED else found
     if not one.than:
         return Judged(one, found, one.low, one.high)
-    other = value(one.group, one.output, one.metric, one.than)
-    return Judged(one, found, -np.inf, abs(other) * (1 + one.by))
+    other = abs(value(one.group, one.output, one.metric, one.than))
+    allowed = other * (1 + one.by) if np.isfinite(other) else np.nan  # nothing is shown by being as good as a failure
+    return Judged(one, found, -np.inf, allowed)
 
 
 def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
     output, metric = _named(text, found["what"], signals)
     bound = _si(text, float(found["bound"]), found["unit"], signals[output], metric)
     sides = {"high": bound} if found["sign"] in ("<", "<=") else {"low": bound}
-    return Criterion(text, output, metric, found["group"] or "", **sides)
+    written = _written(found["unit"], signals[output], metric)
+    return Criterion(text, output, metric, found["group"] or "", **sides, **written)
 
 
 def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
@@ -157,7 +202,8 @@ def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crit
     low, high = (_si(text, float(found[side]), found["unit"], signals[output], metric) for side in ("low", "high"))
     if low > high:
         raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
-    return Criterion(text, output, metric, found["group"] or "", low, high)
+    written = _written(found["unit"], signals[output], metric)
+    return Criterion(text, output, metric, found["group"] or "", low, high, **written)
 
 
 def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
@@ -165,7 +211,17 @@ def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Cri
     if metric not in ERRORS:
         raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
     by = float(found["by"] or 0.0) / 100
-    return Criterion(text, output, metric, found["group"] or "", than=found["than"].strip(), by=by)
+    written, than = _written(None, signals[output], metric), found["than"].strip().strip("\"'")
+    return Criterion(text, output, metric, found["group"] or "", than=than, by=by, **written)
+
+
+def _written(unit: str | None, signal: Signal, metric: str) -> dict[str, str | float]:
+    """The unit of a criterion, as written or as a person reads it, and what one of it is in SI."""
+    if METRICS[metric] in (SHARE, PLAIN):
+        return {"unit": unit or "", "scale": 0.01 if unit == "%" else 1.0}
+    of = "s" if METRICS[metric] == TIME else signal.unit
+    unit = unit or ("ms" if of == "s" else display_units(of)[0])
+    return {"unit": "" if unit == "1" else unit, "scale": convert(1.0, unit, of) - convert(0.0, unit, of)}
 
 
 def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, str]:
@@ -200,7 +256,11 @@ def _si(text: str, value: float, unit: str | None, signal: Signal, metric: str) 
 def _converted(text: str, value: float, unit: str | None, what: str, of: str) -> float:
     """A difference in SI, of what is measured in ``of``."""
     usual = "ms" if of == "s" else display_units(of)[0]
-    if not unit or not compatible(unit, of):
+    try:
+        fits = bool(unit) and compatible(unit, of)
+    except UnitError as error:
+        raise UnitError(f"accept: '{text}': {error} {what} is in {usual}.") from None
+    if not fits:
         got = f"'{unit}' does not fit" if unit else "a unit is missing"
         share = " A share of the range is nrmse." if unit == "%" else ""
         raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {value:g} {usual}.{share}")

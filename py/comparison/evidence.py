@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
 
 import numpy as np
 
 from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, Credibility, Evidence, now, versions
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
+from hydrotwin.records import Record
+from hydrotwin.records.reading import reading_told
 
 from .acceptance import Acceptance
 from .band import made_from
 from .comparison import Comparison, Entrant, Score
+from .rates import rate_name
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
 CLOSE = 1e-9  # relative: values are the same number, read in one unit or another
 
 
 def record_comparison(
-    path: str | os.PathLike, comparison: Comparison, accepted: Acceptance | None = None, model: str = ""
+    path: str | os.PathLike,
+    comparison: Comparison,
+    accepted: Acceptance | None = None,
+    model: str = "",
+    *,
+    asked: Mapping | None = None,
 ) -> Credibility:
     """Write into a model file what a comparison found of its model.
 
@@ -29,7 +38,8 @@ def record_comparison(
     the same recordings replaces the earlier answer. Evidence of other values is dropped.
 
     accepted : the judged criteria, as `acceptance` gives them. model : the name of the file's model in the comparison;
-    by default the judged one, else the only one with the file's values.
+    by default the judged one, else the only one with the file's values. asked : how recordings were read and runs
+    started, as `asked_by` tells it of a scenario; `replay` needs it where it was not the default.
 
     Returns all that the file holds now. Raises DeclarationError where the comparison is of another model or other
     values, or the criteria are about another model; DataError for a file that cannot be read or written.
@@ -42,7 +52,14 @@ def record_comparison(
             f"{path}: the criteria are about '{accepted.model}', the file holds '{name}'. Judge that one: "
             f"--judge {name}."
         )
-    return add_evidence(path, _evidence(file, comparison, accepted, name))
+    return add_evidence(path, _evidence(file, comparison, accepted, name, asked or {}))
+
+
+def asked_by(scenario) -> dict:
+    """How the recordings of a scenario are read and its runs started, as data."""
+    told = {"initial_states": scenario.initial_states, "rates": list(scenario.rates)}
+    told |= {"interpolation": dict(scenario.interpolation), "import": reading_told(scenario.reading)}
+    return {key: value for key, value in told.items() if value}
 
 
 def check_same(file: ModelFile, entrant: Entrant | None, name: str) -> None:
@@ -70,19 +87,21 @@ def _only(file: ModelFile, entrants: Iterable[Entrant]) -> str:
     return found[0] if len(found) == 1 else ""
 
 
-def _evidence(file: ModelFile, comparison: Comparison, accepted: Acceptance | None, name: str) -> Evidence:
+def _evidence(
+    file: ModelFile, comparison: Comparison, accepted: Acceptance | None, name: str, asked: Mapping
+) -> Evidence:
     fitted_on = fitted_recordings(file)
-    rows = [
-        {"name": r.name, "sha256": r.digest or "", "role": FIT if r.digest in fitted_on else JUDGE}
-        for r in comparison.records
-    ]
+    rows = [_recording(r, FIT if r.digest in fitted_on else JUDGE, file) for r in comparison.records]
     seen = {row["role"] for row in rows}
     role = seen.pop() if len(seen) == 1 else f"{FIT} and {JUDGE}"
     inaccurate = [f"{w.record}: {w.sentence}" for w in comparison.inaccurate if w.model == name]
     facts = {
         "model": name,
         "title": comparison.title,
-        "initial_states": "estimated" if any(s.model == name for s in comparison.starts) else "measured",
+        "initial_states": "estimated"
+        if any(s.model == name and s.estimate.states for s in comparison.starts)
+        else "measured",
+        "asked": {"modes": list(comparison.modes), "outputs": _outputs(comparison, asked), **asked},
         "untrusted_bands": _untrusted(comparison, name),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
@@ -92,6 +111,28 @@ def _evidence(file: ModelFile, comparison: Comparison, accepted: Acceptance | No
         tuple(_criterion(one) for one in accepted.judged) if accepted else (),
         {"reached": not inaccurate, "told": inaccurate}, facts,
     )  # fmt: skip
+
+
+def _recording(record: Record, role: str, file: ModelFile) -> dict:
+    """A row of ``recordings``, with where the file was, from the folder of the model file."""
+    row = {"name": record.name, "sha256": record.digest or "", "role": role}
+    if record.source and Path(record.source).is_file():
+        row["file"] = _way(Path(record.source).resolve(), Path(file.path).resolve().parent)
+    return row | ({"tags": dict(record.tags)} if record.tags else {})
+
+
+def _way(path: Path, folder: Path) -> str:
+    """From a folder to a file; on another drive there is none, and its name is told."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.name
+
+
+def _outputs(comparison: Comparison, asked: Mapping) -> list[str]:
+    """The scored outputs without their slopes."""
+    slopes = {rate_name(name) for name in asked.get("rates", ())}
+    return [s.name for s in comparison.outputs if s.name not in slopes]
 
 
 def fitted_recordings(file: ModelFile) -> frozenset[str]:

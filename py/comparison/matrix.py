@@ -14,10 +14,13 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
 from hydrotwin.work.executor import executor_for
 
-from .acceptance import Acceptance, Change, Wanted, acceptance
+from .acceptance import Acceptance, Wanted, acceptance
+from .asked import check_criterion, judged_model
 from .comparison import Comparison, Failure
 from .contender import Contender
-from .running import Where, check_asked, compare_as, load_contenders, read_all, things_of
+from .criteria import criterion
+from .earlier import Change
+from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
 from .scenario import Scenario
 from .travel import Carried, travels
 from .variants import BASE, Variant, check_many
@@ -136,6 +139,8 @@ def run_matrix(
         records, train = read_all(scenario, pool)
         _check_records(variants, records, scenario.title)
         check_asked(dataclasses.replace(scenario, wanted=_any_of(wanted.values())), base, records)
+        for one in prepared[1:]:
+            _check_criteria(scenario, one, wanted[one.variant.name], records)
         total, runs = sum(len(p.contenders) for p in prepared) * len(records) * len(scenario.modes), []
         for k, one in enumerate(prepared):
             before = sum(len(p.contenders) for p in prepared[:k]) * len(records) * len(scenario.modes)
@@ -241,22 +246,35 @@ def _from(where: Where, before: int, total: int, name: str) -> Where:
 # -- criteria ----------------------------------------------------------------------------------------------------------
 def _wanted_of(wanted: Wanted, name: str, variants: Sequence[Variant]) -> Wanted:
     """What is asked of one variant: criteria that name it (``variant=cold: ...``), or none."""
-    own = []
+    own, folders = [], {}
     for text in wanted.accept:
         found = _NAMED.fullmatch(text)
         names = [v.name for v in variants]
         if found and len(names) > 1 and not fnmatch.filter(names, found["name"]):
             raise DeclarationError(f"accept: '{text}': no variant '{found['name']}'. {nearest(found['name'], names)}")
-        if found and len(names) > 1:
-            own += [found["rest"]] if fnmatch.fnmatch(name, found["name"]) else []
-        else:
-            own.append(text)
-    return dataclasses.replace(wanted, accept=tuple(own))
+        about = found["rest"] if found and len(names) > 1 else text
+        if about is text or fnmatch.fnmatch(name, found["name"]):
+            own.append(about)
+            folders[about] = wanted.folder(text)
+    return dataclasses.replace(wanted, accept=tuple(own), own=folders)
+
+
+def _check_criteria(scenario: Scenario, one: _Prepared, wanted: Wanted, records: Sequence[Record]) -> None:
+    """Refuse what the models of a variant cannot be judged by: changed values, for one, have no band."""
+    if one.failed:
+        return
+    asked = asked_of(scenario, one.contenders, records)
+    for text in wanted.accept:
+        try:
+            check_criterion(criterion(text, asked.outputs), asked, judged_model(asked, wanted.model))
+        except DeclarationError as error:
+            raise DeclarationError(f"{scenario.title}: variant '{one.variant.name}': {error}") from None
 
 
 def _any_of(wanted: Sequence[Wanted]) -> Wanted:
     first, *_ = wanted
-    return dataclasses.replace(first, accept=tuple(dict.fromkeys(text for one in wanted for text in one.accept)))
+    folders = {text: one.folder(text) for one in wanted for text in one.accept}
+    return dataclasses.replace(first, accept=tuple(folders), own=folders)
 
 
 def _accepted(run: VariantRun, wanted: Wanted) -> Acceptance | None:

@@ -59,7 +59,7 @@ def errors_of(measured: np.ndarray, predicted: np.ndarray) -> Errors:
         rmse=float(np.sqrt(np.mean(e**2))),
         mae=float(np.mean(np.abs(e))),
         maximum=float(np.max(np.abs(e))),
-        fit_percent=100.0 * (1.0 - float(np.linalg.norm(e)) / swing) if swing > 0.0 else float("nan"),
+        fit_percent=100.0 * (1.0 - float(np.linalg.norm(e)) / swing) if np.ptp(y) > 0.0 else float("nan"),
         bias=float(e.mean()),
         deviation=float(e.std()),
         lowest=float(e.min()),

@@ -71,8 +71,8 @@ def compare(
     contenders, records = [as_contender(c) for c in contenders], distinct(records)[0]
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
-    wanted = _wanted(contenders, records, outputs)
-    sloped = _wanted(contenders, records, rates) if rates else []
+    wanted = wanted_of(contenders, records, outputs)
+    sloped = wanted_of(contenders, records, rates) if rates else []
     how = check_initial_states(initial_states, "compare")
     plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how)
     noise = [noise_floor(r) for r in records]
@@ -89,7 +89,7 @@ def compare(
     trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
     return Comparison(
         title=title,
-        entrants=tuple(_entrant(c) for c in contenders),
+        entrants=tuple(entrant(c) for c in contenders),
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
@@ -195,7 +195,8 @@ def _fed(contender: Contender, records: Sequence[Record]) -> Contender:
     return contender if fed_by is None else as_contender(fed_by(records), contender.name)
 
 
-def _entrant(contender) -> Entrant:
+def entrant(contender) -> Entrant:
+    """A contender as it is listed."""
     chosen = between([s for s in contender.inputs if s.chosen_by != "model"])
     return Entrant(
         contender.name,
@@ -224,7 +225,7 @@ def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Se
             raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
 
 
-def _wanted(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:
+def wanted_of(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:
     """Signals to score. An asked-for name that no contender gives raises."""
     given = {s.name: s for s in _signals(contenders)}
     if outputs is None:

@@ -12,12 +12,12 @@ from hydrotwin.records import Reading, Record, read_record, require_once
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
 
-from .acceptance import check_wanted
+from .asked import Asked, check_wanted
 from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import in_loop
 from .rates import rate_signal
-from .run import compare
+from .run import compare, entrant, wanted_of
 from .scenario import ModelEntry, Scenario
 from .variants import Variant
 from .varied import Thing, concerns, run_as, varied
@@ -97,9 +97,16 @@ def read_all(scenario: Scenario, pool: Executor) -> tuple[list[Record], list[Rec
 
 def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> None:
     """Refuse before a long run criteria that could not be judged after it."""
-    outputs = {s.name: s for c in contenders for s in c.outputs}
-    slopes = [rate_signal(outputs[name]) for name in scenario.rates if name in outputs]
-    check_wanted(scenario.wanted, [c.name for c in contenders], [*outputs.values(), *slopes], records)
+    check_wanted(scenario.wanted, asked_of(scenario, contenders, records))
+
+
+def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> Asked:
+    """What criteria of a scenario can be about."""
+    outputs = wanted_of(contenders, records, scenario.outputs)
+    sloped = wanted_of(contenders, records, scenario.rates) if scenario.rates else []
+    entrants = tuple(entrant(c) for c in contenders)
+    scored = (*outputs, *(rate_signal(s) for s in sloped))
+    return Asked(entrants, scored, records, scenario.modes[0])
 
 
 def things_of(scenario: Scenario, resolve: Callable[[str], object]) -> list[Thing]:

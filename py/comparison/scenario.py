@@ -20,7 +20,7 @@ from .tags import Tags
 from .variants import Variant, read_variants
 
 OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "initial_states", "loop")
-JUDGING = ("tags", "accept", "judge", "against")
+JUDGING = ("tags", "tag_columns", "accept", "judge", "against")
 VARYING = ("variants", "matrix")
 KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING, *VARYING)
 _FILES = (".toml", ".fmu", ".npz")
@@ -85,6 +85,7 @@ def read_scenario(path: str | Path) -> Scenario:
         interpolation = {force = "linear"}        # between samples, in place of what the recordings show
         initial_states = "auto"                   # start states from the first part: measured (default), auto or free
         tags = "load{load}_stroke{stroke}"        # conditions in the names of the recordings; a star is anything
+        tag_columns = {machine = "rig", oil = "oil_temperature by 10 degC"}  # conditions in columns, see `Tags`
         accept = ["arm_angle.rmse < 0.2 deg", "load=2: arm_angle.fit > 90 %"]   # see `criteria`
         judge = "fitted.toml"                     # the model that is judged; by default the first
         against = "last/compare.json"             # an earlier comparison
@@ -198,7 +199,8 @@ def _tagged(table: Mapping, path: Path) -> tuple[list[str], Tags]:
         if not isinstance(item, str):
             raise DeclarationError(f"{path.name}: 'validate' holds no text (got {item!r}). Put it in quotes.")
         files.append(item)
-    return files, Tags(_text(table, "tags", path.name), by_file)
+    columns = _texts(table, "tag_columns", path.name, "load = 'load_mass'")
+    return files, Tags(_text(table, "tags", path.name), by_file, columns)
 
 
 def _wanted(table: Mapping, path: Path) -> Wanted:
@@ -285,7 +287,7 @@ def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:
     """The recordings named, each once; a pattern that is no file stands for all files it matches, sorted."""
     found: dict[Path, None] = {}
     for name in (_expanded(name, path) for name in names):
-        is_pattern = ("*" in name or "?" in name) and not (path.parent / name).is_file()
+        is_pattern = any(sign in name for sign in "*?[") and not (path.parent / name).is_file()
         matches = _matches(path.parent, name) if is_pattern else [path.parent / name]
         if not matches or not matches[0].exists():
             raise DataError(f"{path.name}: no recording '{name}'. {_nearest_file(path.parent / name)}")

@@ -43,7 +43,7 @@ def start_of(contender: Contender, record: Record, how: str) -> tuple[Contender,
     A model whose start cannot be estimated starts as it does without, and says why.
     """
     if how == MEASURED:
-        return contender, None
+        return contender, _unknown(contender, record)
     if hasattr(contender, "estimate_start"):
         started = Started(contender.name, _estimate(contender, record, how))
     elif how == FREE and contender.kind != "yardstick":
@@ -51,6 +51,18 @@ def start_of(contender: Contender, record: Record, how: str) -> tuple[Contender,
     else:
         return contender, None
     return contender.with_starts([started.estimate]) if hasattr(contender, "with_starts") else contender, started
+
+
+def _unknown(contender: Contender, record: Record) -> Started | None:
+    """What is to be told of a model whose measured start is not in the first sample; None where it is."""
+    missing = contender.unknown_at_first(record) if hasattr(contender, "unknown_at_first") else []
+    if not missing:
+        return None
+    note = (
+        f"the first sample of {' and '.join(missing)} is not known, so that the model starts there as it thinks. "
+        "Estimate the start (initial_states auto), or cut the recording to where it is known."
+    )
+    return Started(contender.name, StartEstimate(record.name, note=note))
 
 
 def _estimate(contender, record: Record, how: str) -> StartEstimate:

@@ -51,6 +51,12 @@ def _tags(comparison: Comparison, kind: type, rows: Sequence[Score | Failure]) -
     return {f"tag.{tag}" if tag in taken else tag: [records[row.record].tags.get(tag) for row in rows] for tag in names}
 
 
+def _in_order(kind: type) -> list[dataclasses.Field]:
+    """Its own fields first: of which model, recording and output a row is, before the metrics of the field."""
+    own = kind.__annotations__
+    return sorted(dataclasses.fields(kind), key=lambda field: field.name not in own)
+
+
 def _of(
     kind: type,
     rows: Sequence,
@@ -64,7 +70,7 @@ def _of(
 
     types = {"str": pyarrow.string(), "float": pyarrow.float64(), "int": pyarrow.int64()}
     columns = {name: pyarrow.array(values, pyarrow.string()) for name, values in (front or {}).items()}
-    for field in dataclasses.fields(kind):
+    for field in _in_order(kind):
         if field.name not in without:
             values = [getattr(row, field.name) for row in rows]
             columns[field.name] = pyarrow.array(values, types[str(field.type)], from_pandas=True)

@@ -1,4 +1,4 @@
-"""Of which operating condition a recording is: tags from its name, or as its scenario says."""
+"""Of which operating condition a recording is: tags from its name, from a column, or as its scenario says."""
 
 from __future__ import annotations
 
@@ -8,10 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from hydrotwin.models.language.errors import DeclarationError
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
+from hydrotwin.models.language.units import compatible, convert
 from hydrotwin.records import SUFFIXES, Record
 
+from .criteria import NUMBER
+
 _NAME = re.compile(r"\{(\w+)\}")
+_STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
+SAME = 1e-6  # relative: a column that changes less is one number, rounded
 
 
 @dataclass(frozen=True)
@@ -21,15 +28,23 @@ class Tags:
     pattern : of whole file names without suffix, such as ``load{load}_stroke{stroke}_*``; a star is anything, a value
     has no ``_``. So no value is cut without a word.
     by_file : tags by file, over those of the pattern.
+    columns : tag -> the column that tells it, ``load_mass``, the same in every row; or ``oil_temperature by 10 degC``:
+    the middle of what was measured, rounded to so much.
     """
 
     pattern: str = ""
     by_file: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
 
     def put(self, record: Record, path: Path) -> Record:
-        """The recording with its tags. Raises DeclarationError where the pattern does not fit its name."""
+        """The recording with its tags.
+
+        Raises DeclarationError where the pattern does not fit its name, DataError and UnitError where a column tells
+        no tag.
+        """
         said = {str(tag): str(value) for tag, value in self.by_file.get(path, {}).items()}
-        return replace(record, tags={**record.tags, **self._from_name(path), **said})
+        told = {tag: _from_column(record, tag, what) for tag, what in self.columns.items() if tag not in said}
+        return replace(record, tags={**record.tags, **self._from_name(path), **told, **said})
 
     def _from_name(self, path: Path) -> dict[str, str]:
         if not self.pattern:
@@ -50,6 +65,36 @@ class Tags:
                 f"{{file = '{path.name}', tags = {{{names[0]} = ...}}}}."
             )
         return found.groupdict()
+
+
+def _from_column(record: Record, tag: str, what: str) -> str:
+    """What a column says of a tag: its word, or its number in the unit of the file."""
+    found = _STEPS.fullmatch(what)
+    name = found["column"] if found else what
+    if not found and name in record.words:
+        return record.words[name]
+    values = record[name]
+    unit = record.display_units.get(name, record.units[name])
+    if found and not float(found["step"]) > 0:
+        raise DeclarationError(f"tags: {tag} = '{what}': conditions differ by more than nothing. Write a step above 0.")
+    if found and not compatible(found["unit"] or "1", record.units[name]):
+        raise UnitError(
+            f"tags: {tag} = '{what}': {name} is in {unit}. Write for example '{name} by {found['step']} {unit}'."
+        )
+    unit = (found["unit"] or "1") if found else unit
+    shown = np.asarray(convert(values[np.isfinite(values)], record.units[name], unit))
+    if not len(shown):
+        raise DataError(f"tags: {tag} = '{what}': {record.name} has no value of {name}. Say the tag of that file.")
+    if found:
+        number = round(float(np.median(shown)) / float(found["step"])) * float(found["step"])
+    else:
+        number = float(shown[0])
+        if np.ptp(shown) > SAME * abs(number):
+            raise DataError(
+                f"tags: {tag} = '{what}': {name} of {record.name} changes from {shown.min():.6g} to {shown.max():.6g} "
+                f"{unit}. Say by how much conditions differ: '{name} by {np.ptp(shown):.1g} {unit}'."
+            )
+    return f"{number + 0.0:.6g}" + (f" {unit}" if unit != "1" else "")
 
 
 def _bare(path: Path) -> str:

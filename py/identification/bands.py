@@ -2,7 +2,8 @@
 
     sd(t)^2 = S(t) C S(t)^T + Z(t) N Z(t)^T + left^2,     S = dy/dp,  Z = dy/dx0
 
-C is the covariance of the parameters, N that of the noise in measured start states, and ``left`` what the fit left of
+C is the covariance of the parameters, N that of the noise in measured start states, or of states that were estimated
+from the first part of the recording (parameters as they are), and ``left`` what the fit left of
 an output on its training recordings: the noise of the sensor where nothing is missing, else what is missing too. S and
 Z are the exact sensitivities of the run. Where something is missing a band is as wide as the training was wrong, and on
 other recordings the machine may be further off: then it cannot be trusted, and the output is not in `Spread.explained`.
@@ -24,6 +25,7 @@ from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 from hydrotwin.simulation.simulate import filled, inputs_of, since_start
 
+from .beginning import StartEstimate
 from .start_states import StartStates
 
 TRAIN = "train"
@@ -78,26 +80,34 @@ class Spread:
 
 
 def deviations(
-    model, record: Record, spread: Spread, start: Mapping[str, float] | None = None
+    model,
+    record: Record,
+    spread: Spread,
+    start: Mapping[str, float] | None = None,
+    estimated: StartEstimate | None = None,
 ) -> dict[str, np.ndarray]:
     """Standard deviation (n,), SI, of what the sensor of every output reads in a free run as `simulate` makes it.
 
-    model : a Model or FlatModel, its inputs as it was fitted; start : start states by name that are known exactly.
+    model : a Model or FlatModel, its inputs as it was fitted; start : start states by name that are known exactly;
+    estimated : those that are not, with their covariance.
     Only outputs that the fit was judged on have one. Raises as `simulate`.
     """
     flat: FlatModel = settled(getattr(model, "flat", model), [record])
     record, order = filled(record, flat), [p.name for p in flat.parameters]
     kept = [k for k, name in enumerate(spread.names) if name in order]
     names = [spread.names[k] for k in kept]
-    given, measured = given_starts(flat, record, start or {})
+    doubted = estimated.values if estimated else {}
+    given, measured = given_starts(flat, record, {**(start or {}), **doubted})
     starts = StartStates(flat, list(given), np.array([order.index(n) for n in names], dtype=int))
     u, p = inputs_of(flat, record), flat.parameter_vector()
     x0, by_p, by_z = starts(u[0], p, np.array([given[n] for n in starts.names]))
-    seeds = np.hstack([by_p, by_z[:, [starts.names.index(n) for n in measured]]])
-    propagator = prepare(flat, free_parameters=names, free_states=list(measured))
+    moving = [*measured, *doubted]
+    seeds = np.hstack([by_p, by_z[:, [starts.names.index(n) for n in moving]]])
+    propagator = prepare(flat, free_parameters=names, free_states=moving)
     _, dy, _, _ = propagator.sensitivity(since_start(record), u, p, x0, seeds, with_states=False)
     noise = np.square([spread.noise.get(output, 0.0) for output in measured.values()])
-    C = block_diag(spread.covariance[np.ix_(kept, kept)], np.diag(noise))
+    of_start = np.reshape(estimated.covariance if estimated else (), (len(doubted), len(doubted)))
+    C = block_diag(spread.covariance[np.ix_(kept, kept)], np.diag(noise), of_start)
     found = {}
     for j, signal in enumerate(flat.outputs):
         if signal.name in spread.left:

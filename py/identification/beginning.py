@@ -53,7 +53,8 @@ class StartState:
 class StartEstimate:
     """The start of one recording: its estimated ``states``, from ``seconds`` (from, to) of its clock, ``samples``.
 
-    ``note`` says why nothing was estimated; else empty.
+    ``note`` says why nothing was estimated; else empty. ``covariance`` : of the states, rows of SI values, for the
+    parameters as they are.
     """
 
     record: str
@@ -61,6 +62,7 @@ class StartEstimate:
     seconds: tuple[float, float] = (0.0, 0.0)
     samples: int = 0
     note: str = ""
+    covariance: tuple[tuple[float, ...], ...] = ()
 
     @property
     def values(self) -> dict[str, float]:
@@ -94,7 +96,10 @@ def estimate_start(model, record: Record, how: str = AUTO, known: Mapping[str, f
     (measured,) = recordings(flat, [part], None, "recording")
     search = _Search(flat, measured, known or {})
     seconds = float(part.time[0]), float(part.time[-1])
-    return StartEstimate(record.name, search.told(search.best(how)), seconds, len(part.time))
+    best = search.best(how)
+    at = np.flatnonzero(best.moves)
+    covariance = tuple(map(tuple, best.covariance[np.ix_(at, at)].tolist()))
+    return StartEstimate(record.name, search.told(best), seconds, len(part.time), covariance=covariance)
 
 
 def _first_part(record: Record, flat: FlatModel) -> Record:
@@ -123,14 +128,14 @@ class _Found:
         return shooting.start(u0, p, self.minimum.z[0] * shooting.start.nominal)[0]
 
     @property
-    def sigma(self) -> np.ndarray:
-        """Standard deviations (nz,), SI, of those that move; they grow with what is left beyond noise."""
+    def covariance(self) -> np.ndarray:
+        """(nz, nz), SI, of those that move, zero of the others; it grows with what is left beyond noise."""
         free = max(1, self.shooting.count - int(self.moves.sum()))
-        scale = np.sqrt(max(1.0, 2 * self.minimum.cost / free)) * self.shooting.start.nominal
-        sigma, at = np.zeros(len(self.moves)), np.flatnonzero(self.moves)
+        nominal, at = self.shooting.start.nominal, np.flatnonzero(self.moves)
         information = self.minimum.at.hessian[0][np.ix_(at, at)]
-        sigma[at] = np.sqrt(np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 0.0))
-        return sigma * scale
+        found = np.zeros((len(self.moves), len(self.moves)))
+        found[np.ix_(at, at)] = np.linalg.pinv(information, hermitian=True)
+        return found * max(1.0, 2 * self.minimum.cost / free) * np.outer(nominal, nominal)
 
 
 class _Search:
@@ -166,7 +171,8 @@ class _Search:
     def told(self, found: _Found) -> tuple[StartState, ...]:
         """The states that were estimated."""
         x0, names = found.x0, found.shooting.start.names
-        rows = [(n, s) for n, s, moves in zip(names, found.sigma, found.moves, strict=True) if moves]
+        sigma = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
+        rows = [(n, s) for n, s, moves in zip(names, sigma, found.moves, strict=True) if moves]
         at = {s.name: k for k, s in enumerate(self.flat.states)}
         return tuple(
             StartState(n, float(x0[at[n]]), float(sigma), float(self.assumed[at[n]]), self.flat.states[at[n]].unit)

@@ -266,12 +266,15 @@ def import_text(reading: Reading, files: Sequence[str] = (), comments: Sequence[
         document.add(tomlkit.comment(sentence))
     if files:
         document["files"] = list(files)
-    for key in _PLAIN:
-        if (value := getattr(reading, key)) is not None:
-            document[key] = value
-    for key, own in _TABLES.items():
-        values = getattr(reading, own)
-        if values:
-            texts = {n: f"{v.factor!r} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
-            document[key] = texts
+    for key, value in reading_told(reading).items():
+        document[key] = value
     return tomlkit.dumps(document)
+
+
+def reading_told(reading: Reading) -> dict:
+    """As data, which `import_from` reads."""
+    told = {key: value for key in _PLAIN if (value := getattr(reading, key)) is not None}
+    for key, own in _TABLES.items():
+        if values := getattr(reading, own):
+            told[key] = {n: f"{v.factor!r} {v.unit}" if isinstance(v, Scale) else v for n, v in values.items()}
+    return told

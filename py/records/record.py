@@ -58,6 +58,7 @@ class Record:
     display_units : the units a person reads them in, kept from the file. source, digest : the file and its SHA-256.
     refused : columns of the file that cannot be used, and why, a sentence; it is raised where one of them is asked for.
     understood : in words, how the file was read. tags : operating condition by name (load, machine, ...), in words.
+    words : of refused columns that say the same in every row, such as the name of a machine, what they say.
 
     Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
     `UnitError` for a unit that is not SI.
@@ -73,6 +74,7 @@ class Record:
     refused: Mapping[str, str] = field(default_factory=dict)
     understood: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self):
         time = _frozen_array(self.time, f"{self.name}: time")

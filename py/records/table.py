@@ -32,13 +32,14 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     table = _with_units(table, reading)
     table = _with_time(table, reading, refused)
     _check_length(table)
+    words = _words(table)
     table = _usable(table, reading, refused)
     if np.isnan(table.columns[0].values).any():
         table = _with_clock(_without_missing(table, reading, refused), reading.clock)
     else:  # a repair counts the samples of a stamp: none may be gone before
         table = _without_missing(_with_clock(table, reading.clock), reading, refused)
     table = _with_constants(table, reading)
-    return _in_si(table, name, reading, refused)
+    return _in_si(table, name, reading, refused, {n: word for n, word in words.items() if n in refused})
 
 
 # -- names and units ---------------------------------------------------------------------------------------------------
@@ -255,6 +256,17 @@ def _usable(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     return replace(table, columns=tuple(kept))
 
 
+def _words(table: Table) -> dict[str, str]:
+    """Columns that say the same in every row: a text, or a number as it is written."""
+    found = {}
+    for column in table.columns[1:]:
+        cells = {t.strip() for t in column.texts} if column.texts is not None else {f"{v:g}" for v in column.values[:1]}
+        same = column.texts is not None or (column.values == column.values[0]).all()
+        if len(cells) == 1 and same and "" not in cells:
+            found[column.name] = cells.pop()
+    return found
+
+
 def _wrong_unit(table: Table, column: Column, reading: Reading) -> str:
     where = f"{table.path}: {table.header}, column '{column.name}'"
     if column.unit is None:
@@ -362,7 +374,7 @@ def _with_constants(table: Table, reading: Reading) -> Table:
     return replace(table, columns=tuple(columns), understood=f"{table.understood}, set {said}".removeprefix(", "))
 
 
-def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str]) -> Record:
+def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str], words: dict[str, str]) -> Record:
     signals, units, display = {}, {}, {}
     for column in table.columns:
         values, unit = to_si(column.values, column.unit)
@@ -377,4 +389,4 @@ def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str]) -
             shown = unit
         signals[column.name], units[column.name], display[column.name] = values, unit, shown
     time = signals.pop("time")
-    return Record(time, signals, units, name, table.path, table.digest, display, refused, table.understood)
+    return Record(time, signals, units, name, table.path, table.digest, display, refused, table.understood, words=words)

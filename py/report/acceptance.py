@@ -24,14 +24,14 @@ def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
     tightest = min(accepted.judged, key=lambda one: one.margin if not math.isnan(one.margin) else math.inf)
     count = len(accepted.judged)
     cautions = [one for one in accepted.judged if one.caution]
-    careful = (f"Careful: {min(cautions, key=lambda one: one.samples).caution}.",) if cautions else ()
+    careful = (f"Careful: {min(cautions, key=lambda one: one.samples or 0).caution}.",) if cautions else ()
     if accepted.passed:
         many = "its criterion" if count == 1 else f"all {count} criteria"
         told = f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest, '')}."
         return (told, *careful)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
-    words = [one.undefined or f"found {found_told(one, shown)}" for one in missed[:3]]
+    words = [one.undefined.rstrip(".") or f"found {found_told(one, shown)}" for one in missed[:3]]
     told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
     return (f"FAIL: {accepted.model} misses {many}: {told}.", *careful)
 
@@ -42,6 +42,7 @@ def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tup
     for one in accepted.judged:
         word = "PASS" if one.passed else "FAIL"
         lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one, shown)}, {margin_told(one)}"))
+    lines += [(False, f"  {sentence}") for sentence in accepted.otherwise]
     for one in accepted.changes:
         if one.better or one.worse:
             now, before = (_size(value, one, shown).text for value in (one.now, one.before))
@@ -55,7 +56,8 @@ def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tup
 def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[Section, ...]:
     """The criteria one by one, and what changed against an earlier comparison."""
     lead = (
-        f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest."
+        f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest; "
+        "bias, lag and steady by their size."
     )
     judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged, shown),) if accepted.judged else (), lead)
     if not accepted.changes and not accepted.new and not accepted.gone:
@@ -63,6 +65,7 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
     lead = "Mean RMSE, and what it was in the earlier comparison. Changes of less than 2\u00a0% are none."
     lead += f" New: {', '.join(accepted.new)}." if accepted.new else ""
     lead += f" No longer compared: {', '.join(accepted.gone)}." if accepted.gone else ""
+    lead += "".join(f" {sentence}" for sentence in accepted.otherwise)
     parts = (_changes(accepted.changes, shown),) if accepted.changes else ()
     return judged, Section("changes", "Against the earlier comparison", parts, lead)
 
@@ -74,7 +77,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     criteria = [
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
-        | {"samples": one.samples}
+        | {"samples": one.samples, "without": list(one.without)}
         for one in accepted.judged
     ]
     changes = [asdict(one) | {"better": one.better, "worse": one.worse} for one in accepted.changes]
@@ -87,6 +90,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
             "changes": changes,
             "new": list(accepted.new),
             "gone": list(accepted.gone),
+            "otherwise": list(accepted.otherwise),
         }
     }
 
@@ -101,9 +105,10 @@ def margin_told(one: Judged, caution: str | None = None) -> str:
     caution = one.caution if caution is None else caution
     if one.undefined:
         return one.undefined
-    told = "no number" if not one.passed else "any margin"
+    told = "any margin" if one.passed else "no number" if not math.isfinite(one.value) else "not allowed at all"
     if math.isfinite(one.margin):
-        told = f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else 'too much'}"
+        outside = "too little" if one.value < one.low else "too much"
+        told = f"{number_text(100 * abs(one.margin), 2)}\u00a0% {'to spare' if one.margin >= 0 else outside}"
     return f"{told}, {caution}" if caution else told
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -218,6 +219,7 @@ def _drawn(signal: Signal, axes, values: np.ndarray, how: Shown, all_of: tuple[i
 def grouped(matrix: Matrix, output: str, mode: str, group: Callable):
     """Rows (variant run, model), groups of recordings, and mean RMSE (rows, groups), SI, nan where there is none.
 
+    Where a model failed on a recording of a group there is none: the mean of the others would hide it.
     group : recording -> name of its group. Models that a variant leaves as they are stand under the base alone.
     """
     of = {r.name: group(r) for r in matrix.base.records}
@@ -226,7 +228,13 @@ def grouped(matrix: Matrix, output: str, mode: str, group: Callable):
     for k, run in enumerate(matrix.runs):
         for s in _own(run, output, mode):
             found.setdefault((k, s.model), {}).setdefault(of[s.record], []).append(s.rmse)
-    values = np.array([[float(np.mean(one[c])) if c in one else np.nan for c in columns] for one in found.values()])
+    most = Counter(of[r.name] for r in matrix.base.records if output in r.signals)
+    values = np.array(
+        [
+            [float(np.mean(one[c])) if len(one.get(c, ())) == most[c] > 0 else np.nan for c in columns]
+            for one in found.values()
+        ]
+    )
     rows = [(matrix.runs[k], model) for k, model in found]
     return rows, columns, values.reshape(len(rows), len(columns))
 

@@ -17,6 +17,7 @@ from hydrotwin.models.language.writing import json_values, write_whole
 
 from .figure import Figure, FigureGroup
 from .tables import Table
+from .thumbnail import thumbnail
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -127,6 +128,7 @@ def _environment() -> jinja2.Environment:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters["packed"] = _spec_data
+    environment.filters["thumbnail"] = thumbnail
     environment.tests["table"] = lambda part: isinstance(part, Table)
     environment.tests["figure"] = lambda part: isinstance(part, Figure)
     environment.tests["group"] = lambda part: isinstance(part, FigureGroup)

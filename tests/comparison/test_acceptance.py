@@ -106,6 +106,22 @@ def test_an_earlier_comparison_shows_what_became_better_and_worse(folder, tmp_pa
         acceptance(comparison, Wanted(("motor_speed not worse than compare.json",), "good", base=tmp_path))
 
 
+def test_a_change_that_may_come_from_how_it_was_asked_is_told(folder, tmp_path):
+    """Starts estimated now and not then, and a recording that was read with fewer samples."""
+    before, _ = run(folder, "good")
+    write_report(before, tmp_path)
+    told = json.loads((tmp_path / "compare.json").read_text())
+    (tmp_path / "same.json").write_text(json.dumps(told))
+    told["recordings"][0]["samples"] -= 1
+    told["starts"] = [{"model": "good", "record": "load1_stroke1", "states": [{"name": "speed"}]}]
+    (tmp_path / "other.json").write_text(json.dumps(told))
+    same, other = (acceptance(before, Wanted(against=tmp_path / f"{name}.json")) for name in ("same", "other"))
+    assert same.otherwise == () and len(other.otherwise) == 2
+    lines = [text for _, text in acceptance_lines(other, {})]
+    assert any("The start of good was estimated then, and not now" in text for text in lines)
+    assert any("load1_stroke1 had another number of samples then" in text for text in lines)
+
+
 @pytest.mark.parametrize("more", [{"against": "compare.json"}, {"accept": ["motor_speed not worse than compare.json"]}])
 def test_an_earlier_comparison_of_other_recordings_judges_nothing(folder, tmp_path, more):
     """The same file names with other content, and one recording less."""

@@ -49,6 +49,7 @@ def test_groups_and_other_models_are_read():
     assert (one.group, one.output, one.than, one.by) == ("oil=very cold", "Druck A", "hold last sample", 0.05)
     other = understood("arm_angle not worse than eq17 by 5 %")
     assert (other.metric, other.than, other.by) == ("rmse", "eq17", 0.05)
+    assert understood('arm_angle not worse than "Eq. 17" by 5 %').than == "Eq. 17"
     assert understood("pump.p.mae not worse than last/compare.json").than == "last/compare.json"
 
 

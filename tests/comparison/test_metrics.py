@@ -37,6 +37,7 @@ def test_samples_that_were_not_measured_are_left_out():
 
 
 def test_a_signal_that_rests_has_no_fit():
+    assert np.isnan(errors_of(np.full(600, np.radians(7.0)), np.linspace(0, 1, 600)).fit_percent)  # its mean is rounded
     assert np.isnan(errors_of(np.ones(4), PREDICTED).fit_percent)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import PhysicalContender, compare
+from hydrotwin.comparison import HoldLast, PhysicalContender, compare
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
@@ -83,3 +83,28 @@ def test_what_cannot_be_estimated_says_so_and_is_scored_as_before():
     toys = compare([Toy("toy")], [recording()], modes=["free run"], repeats=1, initial_states="free")
     assert "only the start states of a model with equations" in str(toys.starts[0]) and toys.scores
     assert not compare([Toy("toy")], [recording()], modes=["free run"], repeats=1, initial_states="auto").starts
+
+
+def test_a_start_that_was_not_recorded_is_told_and_not_called_estimated():
+    """The first samples are unknown: the model starts at zero, far from where the machine is."""
+    record = moved()
+    position = record["position"].copy()
+    position[:5] = np.nan
+    record = record.with_signals({"position": position})
+    found = compare([PhysicalContender(drive(), "drive")], [record], modes=["free run"], repeats=0)
+    (started,) = found.starts
+    assert "drive on moved_0" in str(started) and "first sample of position is not known" in str(started)
+    assert not started.estimate.states and found.scores[0].rmse > 0.5
+    given = PhysicalContender(drive(), "drive", start={"piston.position": POSITION, "motor.speed": SPEED})
+    assert not compare([given], [record], modes=["free run"], repeats=0).starts
+
+
+def test_the_yardstick_holds_what_is_known():
+    record = moved()
+    position = record["position"].copy()
+    position[[0, 1, 7]] = np.nan
+    held = HoldLast((drive().outputs[0],))
+    record = record.with_signals({"position": position})
+    assert set(held.free_run(record)["position"]) == {position[2]}
+    steps = held.one_step(record)["position"]
+    assert steps[:4].tolist() == [position[2]] * 4 and steps[8] == position[6] and steps[9] == position[8]

@@ -9,6 +9,7 @@ import polars
 import pytest
 
 from hydrotwin.comparison import FREE_RUN, Score, compare
+from hydrotwin.comparison.field import FieldMetrics
 from hydrotwin.models.language.errors import DeclarationError
 from tests.comparison.toys import Toy, recording
 
@@ -23,7 +24,9 @@ def found():
 
 def test_scores_are_the_rows_with_their_tags_as_columns(found):
     frame = found.table().to_pandas()
-    names = [f.name for f in fields(Score)]
+    metrics = [f.name for f in fields(FieldMetrics)]
+    names = [*(f.name for f in fields(Score) if f.name not in metrics), *metrics]
+    assert names[:5] == ["model", "record", "output", "mode", "rmse"]
     assert list(frame.columns) == [*names, "load", "tag.mode"]  # mode is a column of its own
     assert len(frame) == len(found.scores)
     for row, score in zip(frame.to_dict("records"), found.scores, strict=True):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 import warnings
 import zipfile
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.comparison import PhysicalContender, Wanted, acceptance, compare
+from hydrotwin.comparison import PhysicalContender, Wanted, acceptance, compare, replay
 from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from tests.face.command_line import hydrotwin
@@ -304,3 +305,44 @@ def test_a_version_of_no_archive_is_refused(file, recordings, words, says):
     answer = judged(file, recordings, *words)
     assert answer.code == 2 and says in answer.said
     assert not (file.parent / "report").exists()
+
+
+ASKED = ("--accept", LOOSE, "--accept", "load=1: arm_angle.rate.rmse < 90 deg/s", "--slope", "arm_angle")
+ASKED += ("--initial-states", "auto", "--tags", "validate_{load}", "--interpolation", "command=linear")
+
+
+def test_a_comparison_is_made_again_from_the_record_alone(file, recordings, tmp_path):
+    """Where recordings were, and, once they have moved, wherever their hash is found."""
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "validate_1.csv").write_bytes((recordings / "validate_1.csv").read_bytes())
+    assert judged(file, own, *ASKED).code == 0
+    row = ht.read_model_file(file).credibility.evidence[-1].recordings[0]
+    assert (row["file"], row["tags"]) == ("own/validate_1.csv", {"load": "1"})
+    answer = hydrotwin("check", file, "--replay")
+    assert answer.code == 0 and "OTHER" not in answer.said and "15 of 15 numbers are the same" in answer.said
+    (own / "validate_1.csv").rename(own / "moved.csv")
+    answer = hydrotwin("check", file, "--replay")
+    assert answer.code == 1 and "not where it was (own/validate_1.csv)" in answer.said.replace("\n", " ")
+    answer = hydrotwin("check", file, "--replay", "--recordings", tmp_path, "--json")
+    assert answer.code == 0 and all(row["passed"] for row in json.loads(answer.out)["again"])
+    (own / "moved.csv").write_text((own / "moved.csv").read_text() + "\n")
+    assert hydrotwin("check", file, "--replay", "--recordings", tmp_path).code == 1
+
+
+def test_another_model_is_told_number_by_number(file, recordings):
+    assert judged(file, recordings, "--accept", LOOSE, "--accept", "arm_angle not worse than m.toml").code == 0
+    rows = replay(file, ht.load("cehA").with_parameters({"motor.gain": 200.0}))
+    by_what = {row.what: row for row in rows}
+    assert by_what["arm_angle, free run: rmse"].passed is False and by_what[LOOSE].passed is False
+    assert by_what["arm_angle not worse than m.toml"].passed is None
+    text = file.read_text(encoding="utf-8")
+    file.write_text(re.sub(r"(?<=value = )[0-9.]+", "121.5", text, count=1), encoding="utf-8")
+    assert [(row.what, row.passed) for row in replay(file, ht.load("cehA"))] == [("all", None)]
+
+
+def test_a_record_without_a_comparison_cannot_be_made_again(file):
+    answer = hydrotwin("check", file, "--replay")
+    assert answer.code == 2 and "no comparison is in its record" in answer.said
+    answer = hydrotwin("check", file, "--replay", "--recordings", file.parent / "nowhere")
+    assert answer.code == 2 and "no such folder" in answer.said

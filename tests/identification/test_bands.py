@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.identification import Spread, deviations, identify
+from hydrotwin.identification.beginning import StartEstimate, StartState, estimate_start
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.simulation import simulate, simulate_many
 from tests.identification.drive import drive, recorded
@@ -80,3 +81,31 @@ def test_it_goes_into_a_file_and_back(fit):
     for told in ({}, {**spread.told(), "covariance": [1.0]}, {**spread.told(), "noise": 3}):
         with pytest.raises(DataError, match="garbled"):
             Spread.from_told(told)
+
+
+def test_an_estimated_start_is_as_unsure_as_its_draws(fit):
+    """Two states that are unsure together, one of them measured; by runs from drawn starts."""
+    spread = dataclasses.replace(Spread.of(fit), left=dict.fromkeys(NOISE, 0.0))
+    spread = dataclasses.replace(spread, covariance=0.0 * spread.covariance)
+    record = recorded(drive(), 3, noise=NOISE)
+    sizes, both = np.array([4e-3, 3.0]), np.array([[1.0, -0.8], [-0.8, 1.0]])
+    names = ("piston.position", "motor.speed")
+    for order in (names, names[::-1]):
+        at = [names.index(n) for n in order]
+        covariance = (both * np.outer(sizes, sizes))[np.ix_(at, at)]
+        states = tuple(StartState(n, 0.1, float(sizes[names.index(n)]), 0.0, "1") for n in order)
+        told = StartEstimate(record.name, states, covariance=tuple(map(tuple, covariance.tolist())))
+        sd = deviations(fit.flat, record, spread, None, told)["position"]
+        draws = np.random.default_rng(0).multivariate_normal([0.1, 0.1], covariance, 400)
+        runs = [simulate(fit.flat, record, start=dict(zip(order, d, strict=True)))["position"] for d in draws]
+        assert sd == pytest.approx(np.std(runs, axis=0), rel=0.12)
+
+
+def test_the_start_that_is_estimated_is_off_by_what_it_says(fit):
+    """Over many recordings that start at rest: the spread of the estimates is that of their covariance."""
+    found = [estimate_start(fit.flat, recorded(drive(), k, noise=NOISE), "free") for k in range(2, 42)]
+    values = np.array([[s.value for s in one.states] for one in found])
+    told = np.mean([one.covariance for one in found], axis=0)
+    assert np.sqrt(np.diag(told)) == pytest.approx([s.sigma for s in found[0].states], rel=0.3)
+    assert np.std(values, axis=0) == pytest.approx(np.sqrt(np.diag(told)), rel=0.35)
+    assert np.corrcoef(values.T)[0, 1] == pytest.approx(told[0, 1] / np.sqrt(told[0, 0] * told[1, 1]), abs=0.3)

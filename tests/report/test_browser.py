@@ -125,7 +125,15 @@ def test_printing_draws_every_plot_at_once_and_shows_every_tab(opened):
     assert opened.execute_script(f"return document.querySelectorAll('.plot .main-svg').length >= {count}")
     widths = opened.execute_script("return Array.from(document.querySelectorAll('.plot')).map(p => p.offsetWidth)")
     assert all(0 < width <= 700 for width in widths)
+    heights = "return Array.from(document.querySelectorAll('.plot')).map(p => parseInt(p.style.height))"
+    assert max(opened.execute_script(heights)) == 440  # two on a page
     opened.execute_script("window.dispatchEvent(new Event('afterprint'))")
+    assert max(opened.execute_script(heights)) == 520
+
+
+def test_a_still_picture_makes_way_for_its_plot(opened):
+    both = "return Array.from(document.querySelectorAll('.plot[data-drawn]')).filter(p => p.querySelector('.thumb'))"
+    assert not opened.execute_script(both)
 
 
 def test_no_script_error_and_no_request_leaves_the_page(opened):

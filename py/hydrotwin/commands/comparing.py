@@ -78,6 +78,12 @@ def compare(
     tags: Annotated[
         str, typer.Option(metavar="PATTERN", help="conditions in file names: 'load{load}_stroke{stroke}'")
     ] = "",
+    tag_columns: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tag-column", metavar="TAG=COLUMN", help="conditions in columns: 'oil=oil_temperature by 10 degC'"
+        ),
+    ] = None,
     junit_file: Annotated[
         Path | None, typer.Option("--junit", metavar="FILE.xml", help="also write the criteria as JUnit XML")
     ] = None,
@@ -108,7 +114,7 @@ def compare(
     reading: Reading | None = None,
 ) -> None:
     """Compare models on the same validation recordings and write report.html, report.md and compare.json."""
-    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, junit, read_scenario, record_comparison
+    from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, asked_by, junit, read_scenario, record_comparison
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
 
     check_folder(output)
@@ -122,7 +128,12 @@ def compare(
     if scenario is None and not validate:
         raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
     said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
-    said |= {"--interpolation": interpolation, "--tags": tags, "--initial-states": initial_states != MEASURED}
+    said |= {
+        "--interpolation": interpolation,
+        "--tags": tags,
+        "--tag-column": tag_columns,
+        "--initial-states": initial_states != MEASURED,
+    }
     doubled = [option for option, value in {**said, "--title": title}.items() if value]
     doubled += told_in(reading)
     if scenario is not None and doubled:
@@ -146,7 +157,7 @@ def compare(
             reading=reading or Reading(),
             interpolation=interpolation_from(interpolation),
             initial_states=check_initial_states(initial_states, "compare"),
-            tags=Tags(tags),
+            tags=Tags(tags, columns=told_columns(tag_columns)),
             wanted=asked,
         )
     if junit_file is not None and not described.wanted.accept:
@@ -158,15 +169,18 @@ def compare(
     matrix = run(described, loaded, output, runs)
     for word in dict.fromkeys(notes(matrix)):
         mark(err, "note", word)
-    if not any(one.comparison.scores for one in matrix.runs):
-        refuse_unscored(matrix.base)
     accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
+    if not any(one.comparison.scores for one in matrix.runs):
+        require_inputs(matrix.base)
+        if junit_file is not None:  # all missed: a server shall not read those of an earlier run
+            write_whole(junit_file, junit(accepted, matrix.title))
+        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title))
         paths |= {"junit": junit_file}
     if record is not None:
-        record_comparison(record, matrix.base, accepted, named)
+        record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
         paths |= {"record": record}
     if ssp is not None:
         paths |= {"ssp": pack(described, loaded, matrix.base, ssp, ssp_version)}
@@ -180,6 +194,15 @@ def compare(
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if accepted and not accepted.passed:
         raise typer.Exit(1)
+
+
+def told_columns(pairs: list[str] | None) -> dict[str, str]:
+    """The ``oil=oil_temperature by 10 degC`` pairs of --tag-column."""
+    parted = [pair.partition("=") for pair in pairs or []]
+    for tag, _, column in parted:
+        if not tag.strip() or not column.strip():
+            raise DeclarationError(f"--tag-column {tag}: no 'TAG=COLUMN'. Write load=load_mass.")
+    return {tag.strip(): column.strip() for tag, _, column in parted}
 
 
 class Loaded(dict):
@@ -232,12 +255,11 @@ def shipped_values(spec: str, thing) -> dict[str, float]:
     return {p.name: p.value for p in base.flat.parameters}
 
 
-def refuse_unscored(comparison) -> None:
-    """No score, no report: a recording that a model cannot take is unusable input, anything else an honest failure."""
+def require_inputs(comparison) -> None:
+    """A recording that a model cannot take is unusable input, anything else an honest failure."""
     for record in comparison.records:
         for entrant in comparison.entrants:
             require(record, entrant.inputs, entrant.name)
-    raise SolveError(f"compare: no model could be scored. {comparison.failures[0].sentence}")
 
 
 def entry(text: str):

@@ -169,21 +169,28 @@ def check(
     replay: Annotated[
         bool, typer.Option("--replay", help="run the experiments that it carries along again, and judge its record")
     ] = False,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", help="where --replay finds the recordings of a model file, by their SHA-256"),
+    ] = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
     """Judge an FMU by the standard, try it in a child process, compare its outputs; exit 1 when a rule is broken.
 
     Of a model file: where it was fitted and judged; exit 1 when that is of other values, or a criterion did not hold.
+    With --replay its comparisons are made again; exit 1 where a number is another, or nothing could be tried.
     """
     from hydrotwin.export import check_fmu, read_fmu
 
     if fmu.suffix == ".toml":
-        if reference or interpolation or replay:
+        if reference or interpolation:
             raise DeclarationError(f"check: {fmu} is a model file, whose record is told. Leave the other options out.")
-        if not tell_evidence(fmu, as_json):
+        if not tell_evidence(fmu, as_json, again=tuple(recordings or ()) if replay else None):
             sys.exit(1)
         return
+    if recordings:
+        raise DeclarationError("check: --recordings is of a model file. An FMU carries its experiments along.")
     if reading and reading.constants:  # constants of the recording, for inputs that it lacks
         inputs = [s.name for s in read_fmu(fmu).inputs]
         if lost := next((n for n in reading.constants if n not in inputs), None):

@@ -5,16 +5,19 @@ Which model of a comparison a file holds is told before anything runs.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.model_file import read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
 
-from ..loading import values_file
+from ..loading import load, values_file
 from .shared import check_writable, out, print_json, table
 
 MODEL = "model"  # kind of a file that is no learned block
+QUIET = tuple(f": {name}" for name in ("mae", "maximum", "bias", "fit_percent", "r2", "coverage"))  # told where another
 HOLDS, STALE, NOTHING = "holds", "STALE", "not tried"
 
 
@@ -78,19 +81,51 @@ def known_of(model: str):
     return file.credibility.of(file.contents)
 
 
-def tell_evidence(path: Path, as_json: bool) -> bool:
-    """What a model file says of where it was fitted and judged; False where that is of other values, or not passed."""
+def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None) -> bool:
+    """What a model file says of where it was fitted and judged; False where that is of other values, or not passed.
+
+    again : folders of recordings, to make its comparisons again; None for not. Then False too where a number is
+    another, or a comparison could not be made.
+    """
     file = _model_file(path)
+    made = None if again is None else _made_again(path, again)
     evidence = file.credibility.evidence
     rows = [{"holds": one.contents == file.contents, "passed": one.passed, "told": one.told} for one in evidence]
     good = all(row["holds"] and row["passed"] is not False for row in rows)
     if as_json:
         data = [one.as_data() | row for one, row in zip(evidence, rows, strict=True)]
-        print_json({"model": str(path), "passed": good, "stale": file.stale, "evidence": data})
+        more = {} if made is None else {"again": [asdict(one) for one in made]}
+        good &= _all_same(made)
+        print_json({"model": str(path), "passed": good, "stale": file.stale, "evidence": data, **more})
         return good
     none = [[NOTHING, "no record is inside. Write one: hydrotwin compare --model FILE --validate REC --record FILE."]]
     told = [[HOLDS if row["holds"] else STALE, row["told"]] for row in rows]
     table(str(path), ["", "record"], told or none)
     if file.stale:
         out.print(file.stale)
-    return good
+    if made is not None:
+        out.print()
+        heads = ["", "recorded", "number", "then", "now", ""]
+        shown = [o for o in made if not o.passed or not o.what.endswith(QUIET)]
+        table("run again, SI", heads, [[_word(o.passed), o.date[:10], o.what, o.before, o.now, o.why] for o in shown])
+        same = sum(bool(o.passed) for o in made)
+        out.print(f"{same} of {len(made)} numbers are the same." if same else "Nothing could be confirmed.")
+    return good and _all_same(made)
+
+
+def _made_again(path: Path, folders: Sequence[Path]):
+    from hydrotwin.comparison import replay
+
+    for folder in folders:
+        if not folder.is_dir():
+            raise DataError(f"check: --recordings {folder}: no such folder. Name one that holds recordings.")
+    return replay(path, load(str(path)), folders)
+
+
+def _all_same(made) -> bool:
+    """Nothing is another, and every comparison was made: a criterion beside another model may be left untried."""
+    return made is None or all(one.passed or (one.passed is None and one.what != "all") for one in made)
+
+
+def _word(passed: bool | None) -> str:
+    return NOTHING if passed is None else "same" if passed else "OTHER"

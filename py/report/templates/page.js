@@ -5,6 +5,7 @@
   if (narrow) config.displayModeBar = false;
 
   const plots = Array.from(document.querySelectorAll(".plot"));
+  let opened = null; /* the tables that were opened to be printed; null on a screen */
   const groups = Array.from(document.querySelectorAll(".group"));
 
   /* Plotly is unpacked when the first plot is drawn, and stays. */
@@ -22,6 +23,11 @@
     try {
       const spec = JSON.parse(unpacked(plot.parentElement.querySelector("script.spec")));
       if (narrow) Object.assign(spec.layout.margin, { l: 48, r: 8 });
+      plot.dataset.height = spec.layout.height;
+      spec.layout.height = height(plot);
+      const thumb = plot.querySelector(".thumb");
+      library();
+      if (thumb) thumb.remove();
       library().newPlot(plot, spec.data, spec.layout, config).then(function () { plot.dataset.drawn = "yes"; });
     } catch (error) {
       plot.dataset.drawn = "no";
@@ -76,10 +82,18 @@
   document.querySelectorAll(".scroll").forEach(function (part) { fits.observe(part); });
 
   /* On paper there is nothing to click: every tab and every folded table is shown, as wide as the paper. */
-  let opened = null;
+  const HALF_PAGE = 440; /* px: two plots with their captions on a page of A4 */
+  function height(plot) {
+    const own = Number(plot.dataset.height);
+    const now = opened ? Math.min(own, HALF_PAGE) : own;
+    plot.style.height = now + "px";
+    return now;
+  }
   function fit() {
     plots.forEach(function (plot) {
-      if (plot.dataset.drawn && plot.dataset.drawn !== "no" && plot.offsetWidth) window.Plotly.Plots.resize(plot);
+      if (!plot.dataset.drawn || plot.dataset.drawn === "no" || !plot.offsetWidth) return;
+      height(plot);
+      window.Plotly.Plots.resize(plot); /* takes the size of its place */
     });
   }
   function print() {

@@ -1,0 +1,142 @@
+"""Evidence of a model file made again: its recordings found, its models run, its numbers and criteria compared."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hydrotwin.identification.beginning import MEASURED
+from hydrotwin.models.language.credibility import COMPARE, Evidence
+from hydrotwin.models.language.errors import DataError, HydrotwinError
+from hydrotwin.models.language.model_file import ModelFile, read_model_file
+from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_record
+
+from .acceptance import Wanted, acceptance
+from .comparison import Comparison
+from .contender import as_contender
+from .criteria import criterion
+from .run import compare
+
+AGAIN = 1e-4  # relative: numbers of the same runs on another processor or compiler differ by less
+NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  # of an evidence's metrics
+
+
+@dataclass(frozen=True)
+class Again:
+    """One number of an evidence: as it was written, as it is now, and whether it is the same.
+
+    what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason.
+    """
+
+    date: str
+    what: str
+    before: float
+    now: float
+    passed: bool | None
+    why: str = ""
+
+
+def replay(path: str | Path, model, folders: Sequence[Path] = ()) -> tuple[Again, ...]:
+    """Make again what `record_comparison` has written into a model file.
+
+    model : of the file, as `hydrotwin.load` gives it. folders : where recordings are looked for by their SHA-256, with
+    all folders below; first each is looked for where it was, from the folder of the file.
+
+    Evidence of other values is not tried. Raises DataError for a file that cannot be read, or without such evidence.
+    """
+    file, search = read_model_file(path), _Search(Path(path).parent, tuple(map(Path, folders)))
+    judged = [one for one in file.credibility.evidence if one.by == COMPARE]
+    if not judged:
+        raise DataError(
+            f"{path}: no comparison is in its record, so there is nothing to run again. Write one: hydrotwin compare "
+            f"--model {path} --validate REC --record {path}."
+        )
+    return tuple(row for one in judged for row in _rows(one, file, model, search))
+
+
+def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Again]:
+    nothing = Again(one.date, "", math.nan, math.nan, None)
+    if one.contents != file.contents:
+        yield replace(nothing, what="all", why="it is of other values than the file holds now")
+        return
+    try:
+        found = _compared(one, model, search)
+    except HydrotwinError as error:
+        yield replace(nothing, what="all", why=str(error))
+        return
+    scores = {(s.output, s.mode): s for s in found.means}
+    for row in one.metrics:
+        score = scores.get((row["output"], row["mode"]))
+        for key in (k for k in NUMBERS if k in row):
+            now = math.nan if score is None else float(getattr(score, key))
+            what = f"{row['output']}, {row['mode']}: {key}"
+            yield replace(nothing, what=what, before=row[key], now=now, passed=_same(row[key], now))
+    for row in one.criteria:
+        yield _judged(row, found, nothing)
+
+
+def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
+    text = row["text"]
+    try:
+        if criterion(text, found.outputs).than:
+            why = "another model or file is not in the record"
+            return replace(nothing, what=text, before=row["value"], why=why)
+        (now,) = acceptance(found, Wanted((text,))).judged
+    except HydrotwinError as error:
+        return replace(nothing, what=text, before=row["value"], passed=False, why=str(error))
+    same = now.passed == row["passed"] and _same(row["value"], now.value)
+    return replace(nothing, what=text, before=row["value"], now=now.value, passed=same)
+
+
+def _compared(one: Evidence, model, search: _Search) -> Comparison:
+    asked = one.facts.get("asked")
+    if not isinstance(asked, Mapping):
+        raise DataError("it does not say how it was asked. Record it again with this version")
+    reading = import_from(asked.get("import", {}), "record")
+    return compare(
+        [as_contender(model, str(one.facts["model"]))],
+        [search.record(row, reading) for row in one.recordings],
+        modes=list(asked["modes"]),
+        outputs=list(asked["outputs"]),
+        rates=list(asked.get("rates", ())),
+        interpolation=dict(asked.get("interpolation", {})),
+        initial_states=str(asked.get("initial_states", MEASURED)),
+        repeats=0,
+    )
+
+
+def _same(before: float, now: float) -> bool:
+    return before == now or math.isclose(before, now, rel_tol=AGAIN) or (math.isnan(before) and math.isnan(now))
+
+
+@dataclass(frozen=True)
+class _Search:
+    """Finds recordings by their hash: where they were from ``base``, and anywhere below ``folders``."""
+
+    base: Path
+    folders: tuple[Path, ...]
+
+    def record(self, row: Mapping, reading: Reading) -> Record:
+        """The recording of a row, with its name and tags. Raises DataError where it is not found."""
+        path = next((p for p in self._likely(row) if _digest(p) == row["sha256"]), None)
+        if not row["sha256"] or path is None:
+            where = f"not where it was ({row['file']})" if row.get("file") else "it does not say where it was"
+            looked = ", ".join(map(str, self.folders))
+            below = f", nor below {looked}" if looked else ". Say where recordings are: --recordings FOLDER"
+            raise DataError(f"no file has the SHA-256 of {row['name']}: {where}{below}")
+        return replace(read_record(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
+
+    def _likely(self, row: Mapping) -> Iterator[Path]:
+        """Where it was; then files of its name; then all others."""
+        named = Path(row.get("file", "")).name
+        if named:
+            yield self.base / row["file"]
+        below = [p for folder in self.folders for p in sorted(folder.rglob("*")) if p.name.lower().endswith(SUFFIXES)]
+        yield from sorted(below, key=lambda p: p.name != named)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""

@@ -1,0 +1,130 @@
+"""What is asked of a comparison, held against what it can answer: before a long run, not after it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from .band import SD
+from .comparison import FREE_RUN, Comparison, Entrant
+from .criteria import OF_BAND, SCORED, Criterion, criterion
+from .earlier import Earlier, earlier
+from .rates import rate_signal
+from .tags import groups, of_group
+
+if TYPE_CHECKING:
+    from .acceptance import Wanted
+
+SUFFIX = ".json"  # of an earlier comparison that a criterion names
+YARDSTICK = "yardstick"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a comparison is of: its models, the outputs that are scored (slopes too), its recordings and first mode."""
+
+    entrants: Sequence[Entrant]
+    outputs: Sequence[Signal]
+    records: Sequence[Record]
+    mode: str
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> Asked:
+        return cls(comparison.entrants, comparison.outputs, comparison.records, comparison.modes[0])
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        return tuple(e.name for e in self.entrants)
+
+    def given_by(self, model: str) -> dict[str, str]:
+        """The scored outputs of a model, and what each is made from: a slope from its output."""
+        own = {s.name: s for e in self.entrants if e.name == model for s in e.outputs}
+        made = {name: name for name in own} | {rate_signal(s).name: name for name, s in own.items()}
+        return {s.name: made[s.name] for s in self.outputs if s.name in made}
+
+    def banded(self, model: str, output: str) -> bool:
+        """Whether a model has a band of an output in the mode that is judged."""
+        (one,) = (e for e in self.entrants if e.name == model)
+        own = any(s.name == f"{output}{SD}" for s in one.outputs)
+        return own or (self.mode == FREE_RUN and any(b.output == output for b in one.bands))
+
+
+def judged_model(asked: Asked, name: str) -> str:
+    """The name where there is such a model, or the first that is no yardstick. Raises DeclarationError."""
+    real = [e.name for e in asked.entrants if e.kind != YARDSTICK]
+    return _known(name, asked.models) if name else (real or list(asked.models))[0]
+
+
+def check_wanted(wanted: Wanted, asked: Asked) -> None:
+    """Refuse before a long run what could not be judged after it.
+
+    Raises DeclarationError for a criterion that says nothing about this comparison, DataError for an earlier comparison
+    that cannot be read.
+    """
+    model = judged_model(asked, wanted.model)
+    for text in wanted.accept:
+        one = criterion(text, asked.outputs)
+        check_criterion(one, asked, model)
+        if one.than.endswith(SUFFIX):
+            _check_file(one, earlier(wanted.folder(text) / one.than), asked, model)
+    if wanted.against:
+        earlier(wanted.against).check_recordings(asked.records)
+
+
+def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
+    """Raises DeclarationError for a criterion that no recording, no model or no mode can test."""
+    if one.group and not of_group(asked.records, one.group):
+        known = [*(r.name for r in asked.records), *groups(asked.records)]
+        raise DeclarationError(f"accept: '{one.text}': no recordings '{one.group}'. {nearest(one.group, known)}")
+    _check_model(one, asked, model)
+    if one.than and not one.than.endswith(SUFFIX):
+        _check_model(one, asked, _known(one.than, asked.models))
+    made_from = asked.given_by(model)[one.output]
+    chosen = of_group(asked.records, one.group)
+    if not any(made_from in r.signals for r in asked.records if r.name in chosen):
+        raise DeclarationError(
+            f"accept: '{one.text}': none of the recordings it is about holds {made_from}, so nothing can test it. "
+            "Judge an output that was recorded, or other recordings."
+        )
+    if asked.mode != FREE_RUN and (one.metric == "iso18571" or made_from != one.output):
+        what = one.metric if one.metric == "iso18571" else one.output
+        raise DeclarationError(
+            f"accept: '{one.text}': {what} is scored in free run only, and judged is the first mode, {asked.mode}. Put "
+            "'free run' first."
+        )
+
+
+def _check_model(one: Criterion, asked: Asked, model: str) -> None:
+    """What a model does not give, nothing can judge."""
+    given = asked.given_by(model)
+    if one.output not in given:
+        raise DeclarationError(
+            f"accept: '{one.text}': {model} gives no {one.output}. It gives {', '.join(given) or 'nothing scored'}."
+        )
+    if one.metric in OF_BAND and not asked.banded(model, one.output):
+        banded = [e.name for e in asked.entrants if asked.banded(e.name, one.output)]
+        have = f"Those with one: {', '.join(banded)}." if banded else "`identify` gives a model one."
+        raise DeclarationError(
+            f"accept: '{one.text}': {model} has no band of {one.output} in {asked.mode} to take {one.metric} of. {have}"
+        )
+
+
+def _check_file(one: Criterion, found: Earlier, asked: Asked, model: str) -> None:
+    if one.metric not in SCORED:
+        raise DeclarationError(
+            f"accept: '{one.text}': an earlier comparison does not hold {one.metric}. Compare one of "
+            f"{', '.join(SCORED)}."
+        )
+    found.check_recordings(asked.records)
+    found.check_key(one.text, (model, one.output, asked.mode))
+
+
+def _known(name: str, models: Sequence[str]) -> str:
+    if name not in models:
+        raise DeclarationError(f"accept: no model '{name}' in this comparison. {nearest(name, models)}")
+    return name

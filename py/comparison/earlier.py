@@ -1,0 +1,180 @@
+"""An earlier comparison, read from its compare.json: what became better and worse, and what is not to become worse."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.records import Record
+
+from .comparison import Comparison
+from .criteria import SCORED, SIZED, over_recordings
+
+VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
+SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
+FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
+Key = tuple[str, str, str]  # model, output, mode
+
+
+@dataclass(frozen=True)
+class Change:
+    """The mean RMSE of a model in one output and mode, SI, before and now."""
+
+    model: str
+    output: str
+    mode: str
+    before: float
+    now: float
+    unit: str
+
+    @property
+    def better(self) -> bool:
+        return self.now < (1 - SAME) * self.before
+
+    @property
+    def worse(self) -> bool:
+        return self.now > (1 + SAME) * self.before
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """An earlier comparison: mean scores, and those of each recording, by (model, output, mode).
+
+    recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
+    started : models whose start was estimated. samples : of each recording by name.
+    """
+
+    path: Path
+    means: Mapping[Key, Mapping]
+    recordings: Mapping[str, str] = field(default_factory=dict)
+    scores: Mapping[Key, Mapping[str, Mapping]] = field(default_factory=dict)
+    started: frozenset[str] = frozenset()
+    samples: Mapping[str, int] = field(default_factory=dict)
+
+    def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
+        """What else than the models is not as it was, in sentences: a change may come from that."""
+        found = []
+        now = frozenset(s.model for s in comparison.starts if s.estimate.states)
+        both = {model for model, *_ in self.means} & set(comparison.models)
+        for words, models in (("now, and not then", now - self.started), ("then, and not now", self.started - now)):
+            if some := sorted(models & both):
+                found.append(f"The start of {', '.join(some)} was estimated {words}: errors may differ by that alone.")
+        other = [r.name for r in comparison.records if self.samples.get(r.name, len(r)) != len(r)]
+        if other:
+            found.append(f"{', '.join(other[:3])} had another number of samples then: it was read otherwise.")
+        return tuple(found)
+
+    def check_recordings(self, records: Sequence[Record]) -> None:
+        """Raises DeclarationError where it was made on other recordings: means over those say nothing of these."""
+        now = {r.digest: r.name for r in records}
+        if not self.recordings or None in now or "" in now or now.keys() == self.recordings.keys():
+            return
+        apart = [f"{name} is new" for digest, name in now.items() if digest not in self.recordings]
+        apart += [f"{name} is gone" for digest, name in self.recordings.items() if digest not in now]
+        raise DeclarationError(
+            f"accept: {self.path} is of other recordings, or of others of the same name ({', '.join(apart[:4])}): what "
+            "became better cannot be told. Compare on the same ones, or make the earlier comparison again on these."
+        )
+
+    def check_key(self, text: str, key: Key) -> None:
+        """Raises DeclarationError where it has nothing of a model in an output and mode."""
+        if key not in self.means:
+            model, output, mode = key
+            known = dict.fromkeys(f"{o} of '{m}' in {how}" for m, o, how in sorted(self.means))
+            raise DeclarationError(
+                f"accept: '{text}': {self.path.name} has no {output} of '{model}' in {mode}. It has: "
+                f"{', '.join(known) or 'nothing'}."
+            )
+
+    def value(self, key: Key, metric: str, records: Sequence[Record]) -> float:
+        """A metric of a model over ``records``, as a criterion takes it now; NaN where it is not there.
+
+        Of means alone, where the scores of its recordings are not there, only what is no size can be told.
+        """
+        rows = self.scores.get(key, {})
+        names = [self.recordings.get(r.digest or "", r.name) for r in records]
+        if rows and set(names) <= set(rows):
+            return over_recordings(metric, [_number(rows[name].get(SCORED[metric])) for name in names])
+        mean = self.means.get(key, {})
+        if len(names) != mean.get("recordings", len(names)) or (metric in SIZED and len(names) > 1):
+            return float("nan")
+        return over_recordings(metric, [_number(mean.get(SCORED[metric]))])
+
+    def against(self, comparison: Comparison) -> tuple[tuple[Change, ...], tuple[str, ...], tuple[str, ...]]:
+        """Changes of what both have, models that are new, and models that are gone."""
+        before = {model for model, *_ in self.means}
+        changes = tuple(
+            Change(s.model, s.output, s.mode, self.means[s.model, s.output, s.mode]["rmse"], s.rmse, s.unit)
+            for s in comparison.means
+            if (s.model, s.output, s.mode) in self.means
+        )
+        new = tuple(m for m in comparison.models if m not in before)
+        return changes, new, tuple(sorted(before - set(comparison.models)))
+
+
+def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
+    """Read an earlier compare.json, of a variant its means, if it has it.
+
+    folder : of the variant beside the file, which then has the scores of its recordings.
+
+    Raises DataError for a file that is none or of another format, with what to do.
+    """
+    try:
+        told = json.loads(path.read_text(encoding="utf-8"))
+        _check_format(path, told.get("format", FORMAT))  # a file without one is older, with the same means
+        rows = _means(told, variant) if variant else told["means"]
+        means = {(s["model"], s["output"], s["mode"]): s for s in rows}
+        judged = [r for r in told.get("recordings", ()) if r.get("role", VALIDATE) == VALIDATE]
+        recordings = {r["sha256"]: r["name"] for r in judged} if all(r.get("sha256") for r in judged) else {}
+        if not all(isinstance(s["rmse"], float | int) for s in means.values()):
+            raise ValueError("a mean without rmse")
+        scores = _scores(told.get("scores", ()) if not variant else ())
+        started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
+        samples = {r["name"]: r["samples"] for r in judged if "samples" in r}
+    except OSError as error:
+        raise DataError(
+            f"{path}: cannot be read ({error.strerror}). Name the compare.json of an earlier run."
+        ) from None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DataError(
+            f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
+        ) from None
+    own = path.parent / folder / path.name
+    if variant and means and folder and own.is_file():
+        scores = _of_the_same(means, earlier(own))
+    if variant:  # the file tells these of the base
+        started, samples = frozenset(), {}
+    return Earlier(path, means, recordings, scores, started, samples)
+
+
+def _of_the_same(means: Mapping[Key, Mapping], own: Earlier) -> Mapping[Key, Mapping[str, Mapping]]:
+    """The scores of a variant's own file, where it is of the same run: it has the means that the overview has."""
+    same = means.keys() == own.means.keys() and all(means[k]["rmse"] == own.means[k]["rmse"] for k in means)
+    return own.scores if same else {}
+
+
+def _scores(rows: Sequence[Mapping]) -> dict[Key, dict[str, Mapping]]:
+    found: dict[Key, dict[str, Mapping]] = {}
+    for row in rows:
+        found.setdefault((row["model"], row["output"], row["mode"]), {})[row["record"]] = row
+    return found
+
+
+def _number(value: object) -> float:
+    """NaN for what was not defined, or not yet scored."""
+    return float("nan") if value is None else float(value)
+
+
+def _means(told: dict, variant: str) -> list[dict]:
+    return next((v["means"] for v in told.get("variants", ()) if v["name"] == variant), [])
+
+
+def _check_format(path: Path, found: object) -> None:
+    if found != FORMAT:
+        raise DataError(
+            f"{path}: written in another format (got '{found}'), this version of hydrotwin reads '{FORMAT}'. Run the "
+            "earlier comparison again with this version, or compare with the version that wrote it."
+        )

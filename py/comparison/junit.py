@@ -1,0 +1,37 @@
+"""Criteria as a JUnit XML document, for servers that build and test."""
+
+from __future__ import annotations
+
+from xml.etree import ElementTree
+
+from .acceptance import Acceptance
+from .criteria import Judged
+
+
+def junit(found: Acceptance, title: str) -> str:
+    """The criteria, a test case each; values in the unit that each criterion was written in."""
+    failed = [one for one in found.judged if not one.passed]
+    suite = ElementTree.Element("testsuite", name=title, tests=str(len(found.judged)), failures=str(len(failed)))
+    suite.attrib |= {"errors": "0", "skipped": "0"}
+    for one in found.judged:
+        case = ElementTree.SubElement(suite, "testcase", classname=found.model, name=one.criterion.text)
+        if not one.passed:
+            words = _words(one)
+            ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
+        if one.caution:
+            ElementTree.SubElement(case, "system-out").text = one.caution
+    root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
+    root.append(suite)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _words(one: Judged) -> str:
+    """What was found of a missed criterion, and what is allowed, in its unit."""
+    if one.undefined:
+        return one.undefined
+    unit = f" {one.criterion.unit}" if one.criterion.unit else ""
+    value, low, high = (one.criterion.as_written(v) for v in (one.value, one.low, one.high))
+    allowed = f"at least {low:.6g}" if high == float("inf") else f"{low:.6g} to {high:.6g}"
+    allowed = f"at most {high:.6g}" if low == -float("inf") else allowed
+    return f"found {value:.6g}{unit}, allowed {allowed}{unit}"

@@ -28,6 +28,7 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "piecewise": "a characteristic of straight lines",
     "grey_box": "dead time, hidden spool, play and a monotone characteristic; no spool sensor",
     "symbolic": "a formula found by genetic programming",
+    "narx": "a polynomial difference equation, its terms selected by error reduction ratio",
     "hybrid": "an identified model (--model) and a network for what it lacks",
     "state_nn": "a network with hidden states, started by an encoder",
 }

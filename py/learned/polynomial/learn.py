@@ -26,6 +26,7 @@ from .terms import Term, candidates, factors_of, feature_names, polynomial, valu
 
 DEGREE = 3  # of the products: pump and level in a root, flow over a valve, friction bend that far
 MOST_TERMS = 16  # of an equation: longer ones run away more often than they run better
+COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # numbers of terms that run freely
 ROWS = 4000  # random rows that terms are selected on
 PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
@@ -150,7 +151,7 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, progress) 
     paths = [_selected(data, i, first, options, rng) for i in range(len(outputs))]
     formulas = [
         [polynomial(terms[:k], selected.factors[k - 1]) for terms, selected in by_degree.values()
-         for k in range(1, selected.by_bic + 1)]
+         for k in COUNTS if k <= selected.by_bic]
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]

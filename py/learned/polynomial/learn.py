@@ -11,7 +11,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, noise_floor
 
 from ..block_file import LearnedBlock
 from ..linear.arx import Chosen, choose
@@ -20,7 +20,7 @@ from ..needs import needed_to_train
 from ..network.narx import NarxShape
 from ..steady import steady_where_it_integrates
 from ..symbolic.data import Prepared, prepare
-from ..training_data import checked_recordings, choose_period, named, usable
+from ..training_data import checked_recordings, choose_period, named, on_period, usable
 from .selection import Selected, select
 from .terms import Term, candidates, factors_of, feature_names, polynomial, values, words
 
@@ -30,6 +30,7 @@ COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # numbers of terms that run freely
 ROWS = 4000  # random rows that terms are selected on
 PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
+NOISY = 0.1  # noise of an increment over its spread: less bends least squares by a hundredth, smoothing by more
 ROWS_PER_TERM = 15  # few rows get few terms
 SELECTED_ON = "parts of every training recording, each with factors fitted on the others"
 
@@ -146,7 +147,7 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, progress) 
 
     inputs, outputs = signals
     past, first, last = _lags(arx, period, options.lags)
-    data = prepare(*both, inputs, outputs, period, (past, last), False)
+    data = prepare(*both, inputs, outputs, period, (past, last), False, smooth=_noisy(both[0], signals, period))
     rng = np.random.default_rng(options.seed)
     paths = [_selected(data, i, first, options, rng) for i in range(len(outputs))]
     formulas = [
@@ -160,6 +161,16 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, progress) 
     alone = len(selection.chosen) == 1
     error = selection.chosen[0].error if alone else judged_errors(data, formula)[0]
     return _Found(period, data, paths, selection, formula, float(error))
+
+
+def _noisy(records: Sequence[Record], signals, period: float) -> bool:
+    """Whether the noise of an output is more than `NOISY` of its increments: then features are smoothed."""
+    inputs, outputs = signals
+    names = [s.name for s in outputs]
+    floors = [noise_floor(r.select(names)) for r in records]
+    moved = np.concatenate([np.diff(on_period(r, period, inputs).array(names), axis=0) for r in records]).std(axis=0)
+    noise = np.array([np.median([f[name].sigma for f in floors]) for name in names])
+    return bool(np.any(np.sqrt(2.0) * noise > NOISY * moved))
 
 
 def _lags(arx: Chosen, period: float, lags) -> tuple[int, list[int], int]:

@@ -127,8 +127,8 @@ def main() -> None:
 LEAD = (
     "By their own defaults, on the training file alone; free run over the test file, all samples scored after the "
     f"measured outputs that the tool begins with (ours begin with one). Seeds of what is random: {SEEDS}; processor "
-    "seconds of one training in one thread. How many iterations deepSI takes its user must say. Beside NumPy 2.3.5, the "
-    "newest that SysIdentPy allows, and torch 2.13.0."
+    "seconds of one training in one thread. How many iterations deepSI takes its user must say. Beside NumPy 2.3.5, "
+    "the newest that SysIdentPy allows, and torch 2.13.0."
 )
 MADE_BY = "Made by `make bench-others`, with the measurements in the folder that HYDROTWIN_MEASURED_DATA names."
 

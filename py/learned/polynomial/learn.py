@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
-from time import perf_counter
+from time import monotonic, perf_counter
 
 import numpy as np
 
@@ -49,6 +49,7 @@ def learn_narx(
     select: Sequence[Record] = (),
     validate: Sequence[Record] = (),
     seed: int = 0,
+    budget: float | None = None,
     name: str = "narx",
     progress: Callable | None = None,
 ) -> LearnedBlock:
@@ -68,8 +69,10 @@ def learn_narx(
             acts; None: chosen. terms: of an equation, at most.
         select: recordings that choose in place of parts held out; nothing is fitted to them.
         validate: checked, and used for nothing. seed: of the rows that terms are selected on, and of the short runs.
+        budget: s; None: no limit. Fewer polynomials are refitted when it ends.
         progress: called with a `SelectionProgress` per refit.
 
+    The same seed and data give the same block unless ``budget`` ends the work (``provenance["stopped"]``).
     ``provenance["narx"]`` tells by output the terms with their factors (over the scales of the block) and ERR in the
     order in which they were selected, AIC and BIC by number of terms, and which terms are kept.
 
@@ -80,13 +83,13 @@ def learn_narx(
     began = perf_counter()
     with needed_to_train("learn_narx"):
         from ..symbolic import deploy
-    _check_options(period, degree, lags, delay, terms, tolerance)
+    _check_options(period, degree, lags, delay, terms, {"tolerance": tolerance, "budget": budget})
     inputs, outputs, records, validate = checked_recordings("learn_narx", records, inputs, outputs, validate)
     chosen_by = usable(select, (*inputs, *outputs)) if select else []
     asked = Asked(None, None, lags[1] if lags else None, delay)
     both = records, chosen_by
     found = _best(both, choose(both, inputs, outputs, period, asked, 0), (inputs, outputs),
-                  _Options(period, degree, lags, terms, tolerance, seed), progress)  # fmt: skip
+                  _Options(period, degree, lags, terms, tolerance, seed, budget), progress)  # fmt: skip
     data, formula = found.data, found.formula
     block = deploy.formula_block(formula, data, records, inputs, outputs, found.period, name)
     told = _told(found, inputs, outputs)
@@ -119,6 +122,7 @@ class _Options:
     terms: int
     tolerance: float
     seed: int
+    budget: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +141,15 @@ def _best(both, arx: Chosen, signals, options: _Options, progress) -> _Found:
     """The period at which the polynomials run best over what is held out."""
     records, _ = both
     periods = [arx.period] if options.period else list(dict.fromkeys([arx.period, choose_period(records)]))
-    found = [_at(period, both, arx, signals, options, progress) for period in periods]
+    began, found = monotonic(), []
+    for k, period in enumerate(periods):
+        until = np.inf if options.budget is None else began + options.budget * (k + 1) / len(periods)
+        found.append(_at(period, both, arx, signals, options, until, progress))
     return min(found, key=lambda f: f.error)
 
 
-def _at(period: float, both, arx: Chosen, signals, options: _Options, progress) -> _Found:
-    """What free runs choose at a period."""
+def _at(period: float, both, arx: Chosen, signals, options: _Options, until: float, progress) -> _Found:
+    """What free runs choose at a period, until a time on the monotonic clock."""
     from ..symbolic.select import Selection, judged_errors
 
     inputs, outputs = signals
@@ -156,7 +163,7 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, progress) 
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]
-    selection = Selection(data, names, tolerance=options.tolerance, until=np.inf, seed=options.seed, progress=progress)
+    selection = Selection(data, names, tolerance=options.tolerance, until=until, seed=options.seed, progress=progress)
     formula = selection.choose(formulas)
     alone = len(selection.chosen) == 1
     error = selection.chosen[0].error if alone else judged_errors(data, formula)[0]
@@ -229,7 +236,7 @@ def _describe(told: dict) -> str:
     return "polynomial NARX: " + "; ".join(parts)
 
 
-def _check_options(period, degree, lags, delay, terms, tolerance) -> None:
+def _check_options(period, degree, lags, delay, terms, amounts: dict) -> None:
     if period is not None and not (np.isfinite(period) and period > 0):
         raise DeclarationError(f"learn_narx: period must be positive (got {period}). Give seconds, such as 0.01.")
     counts = {"degree": (degree, 1), "terms": (terms, 1)} | ({} if delay is None else {"delay": (delay, 0)})
@@ -244,5 +251,7 @@ def _check_options(period, degree, lags, delay, terms, tolerance) -> None:
             raise DeclarationError(f"learn_narx: {option} must be a whole number from {least} up (got {value}).")
     if degree > DEGREE:
         raise DeclarationError(f"learn_narx: degree is {DEGREE} at most (got {degree}). Longer products run away.")
-    if not 0 <= tolerance < np.inf:
-        raise DeclarationError(f"learn_narx: tolerance must be 0 or more (got {tolerance}). 0.05 is 5 %.")
+    if not 0 <= amounts["tolerance"] < np.inf:
+        raise DeclarationError(f"learn_narx: tolerance must be 0 or more (got {amounts['tolerance']}). 0.05 is 5 %.")
+    if amounts["budget"] is not None and not amounts["budget"] > 0:
+        raise DeclarationError(f"learn_narx: budget must be positive (got {amounts['budget']}). Give seconds.")

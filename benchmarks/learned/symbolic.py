@@ -4,8 +4,9 @@ The problems, by ours, the old operators, operon and gplearn in the same process
 The experiment: learn a formula from five recordings, judge it by free runs on three. Both fits of `learn_symbolic`,
 with and without the measured motor speed, and plain operon on the same increments: error of the free runs, formula,
 evaluations per processor second, and the time of a refit of all constants on all recordings.
-``python -m benchmarks.learned.symbolic [--seconds 80] [--seeds 5] [--scoreboard docs/scoreboard.md]``: length of a
-recording, as in the paper unless said; seeds of the problems. gplearn has no row on the C-EHA: it has no free run.
+``python -m benchmarks.learned.symbolic [--seconds 80] [--seeds 5] [--problems] [--scoreboard docs/scoreboard.md]``:
+length of a recording, as in the paper unless said; seeds of the problems. gplearn has no row on the C-EHA: it has no
+free run.
 """
 
 from __future__ import annotations
@@ -46,25 +47,33 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=80.0)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--problems", action="store_true", help="the static problems alone, a quarter of an hour")
     parser.add_argument("--scoreboard", type=Path, help="write the section 'Formulas' of this page")
     given = parser.parse_args()
     found = problems(CPU_SECONDS, given.seeds)
-    arm = _arm(given.seconds)
+    arm = [] if given.problems else _arm(given.seconds)
     if given.scoreboard:
-        parts = [LEAD.format(seconds=CPU_SECONDS, seeds=given.seeds), "", *found, "",
-                 ARM.format(seconds=given.seconds), "", *arm, "", MADE_BY]  # fmt: skip
-        put_section(given.scoreboard, "Formulas", "\n".join(parts))
+        written(given.scoreboard, given, found, arm)
 
 
 LEAD = (
-    "Static problems with a known law, everybody for {seconds:g} processor seconds in one thread; NRMSE over the "
-    "spread of samples that nobody learnt from, {seeds} seeds. `new`: `learn symbolic`; `old`: the paper's operators."
+    "Static problems with a known law. Everybody is to end after {seconds:g} processor seconds in one thread, between "
+    "two generations; the last column has what it took. NRMSE over the spread of samples that nobody learnt from, "
+    "{seeds} seeds. `new`: `learn symbolic`; `old`: the paper's operators."
 )
 ARM = (
     "The rig's C-EHA arm: five recordings of {seconds:g} s to learn from, RMS of free runs over three others. gplearn "
     "has no free run, and no row."
 )
-MADE_BY = "Made by `python -m benchmarks.learned.symbolic --scoreboard docs/scoreboard.md`."
+MADE_BY = "Made by `python -m benchmarks.learned.symbolic {how}--scoreboard docs/scoreboard.md`."
+
+
+def written(page: Path, given: argparse.Namespace, found: list[str], arm: list[str]) -> None:
+    """The section of the page."""
+    parts = [LEAD.format(seconds=CPU_SECONDS, seeds=given.seeds), "", *found, ""]
+    parts += [ARM.format(seconds=given.seconds), "", *arm, ""] if arm else []
+    how = f"--seeds {given.seeds} " + ("--problems " if given.problems else "")
+    put_section(page, "Formulas", "\n".join([*parts, MADE_BY.format(how=how)]))
 
 
 def _arm(seconds: float) -> list[str]:

@@ -31,7 +31,6 @@ from .report_card import BLOCK
 from .verdicts import as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
-ASKED = ("narx",)  # tried where it is named: it was first on no held-out part of tanks and EMPS, and costs its time
 QUICK = ("arx", "piecewise")  # tried first where time is short, and the first of them is never ended
 TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
 GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
@@ -106,7 +105,7 @@ def learn_best(
 
     Args:
         records, inputs, outputs: as in `learn`.
-        kinds: names of `KINDS`; None: all that need nothing else, but for `ASKED`.
+        kinds: names of `KINDS`; None: all that need nothing else.
         workers: processes; None: one per core.
         budget: s on the clock that all trials may take together; None: as long as they take. What is left is shared
             evenly among the kinds still to try; `QUICK` ones come first. A kind that looks at no clock is ended with
@@ -120,7 +119,7 @@ def learn_best(
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
     """
     every = [k for k in KINDS if k not in ALONE]
-    chosen = list(dict.fromkeys(kinds)) if kinds is not None else [k for k in every if k not in ASKED]
+    chosen = list(dict.fromkeys(kinds)) if kinds is not None else every
     for kind in chosen:
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")

@@ -37,8 +37,7 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
 BUDGET = "s on the clock, then the best so far is taken; auto: of all kinds together, and of training the best again"
 TRIALS = 0.7  # of the budget of auto: the rest is for training the chosen kind again on all recordings
 NOT_AGAIN = "It was not trained again on all recordings: {left:.3g} s of the budget were left. Give a longer --budget."
-EVERY = "every kind that needs no more than the recordings, the best in free run (narx where --set kinds= names it)"
-TOLD = {AUTO: EVERY, **KINDS}
+TOLD = {AUTO: "every kind that needs no more than the recordings; the best in free run", **KINDS}
 
 
 def register(app: typer.Typer) -> None:

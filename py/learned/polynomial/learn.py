@@ -27,6 +27,7 @@ from .terms import Term, candidates, factors_of, feature_names, polynomial, valu
 DEGREE = 3  # of the products: pump and level in a root, flow over a valve, friction bend that far
 MOST_TERMS = 16  # of an equation: longer ones run away more often than they run better
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # numbers of terms that run freely
+FEW, MANY = (2, 4, 6, 8), 8000  # of them, at a period at which the recordings are more samples than so many
 ROWS = 4000  # random rows that terms are selected on
 PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
@@ -141,6 +142,7 @@ def _best(both, arx: Chosen, signals, options: _Options, progress) -> _Found:
     """The period at which the polynomials run best over what is held out."""
     records, _ = both
     periods = [arx.period] if options.period else list(dict.fromkeys([arx.period, choose_period(records)]))
+    periods = [p for p in periods if p == max(periods) or _samples(records, p) <= MANY]
     began, found = monotonic(), []
     for k, period in enumerate(periods):
         until = np.inf if options.budget is None else began + options.budget * (k + 1) / len(periods)
@@ -157,9 +159,10 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
     data = prepare(*both, inputs, outputs, period, (past, last), False, smooth=_noisy(both[0], signals, period))
     rng = np.random.default_rng(options.seed)
     paths = [_selected(data, i, first, options, rng) for i in range(len(outputs))]
+    counts = COUNTS if _samples(both[0], period) <= MANY else FEW
     formulas = [
         [polynomial(terms[:k], selected.factors[k - 1]) for terms, selected in by_degree.values()
-         for k in COUNTS if k <= selected.by_bic]
+         for k in counts if k <= selected.by_bic]
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]
@@ -168,6 +171,10 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
     alone = len(selection.chosen) == 1
     error = selection.chosen[0].error if alone else judged_errors(data, formula)[0]
     return _Found(period, data, paths, selection, formula, float(error))
+
+
+def _samples(records: Sequence[Record], period: float) -> float:
+    return sum(r.duration for r in records) / period
 
 
 def _noisy(records: Sequence[Record], signals, period: float) -> bool:

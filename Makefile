@@ -6,12 +6,12 @@ OUT ?= out/demo
 WORKERS ?= 2
 # A test that kills its worker ends the run: pytest-xdist hangs where it restarts one.
 TOGETHER := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
-OFFICIAL ?= --seeds 1 --data tanks emps --kinds arx linear piecewise grey_box symbolic gp state_nn nn
+OFFICIAL ?= --seeds 1 --data tanks emps --kinds arx linear piecewise grey_box symbolic narx gp state_nn nn
 GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo fmus gates test lint bench bench-bands bench-gap bench-learned scoreboard clean
+.PHONY: help demo fmus gates test lint bench bench-bands bench-gap bench-learned bench-others scoreboard clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
@@ -26,6 +26,7 @@ help:
 	@echo "make bench-gap  which hidden effects the gap workflow finds, beside the baselines, on 10 short cases;"
 	@echo "                all of them: make bench-gap GAP='--seeds fresh --out out/gap_fresh'"
 	@echo "make bench-learned  every kind of learned model by its defaults on recordings made by others"
+	@echo "make bench-others  SysIdentPy and deepSI by their own defaults on the same recordings, into docs/scoreboard.md"
 	@echo "make scoreboard  docs/scoreboard.md: learned models and identified physics on official benchmarks"
 
 # torch==2.13.0 comes from constraints.txt
@@ -37,6 +38,13 @@ $(VENV)/.run: pyproject.toml constraints.txt
 
 $(VENV)/.dev: $(VENV)/.run
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[learned,dev]"
+	@touch $@
+
+# sysidentpy wants an older numpy than constraints.txt has: an environment of its own
+$(VENV)-bench/.others: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)-bench
+	grep -v '^numpy==' constraints.txt > $(VENV)-bench/constraints.txt
+	$(VENV)-bench/bin/python -m pip install --quiet -c $(VENV)-bench/constraints.txt -e ".[learned,bench]"
 	@touch $@
 
 demo: $(VENV)/.run
@@ -66,6 +74,9 @@ bench-bands: $(VENV)/.dev
 
 bench-learned: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.learned.foreign $(LEARNED)
+
+bench-others: $(VENV)-bench/.others
+	$(VENV)-bench/bin/python -m benchmarks.learned.others --scoreboard docs/scoreboard.md $(OTHERS)
 
 scoreboard: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.learned.foreign $(OFFICIAL) --scoreboard docs/scoreboard.md

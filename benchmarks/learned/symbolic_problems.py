@@ -125,11 +125,11 @@ CONTENDERS: dict[str, Callable] = {
 }
 
 
-def problems(seconds: float, seeds: int) -> None:
-    """Print the medians of NRMSE, all figures, and the processor time that was really taken."""
-    print(f"{seeds} seeds, {seconds:g} CPU-s each: median NRMSE (all; CPU-s of the slowest)")
+def problems(seconds: float, seeds: int) -> list[str]:
+    """Print and answer, as a table, the medians of NRMSE, all figures, and the processor time that was really taken."""
+    lines = ["| problem | who | median NRMSE | all | CPU s of the slowest |", "|---|---|---|---|---|"]
+    print(f"{seeds} seeds, {seconds:g} CPU-s each")
     for problem, made in PROBLEMS.items():
-        print(problem)
         for label, contender in CONTENDERS.items():
             errors, spent = [], []
             for seed in range(seeds):
@@ -146,5 +146,7 @@ def problems(seconds: float, seeds: int) -> None:
                     print(f"  {label}: {missing.name} is not installed: pip install 'hydrotwin[bench]'")
                     break
             if errors:
-                print(f"  {label}: {np.median(errors):.2g} ({', '.join(f'{e:.2g}' for e in errors)}; {max(spent):.1f})",
-                      flush=True)  # fmt: skip
+                every = ", ".join(f"{e:.2g}" for e in errors)
+                lines.append(f"| {problem} | {label} | {np.median(errors):.2g} | {every} | {max(spent):.1f} |")
+                print(lines[-1], flush=True)
+    return lines

@@ -19,6 +19,7 @@ from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
+from .polynomial.learn import learn_narx
 from .published_formula import published_formula
 from .ranking import learn_best
 from .refit import refitted
@@ -48,6 +49,7 @@ __all__ = [
     "learn_hybrid",
     "learn_inverse",
     "learn_linear",
+    "learn_narx",
     "learn_piecewise",
     "learn_rate_network",
     "learn_state_network",

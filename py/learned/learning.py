@@ -24,6 +24,7 @@ from .linear.learn import learn_linear
 from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
+from .polynomial.learn import learn_narx
 from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
@@ -39,6 +40,7 @@ KINDS: Mapping[str, Callable] = {
     "piecewise": learn_piecewise,
     "grey_box": learn_grey_box,
     "symbolic": learn_symbolic,
+    "narx": learn_narx,
     "hybrid": learn_hybrid,
     "state_nn": learn_state_network,
 }

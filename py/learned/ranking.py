@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from multiprocessing import connection, get_context
+from multiprocessing import connection, get_all_start_methods, get_context
 from pathlib import Path
 
 import numpy as np
@@ -31,8 +31,12 @@ from .report_card import BLOCK
 from .verdicts import as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
-GRACE = 15.0  # s beyond its budget after which a kind that looks at no clock itself is ended: its process starts, too
-TOO_LATE = "it was ended, for its budget was over and it knows no best so far. Give it longer, or no --budget."
+QUICK = ("arx", "piecewise")  # tried first where time is short, and the first of them is never ended
+TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
+GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
+TOO_LATE = "it was ended, for its share of the budget was over ({share:.3g} s). Give a longer --budget, or none."
+NOT_TRIED = "it was not tried, for the budget was over. Give a longer --budget, or none."
+CHECKED, LEAST = 0.5, 0.1  # s between looks at the clock; the least that a kind is given to train
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -103,7 +107,9 @@ def learn_best(
         records, inputs, outputs: as in `learn`.
         kinds: names of `KINDS`; None: all that need nothing else.
         workers: processes; None: one per core.
-        budget: s that each kind may train; None: as long as it takes. What looks at no clock is ended soon after.
+        budget: s on the clock that all trials may take together; None: as long as they take. What is left is shared
+            evenly among the kinds still to try; `QUICK` ones come first. A kind that looks at no clock is ended with
+            its share, and says so in the ranking. On a busier machine the same budget gives other blocks.
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
@@ -112,14 +118,13 @@ def learn_best(
     Raises:
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
     """
-    options |= {} if budget is None else {"budget": budget}
     every = [k for k in KINDS if k not in ALONE]
     chosen = list(dict.fromkeys(kinds)) if kinds is not None else every
     for kind in chosen:
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     check_select("auto", records, options.get("select"))
-    found = _tried(chosen, (list(records), list(inputs), list(outputs), options), workers, progress)
+    found = _tried(chosen, (list(records), list(inputs), list(outputs), options), (workers, budget), progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
         reasons = " ".join(f"{t.kind}: {t.failed}" for t in found)
@@ -132,25 +137,30 @@ def learn_best(
     return replace(taken.block, provenance={**taken.block.provenance, **told, **stopped})
 
 
-def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Callable | None) -> list[Tried]:
-    """What became of each kind, in the order of their ends; those that ended before Ctrl-C."""
+def _tried(kinds: Sequence[str], given: tuple, means: tuple, progress: Callable | None) -> list[Tried]:
+    """What became of each kind, in the order of their ends; those that ended before Ctrl-C.
+
+    means : workers, and s on the clock; None: one per core, as long as it takes.
+    """
     found: list[Tried] = []
-    waiting, running, began = list(kinds), {}, {}
-    budget = given[-1].get("budget")
-    workers = workers or len(os.sched_getaffinity(0))
+    workers, budget = means[0] or len(os.sched_getaffinity(0)), means[1]
+    waiting = list(kinds) if budget is None else sorted(kinds, key=lambda k: (k not in QUICK, not takes(k, "budget")))
+    clock, running = _Clock(budget, workers), {}
     with tempfile.TemporaryDirectory() as folder:
         try:
             while waiting or running:
-                while waiting and len(running) < workers:
-                    kind = waiting.pop(0)
-                    running[kind], began[kind] = _start(kind, given, Path(folder)), time.monotonic()
-                connection.wait([child.sentinel for child in running.values()], budget and 1.0)
-                late = [k for k in running if budget and _late(k, time.monotonic() - began[k], budget)]
-                for kind in late:
-                    running[kind].terminate()
-                for kind in [k for k, child in running.items() if not child.is_alive() or k in late]:
-                    running.pop(kind).join()
-                    found.append(Tried(kind, failed=TOO_LATE) if kind in late else _answer(kind, Path(folder)))
+                while waiting and len(running) < workers and not clock.over:
+                    share = clock.share(1 if waiting[0] in QUICK else len(waiting))
+                    running[waiting[0]] = _start(waiting[0], given, share, Path(folder)), share
+                    waiting.pop(0)
+                if clock.over:
+                    found += [Tried(kind, failed=NOT_TRIED) for kind in waiting]
+                    waiting.clear()
+                connection.wait([child.sentinel for child, _ in running.values()], budget and CHECKED)
+                late = [kind for kind, (_, share) in running.items() if clock.late(kind, share, bool(waiting))]
+                for kind in [k for k, (child, _) in running.items() if not child.is_alive() or k in late]:
+                    child, share = running.pop(kind)
+                    found.append(_ended(child, kind, share, Path(folder)))
                     if progress:
                         best = min(found, key=lambda t: t.share)
                         progress(len(found), len(kinds), f"{kind} ended, best so far {best.kind}")
@@ -158,23 +168,67 @@ def _tried(kinds: Sequence[str], given: tuple, workers: int | None, progress: Ca
             if not any(t.block for t in found):
                 raise
         finally:
-            for child in running.values():
+            for child, _ in running.values():
                 child.terminate()
                 child.join()
     return found
 
 
-def _late(kind: str, seconds: float, budget: float) -> bool:
-    """Whether a kind that does not look at the time itself has had its budget."""
-    return not takes(kind, "budget") and seconds > budget + GRACE
+class _Clock:
+    """When the trials end, and what each may take."""
+
+    def __init__(self, budget: float | None, workers: int):
+        self.end, self.workers = None if budget is None else time.time() + budget, workers
+
+    @property
+    def over(self) -> bool:
+        return self.end is not None and time.time() >= self.end
+
+    def share(self, waiting: int) -> tuple[float, float] | None:
+        """Begin and end of the next trial, when so many are to be started yet."""
+        if self.end is None:
+            return None
+        now = time.time()
+        return now, now + (self.end - now) * min(1.0, self.workers / waiting)
+
+    def late(self, kind: str, share: tuple[float, float] | None, others: bool) -> bool:
+        """Whether a trial has had its time: its share while others wait, else all that is left.
+
+        A kind that looks at the clock itself has time to write its card. The first of `QUICK` ends: there is an answer.
+        """
+        if share is None or kind == QUICK[0]:
+            return False
+        if takes(kind, "budget"):
+            return time.time() > self.end + GRACE
+        return time.time() > (share[1] if others else self.end)
 
 
-def _start(kind: str, given: tuple, folder: Path):
+def _ended(child, kind: str, share, folder: Path) -> Tried:
+    """What became of a trial; one that still runs is ended."""
+    late = child.is_alive()
+    if late:
+        child.terminate()
+    child.join()
+    if late and not (folder / f"{kind}.json").exists():
+        return Tried(kind, failed=TOO_LATE.format(share=time.time() - share[0]))
+    return _answer(kind, folder)
+
+
+def _context():
+    """Processes that begin with what all of them import, where the system has such; else anew."""
+    if "forkserver" not in get_all_start_methods():
+        return get_context("spawn")
+    context = get_context("forkserver")
+    context.set_forkserver_preload(["hydrotwin.learned.learning"])
+    return context
+
+
+def _start(kind: str, given: tuple, share, folder: Path):
     """A process that trains one kind, with one thread: there are as many processes as cores."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
-        child = get_context("spawn").Process(target=_try, args=(kind, *given, folder), daemon=True)
+        child = _context().Process(target=_try, args=(kind, *given, share and share[1], folder), daemon=True)
         child.start()
     finally:
         for name, value in before.items():
@@ -195,10 +249,12 @@ def _answer(kind: str, folder: Path) -> Tried:
     return Tried(kind, block, told["shares"], told["seconds"], told["failed"], told["stretches"])
 
 
-def _try(kind: str, records, inputs, outputs, options: Mapping, folder: Path) -> None:
+def _try(kind: str, records, inputs, outputs, options: Mapping, until: float | None, folder: Path) -> None:
     """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     began, shares, stretches, failed = time.process_time(), {}, {}, ""
+    if until is not None:
+        options = {**options, "budget": max(TRAINING * (until - time.time()), LEAST)}
     try:
         block = learn(kind, records, inputs, outputs, **{k: v for k, v in options.items() if takes(kind, k)})
         write_block(block, folder / f"{kind}.toml")

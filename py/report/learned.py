@@ -96,6 +96,7 @@ def learned_sections(block) -> tuple[Section, ...]:
         _section("kinds", "Kinds that were tried", KINDS, _ranking(provenance.get("ranking", ()))),
         _section("seeds", "Spread over seeds", SEEDS, _seeds(provenance.get("seeds", ()))),
         _front(front_rows(block)),
+        _terms(provenance.get("narx", {})),
     )
     return tuple(section for section in made if section.parts)
 
@@ -109,6 +110,11 @@ KINDS = (
     "flatters it."
 )
 FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
+TERMS = (
+    "Error reduction ratio: the share of the squared increments that a term explains, one step ahead, beside those "
+    "selected before it; none where a term came in by pruning alone. Factors are over the scales of the block. AIC and "
+    "BIC are least where one step ahead more terms are not worth it; free run on held-out parts then chose."
+)
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
 
 
@@ -198,6 +204,24 @@ def _front(rows: Sequence[Mapping]) -> Section:
         ]
         parts.append(table(f"front_{output}", output, columns))
     return Section("front", "Shorter and longer formulas", tuple(parts), FRONT if parts else "")
+
+
+def _terms(by_output: Mapping[str, Mapping]) -> Section:
+    """Terms of a polynomial NARX in the order of their selection, by output."""
+    parts = []
+    for output, told in by_output.items():
+        kept = {row["term"]: row["factor"] for row in told["terms"]}
+        rows = list(dict.fromkeys([*told["selected"], *kept]))
+        known, left = len(told["selected"]), [None] * (len(rows) - len(told["selected"]))
+        columns = [
+            texts("term", "Term", rows),
+            numbers("err", "ERR", [*told["err"], *left], common=False),
+            numbers("aic", "AIC", [*told["aic"], *left], best="min", common=False),
+            numbers("bic", "BIC", [*told["bic"], *left], best="min", common=False),
+            numbers("factor", "Factor", [kept.get(name) for name in rows], common=False),
+        ]
+        parts.append(table(f"terms_{output}", f"{output}: {len(kept)} of {known} selected are kept", columns))
+    return Section("terms", "Terms of the polynomial", tuple(parts), TERMS if parts else "")
 
 
 def _seeds(rows: Sequence[Mapping]) -> Table | None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+import tracemalloc
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -107,3 +110,61 @@ def test_training_finds_the_noise_and_leaves_out_a_feature_that_says_nothing():
     found = sparse.train_sparse(X, y, sparse.spread_points(X, 40, rng), parsed("rbf", "test"))
     assert found.noise**0.5 == pytest.approx(0.1, rel=0.15)
     assert found.hyper.lengths[0, 1] > 10 * found.hyper.lengths[0, 0]
+
+
+def rows(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Features (n, 2) and a smooth function of them with noise."""
+    rng = np.random.default_rng(5)
+    X = rng.normal(size=(n, 2))
+    return X, np.sin(2 * X[:, 0]) + 0.3 * X[:, 1] + 0.1 * rng.normal(size=n)
+
+
+def test_what_minibatches_search_for_is_known_in_closed_form():
+    """GPyTorch's whitened variational bound of all rows is `bound` at our Gaussian, and level there in its mean."""
+    gpytorch, torch = pytest.importorskip("gpytorch"), pytest.importorskip("torch")
+    X, y = rows(300)
+    Z = sparse.spread_points(X, 15, np.random.default_rng(0))
+    found = sparse.train_sparse(X, y, Z, parsed("rbf", "test"), evaluations=30)
+
+    class Process(gpytorch.models.ApproximateGP):
+        def __init__(self):
+            q = gpytorch.variational.CholeskyVariationalDistribution(len(Z))
+            jitter = sparse.JITTER * float(found.hyper.variances.sum())
+            super().__init__(gpytorch.variational.VariationalStrategy(self, torch.tensor(Z), q, jitter_val=jitter))
+            self.kernel = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel(ard_num_dims=2))
+
+        def forward(self, x):
+            return gpytorch.distributions.MultivariateNormal(torch.zeros(len(x), dtype=x.dtype), self.kernel(x))
+
+    likelihood = gpytorch.likelihoods.GaussianLikelihood(noise_constraint=gpytorch.constraints.GreaterThan(1e-8))
+    model, likelihood = Process().double(), likelihood.double()
+    likelihood.noise, model.kernel.outputscale = found.noise, float(found.hyper.variances[0])
+    model.kernel.base_kernel.lengthscale = torch.tensor(found.hyper.lengths)
+    q = model.variational_strategy._variational_distribution
+    model.variational_strategy.variational_params_initialized.fill_(1)
+    with torch.no_grad():
+        q.variational_mean.copy_(torch.tensor(found.mean))
+        q.chol_variational_covar.copy_(torch.tensor(np.linalg.cholesky(found.covariance)))
+    mll = gpytorch.mlls.VariationalELBO(likelihood, model, num_data=len(X))
+    value = mll(model(torch.tensor(X)), torch.tensor(y))
+    value.backward()
+    assert -float(value.detach()) == pytest.approx(found.loss, abs=1e-4)
+    assert float(q.variational_mean.grad.abs().max()) < 1e-4
+
+
+def test_weights_of_twenty_thousand_rows_take_seconds_and_little_memory_and_are_those_of_an_exact_process():
+    X, y = rows(20_000)
+    Z = sparse.spread_points(X, 60, np.random.default_rng(0))
+    first = sparse.train_sparse(X[:1000], y[:1000], Z, parsed("rbf", "test"), evaluations=40)
+    tracemalloc.start()
+    began = time.process_time()
+    found = sparse.conditioned(first.hyper, first.noise, X, y, Z)
+    spent, peak = time.process_time() - began, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert spent < 2.0 and peak < 50e6, "0.2 s on a quiet core, and never rows^2 numbers"
+    at = np.random.default_rng(1).uniform(-2, 2, (200, 2))
+    truth = np.sin(2 * at[:, 0]) + 0.3 * at[:, 1]
+    assert np.sqrt(np.mean((found.at(at)[0] - truth) ** 2)) < 0.02
+    few = sparse.conditioned(first.hyper, first.noise, X[:1000], y[:1000], Z).at(at)
+    exact = sparse.conditioned(first.hyper, first.noise, X[:1000], y[:1000], X[:1000]).at(at)
+    assert np.abs(few[0] - exact[0]).max() < 0.02, "of a spread of 0.8"

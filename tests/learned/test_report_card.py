@@ -256,3 +256,16 @@ def test_the_page_shows_shorter_and_longer_formulas(piecewise):
     cells = {c.key: [cell.text for cell in c.cells] for c in shown.columns}
     assert cells["size"] == ["3", "9"] and cells["equation"] == [r["equation"] for r in rows]
     assert cells["chosen"] == ["", "chosen"] and cells["error"][1].startswith("1")
+
+
+def test_the_page_shows_the_terms_of_a_polynomial(piecewise):
+    told = {
+        "terms": [{"term": "y[k]", "factor": -0.5, "err": 0.9}, {"term": "u[k] y[k]", "factor": 0.1, "err": None}],
+        "selected": ["y[k]", "u[k]^2"], "err": [0.9, 0.05], "aic": [3.0, 1.0], "bic": [3.0, 2.0],
+    }  # fmt: skip
+    sections = {s.id: s for s in learned_sections(replace(piecewise, provenance={"narx": {"y": told}}))}
+    (shown,) = sections["terms"].parts
+    cells = {c.key: [cell.text for cell in c.cells] for c in shown.columns}
+    assert cells["term"] == ["y[k]", "u[k]^2", "u[k] y[k]"] and cells["err"][:2] == ["0.900", "0.0500"]
+    assert "0.5" in cells["factor"][0] and cells["factor"][1] == cells["err"][2], "nothing where it is not kept"
+    assert "terms" not in {s.id for s in learned_sections(piecewise)}

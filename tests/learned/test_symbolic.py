@@ -94,7 +94,7 @@ def test_the_printed_formula_is_the_deployed_one(learned):
 
 
 def test_the_certificate_holds_and_catches_a_changed_constant(learned):
-    from hydrotwin.learned.symbolic.learn import certify
+    from hydrotwin.learned.symbolic.certify import certify
 
     assert learned.certificate.holds and learned.certificate.difference <= 1e-12
     tokens, constants = (learned.arrays[name].tolist() for name in ("tokens", "constants"))

@@ -24,6 +24,7 @@ KINDS = {  # options that keep a training short, and what it needs
     "arx": ({}, None),
     "linear": ({}, None),
     "symbolic": ({"starts": 1, "generations": 3, "population": 40, "lags": (0, 1), "period": PERIOD}, "pyoperon"),
+    "narx": ({"terms": 3, "degree": 2, "lags": (1, 2), "period": PERIOD}, "sympy"),
     "hybrid": ({"starts": 1, "hidden": 0, "effort": 0.1, "period": PERIOD, "features": ["velocity"]}, None),
 }
 

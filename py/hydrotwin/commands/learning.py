@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -28,9 +30,13 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "piecewise": "a characteristic of straight lines",
     "grey_box": "dead time, hidden spool, play and a monotone characteristic; no spool sensor",
     "symbolic": "a formula found by genetic programming",
+    "narx": "a polynomial difference equation, its terms selected by error reduction ratio",
     "hybrid": "an identified model (--model) and a network for what it lacks",
     "state_nn": "a network with hidden states, started by an encoder",
 }
+BUDGET = "s on the clock, then the best so far is taken; auto: of all kinds together, and of training the best again"
+TRIALS = 0.7  # of the budget of auto: the rest is for training the chosen kind again on all recordings
+NOT_AGAIN = "It was not trained again on all recordings: {left:.3g} s of the budget were left. Give a longer --budget."
 TOLD = {AUTO: "every kind that needs no more than the recordings; the best in free run", **KINDS}
 
 
@@ -59,7 +65,7 @@ def learn(
     model: Annotated[str | None, typer.Option("--model", metavar="MODEL", help="hybrid: the identified model")] = None,
     fit: Annotated[str | None, typer.Option(help="paper: the published procedure; default: the better one")] = None,
     hidden: Annotated[int | None, typer.Option(min=0, help="nn: hidden units; 0: the best linear model")] = None,
-    budget: Annotated[float | None, typer.Option(min=0.1, help="s of training, then the best so far is taken")] = None,
+    budget: Annotated[float | None, typer.Option(min=0.1, help=BUDGET)] = None,
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     accept: Annotated[
@@ -99,12 +105,14 @@ def learn(
     else:
         signals = learned_signals([*records, *judged, *chosen], inputs, outputs)
     asked = criteria(accept, records, signals[1], options.get("model"), kind)
+    end = time.monotonic() + budget if kind == AUTO and budget else None
+    options |= {"budget": TRIALS * budget} if end else {}
     options |= named(name) | {"validate": judged, "seed": seed} | ({"select": chosen} if chosen else {})
     block = trained(f"learn {kind}", train, (records, *signals), as_json, **options)
     if report:
         _write_page(block, records, signals, options.get("model"), report, as_json)
     if kind == AUTO if refit is None else refit:
-        block = _refitted(block, kind, (records, *signals), as_json, options)
+        block = _refitted(block, kind, (records, *signals), as_json, options, end)
     written(block, output, as_json, origin(model) if model else None)
     if not accepted(asked, block, as_json):
         raise typer.Exit(1)
@@ -130,13 +138,20 @@ def _trainer(kind: str, settings, flags: dict):
     return train, options | ({"fit": fit} if fit and kind in PUBLISHED else {})
 
 
-def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict):
-    """The block's kind trained again on all recordings; the block where that is worse, or interrupted."""
+def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict, end: float | None):
+    """The block's kind trained again on all recordings; the block where that is worse, interrupted, or out of time.
+
+    end : of the budget of ``auto``, on the monotonic clock.
+    """
     from hydrotwin.learned import refitted
     from hydrotwin.learned.learning import takes
 
     if kind == AUTO:
-        kind = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
+        row = next(row for row in block.provenance["ranking"] if row["chosen"])
+        kind = row["kind"]
+        if end is not None and (left := end - time.monotonic()) < row["seconds"]:
+            return _noted(block, NOT_AGAIN.format(left=max(left, 0.0)))
+        options = options | ({} if end is None else {"budget": end - time.monotonic()})
         options = {k: v for k, v in options.items() if takes(kind, k)}
 
     def train(*given, **own):
@@ -146,6 +161,13 @@ def _refitted(block, kind: str, arguments: tuple, silent: bool, options: dict):
         return trained(f"learn {kind}, on all recordings", train, arguments, silent, **options)
     except KeyboardInterrupt:  # what was judged is not lost
         return block
+
+
+def _noted(block, words: str):
+    """The block with a sentence more on its card."""
+    card = block.provenance.get("free_run", {})
+    told = card | {"says": f"{card.get('says', '')} {words}".strip(), "refitted": False}
+    return replace(block, provenance={**block.provenance, "free_run": told})
 
 
 def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal | str], list[Signal | str]]:

@@ -4,8 +4,15 @@
 
 The best Gaussian over the inducing values is in the bound (collapsed), so that nothing is drawn and no rate of a
 stochastic search is chosen; a step costs rows * points^2, whatever the number of rows. Its gradient by the
-hyper-parameters is written out. Source: Titsias, Variational Learning of Inducing Variables in Sparse Gaussian
-Processes, AISTATS 2009; chunks: Gal, van der Wilk, Rasmussen, NeurIPS 2014.
+hyper-parameters is written out.
+
+Minibatches of a variational process (Hensman, Fusi, Lawrence, UAI 2013; GPyTorch's, whitened) search for the same
+Gaussian. They were measured beside it on 10 000 to 50 000 rows (``benchmarks/learned/many_rows``, 60 points): one step
+ahead their RMSE was 2 to 5 % larger after 20 to 35 s of the processor than after 0.4 s with hyper-parameters of 2000
+rows and weights of all. Hyper-parameters of all rows (4 s) changed the RMSE by less than 0.2 %. So there are none here.
+
+Source: Titsias, Variational Learning of Inducing Variables in Sparse Gaussian Processes, AISTATS 2009; chunks: Gal,
+van der Wilk, Rasmussen, NeurIPS 2014.
 """
 
 from __future__ import annotations

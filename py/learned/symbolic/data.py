@@ -85,12 +85,13 @@ def prepare(
     period: float,
     lags: tuple[int, int | None],
     next_value: bool,
+    smooth: bool = True,
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
     select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
-    (a local parabola over 7 samples) and increments.
+    (a local parabola over 7 samples), unless ``smooth`` is False, and increments.
     """
     u, y = zip(*(_columns(r, inputs, outputs, period) for r in records), strict=True)
     judged = [_columns(r, inputs, outputs, period) for r in select]
@@ -103,7 +104,8 @@ def prepare(
     shape = NarxShape(len(inputs), len(outputs), int(lags[0]), int(m), 0)
     ratio = scales["increment_scale"] / scales["output_scale"]
     all_runs = [*zip(u, y, strict=True), *judged]
-    series = [_series(normal("input", a), normal("output", b), shape, ratio, next_value) for a, b in all_runs]
+    as_it_is = next_value or not smooth
+    series = [_series(normal("input", a), normal("output", b), shape, ratio, as_it_is) for a, b in all_runs]
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
     return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value))
 
@@ -232,9 +234,9 @@ def _one_digit(values: np.ndarray) -> np.ndarray:
     return np.array([float(f"{v:.0e}") for v in values])
 
 
-def _series(u: np.ndarray, y: np.ndarray, shape: NarxShape, ratio: np.ndarray, next_value: bool) -> Series:
+def _series(u: np.ndarray, y: np.ndarray, shape: NarxShape, ratio: np.ndarray, as_it_is: bool) -> Series:
     """Features at every sample; before the first one the machine stands and the input is what it is there."""
-    seen = y if next_value else smoothed(y)
+    seen = y if as_it_is else smoothed(y)
     d = np.vstack([np.zeros((1, seen.shape[1])), np.diff(seen, axis=0)]) / ratio
     lagged = [_delayed(d, lag, 0.0) for lag in range(shape.output_lags)]
     return Series(np.hstack([seen, *lagged, *(_delayed(u, lag, u[0]) for lag in range(shape.input_lags))]), y)

@@ -13,16 +13,13 @@ from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..block_file import LearnedBlock, assemble
+from ..block_file import LearnedBlock
 from ..interruption import INTERRUPTED
 from ..needs import needed_to_train
-from ..network.narx import network_states
 from ..steady import steady_where_it_integrates
-from ..training_data import checked_recordings, choose_period, named, training_box, usable
-from .block import SUBTRACT, SYMBOLIC, VARIABLE, Formula
-from .certify import certify
+from ..training_data import checked_recordings, choose_period, named, usable
+from .block import SUBTRACT, VARIABLE, Formula
 from .data import Prepared, is_static, prepare, prepare_static
-from .static_block import SCALES, STATIC
 
 FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
@@ -92,6 +89,7 @@ def learn_symbolic(
         pyoperon is not installed.
     """
     with needed_to_train("learn_symbolic"):
+        from . import deploy
         from . import search as searching
         from . import select as selecting
         from . import text as printing
@@ -128,16 +126,16 @@ def learn_symbolic(
         formula = selection.choose([[f.formula for f in sorted(kept, key=lambda f: f.error)] for kept in found])
         stopped = stopped or selection.stopped
     formula = printing.simplified(formula, data.shape.features)
-    block = _block(formula, data, records, inputs, outputs, period, name)
+    block = deploy.formula_block(formula, data, records, inputs, outputs, period, name)
     told = _report(archives, stopped) | _judged(selecting, selection, data, formula)
     told |= {"functions": list(rules.functions), "static": static}
     if selection:
-        told["front"] = _front(printing, selection, data, inputs, outputs)
+        told["front"] = deploy.front(selection, data, inputs, outputs)
     told["seconds"] = round(time.monotonic() - started, 2)
-    text, latex = printing.equation_text(formula, inputs, outputs, data.shape, data.scales, whole_value=paper)
+    text, latex = deploy.equation(formula, data, inputs, outputs, whole_value=paper)
     provenance = _provenance(fit, records, select, seed, told) | {"equation": text, "latex": latex}
     block = replace(block, description=text, provenance=provenance)
-    block = replace(block, certificate=certify(block, formula))
+    block = replace(block, certificate=deploy.certify(block, formula))
     return block if static else steady_where_it_integrates(block, records, outputs, published=paper)
 
 
@@ -208,41 +206,6 @@ def _judged(selecting, selection, data: Prepared, formula: Formula) -> dict:
     error, rms = selecting.judged_errors(data, formula)
     told = {"held_out_error": selection.chosen[0].rms if alone else rms}
     return told | ({} if np.isfinite(error) else {"diverges": True})
-
-
-def _front(printing, selection, data: Prepared, inputs, outputs) -> list[dict]:
-    """The front of error and size of every output, as the provenance holds it; errors SI."""
-    rows = []
-    for i, (output, front) in enumerate(zip(outputs, selection.fronts, strict=False)):
-        for c in front:
-            short = printing.simplified(c.formula, data.shape.features)
-            text, _ = printing.equation_text(short, inputs, outputs, data.shape, data.scales, own=[i])
-            row = {"output": output.name, "size": c.size, "equation": text, "chosen": c in selection.chosen}
-            rows.append(row | {"error": c.rms * float(data.scales["output_scale"][i])})
-    return rows
-
-
-def _block(formula: Formula, data: Prepared, records, inputs, outputs, period: float, name: str) -> LearnedBlock:
-    shape = data.shape
-    counts = {"tokens": len(formula.tokens), "constants": len(formula.constants)}
-    own = {"tokens": np.array(formula.tokens, float), "constants": np.array(formula.constants, float)}
-    if data.static:
-        kind, states, scales = STATIC, (), {name: data.scales[name] for name in SCALES}
-    else:
-        kind, states, scales = SYMBOLIC, network_states(shape, inputs, outputs), data.scales
-        counts |= {"output_lags": shape.output_lags, "input_lags": shape.input_lags}
-    return assemble(
-        kind,
-        scales | own,
-        counts,
-        name=name,
-        inputs=inputs,
-        outputs=outputs,
-        states=states,
-        parameters=(),
-        period=period,
-        domain=training_box(records, inputs if data.static else (*inputs, *outputs)),
-    )
 
 
 def _check_options(fit, static, lags, counts: dict, amounts: dict) -> None:

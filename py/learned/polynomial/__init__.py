@@ -1,0 +1,1 @@
+"""Polynomial difference equations whose terms are selected one after the other (NARX)."""

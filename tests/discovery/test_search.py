@@ -40,7 +40,7 @@ def test_every_candidate_was_looked_at_and_none_is_worse_than_the_base_it_contai
     search, _ = rubbing
     table = search.table
     singles = [table.entries[(c.label,)] for c in table.candidates]
-    assert all(e.look or e.fitted or e.failed for e in singles)
+    assert all(e.seen for e in singles)
     base = table.score(table.entry())
     assert all(table.score(e) < base + 2.0 for e in table.fitted)
 
@@ -235,8 +235,22 @@ def test_what_windows_show_in_part_is_fitted_before_pairs_are_made_of_it(monkeyp
     search, pairs = begun(records(3, dry=200.0), SOME[:3], most=2), []
     search.identify()
     monkeypatch.setattr(type(search), "_larger", lambda self, size: pairs.append(size) or [])
-    monkeypatch.setattr(search, "_looked", lambda entries: search._advance([e for e in entries if e.open], 1))
+    monkeypatch.setattr(search, "_promises_much", lambda entry: False)
     search._through(2)
     assert one(search, "coulomb_friction").fitted and search.table.explained() and not pairs
     rest = [one(search, name) for name in SOME[1:3]]
     assert all(e.open or search.table.share(e) <= search.table.promise(e) for e in rest)
+
+
+def test_what_promises_most_is_fitted_as_it_stands_once(monkeypatch):
+    search, stood = begun(records(2, pulse=80.0), ("null_bias", "sensor_scale", "dead_time"), most=1), []
+    search.identify()
+    monkeypatch.setattr(search, "_promises_much", lambda entry: False)
+    real = search.jobs.whole_soon
+    monkeypatch.setattr(search.jobs, "whole_soon", lambda entry: (stood.append(entry.key), real(entry))[1])
+    entries = [search.table.entry([c]) for c in search.table.candidates]
+    search._looked(entries)
+    search._looked(entries)
+    assert len(stood) == len(set(stood)) >= 1
+    lowest = min(entries, key=lambda e: search.table.promise(e, search.first))
+    assert lowest.key in stood

@@ -155,10 +155,14 @@ class Jobs:
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
         """Starts of a structure: each of its effects at usual values, the base where its user put it."""
-        each = [usual(c, self._seen(c)) for c in entry.members]
+        each = [self.starts_of(c) for c in entry.members]
         together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
         found = [{n: v for start in starts for n, v in start.items()} for starts in together]
         return [{**self.begin, **start} for start in found] + (found[:1] if self.begin and entry.members else [])
+
+    def starts_of(self, candidate: Candidate) -> list[dict[str, float]]:
+        """Usual values of one effect."""
+        return usual(candidate, self._seen(candidate))
 
     def _seen(self, candidate: Candidate):
         base, flat = self.table.entries[NOTHING], self.table.base.flat

@@ -25,6 +25,7 @@ from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
 from .extent import SHORT, enough_of, telling, with_fewer_windows
+from .foreseen import foreseen
 from .jobs import Effort, Jobs
 from .starts import compatible, different
 from .table import Entry, Table
@@ -33,7 +34,7 @@ BY_WINDOWS = 2  # effects of a structure up to which windows alone are looked at
 FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
-EARLY = 0.4  # of it: what promises to leave less is fitted as soon as it is seen
+EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
@@ -106,16 +107,20 @@ class Search:
         """Go through structures of up to ``most`` effects until one explains all: those that promise much."""
         table, seen = self.table, []
         for size in range(1, min(most, len(table.candidates)) + 1):
-            entries = [table.entry([c]) for c in table.candidates] if size == 1 else self._larger(size)
+            entries = self._singles() if size == 1 else self._larger(size)
             self._looked(entries)
-            if self.first:
-                self._fit_as_they_stand(entries)
-            else:
+            if not self.first:
                 self._climb(entries)
             seen += entries
             if self.table.explained():
                 break
         return [e for e in seen if table.promise(e) < EARLY]
+
+    def _singles(self) -> list[Entry]:
+        """Single effects, those first that promise most to first order."""
+        table = self.table
+        shares = foreseen(table, self.jobs, table.entry())
+        return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: shares.get(c.label, 1.0))]
 
     def _to_whole_recordings(self) -> None:
         """Look at whole recordings from now on: windows show too little of what is missing, it is slow or acts seldom.
@@ -227,33 +232,41 @@ class Search:
 
     # -- steps ---------------------------------------------------------------------------------------------------
     def _looked(self, entries: Sequence[Entry]) -> None:
-        """Look at structures; those that promise everything are fitted as soon as they are seen, the best first.
+        """Look at structures in turn; what promises everything is fitted as soon as it is seen, the best first.
 
         Where one explains all, the others are asked from where it ended: see `Alternatives`.
         """
-        for batch in batches([e for e in entries if e.open and not e.look], self.batch):
+        for batch in batches([e for e in entries if e.open and not e.look], self.effort.together):
             self._advance(batch, self.first)
-            while early := [e for e in batch if e.open and e.look and self.table.promise(e) < EARLY]:
+            while early := [e for e in batch if e.open and e.look and self._promises_much(e)]:
                 level = SAME + min(self.table.promise(e) for e in early)
                 self._advance([e for e in early if self.table.promise(e) < level])
                 if self.table.explained():
                     return
+            self._fit_as_it_stands(entries)
+            if self.table.explained():
+                return
 
-    def _fit_as_they_stand(self, entries: Sequence[Entry]) -> None:
-        """Fit the most promising to whole recordings: short windows may not show all that they explain.
+    def _promises_much(self, entry: Entry) -> bool:
+        """Whether it promises to leave little of what the best part of it that was fitted leaves."""
+        parts = (self.table.share(part) for part in self.table.parts(entry))
+        return self.table.promise(entry) < EARLY * min(parts, default=1.0)
 
-        That is soon done where one explains all. What leaves more than promised is no fit yet: longer windows may lead
+    def _fit_as_it_stands(self, entries: Sequence[Entry]) -> None:
+        """Fit what promises most to whole recordings: short windows may not show all that it explains.
+
+        That is soon done where it explains all. What leaves more than promised is no fit yet: longer windows may lead
         it elsewhere.
         """
-        if self.table.explained():
+        table = self.table
+        best = min((e for e in entries if e.look), key=lambda e: table.promise(e, self.first), default=None)
+        if not best or not best.open or best.key in self.stood:
             return
-        seen = sorted((e for e in entries if e.open and e.look), key=self.table.promise)[: self.effort.together]
-        seen = [e for e in seen if e.key not in self.stood]
-        self.stood |= {e.key for e in seen}
-        for entry, found in zip(seen, self._ran([self.jobs.whole_soon(e) for e in seen]), strict=True):
-            entry.fitted = found if isinstance(found, Fitted) else None
-            if entry.fitted and self.table.share(entry) > self.table.promise(entry):
-                entry.fitted = None
+        self.stood.add(best.key)
+        (found,) = self._ran([self.jobs.whole_soon(best)])
+        best.fitted = found if isinstance(found, Fitted) else None
+        if best.fitted and table.share(best) > table.promise(best):
+            best.fitted = None
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.

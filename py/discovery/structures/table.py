@@ -57,6 +57,7 @@ class Table:
     """The base, its candidates, and entries by key (labels in the order of the catalogue).
 
     coloured : (ny,), SI, what of the noise is not white; told : outputs (ny,) whose noise the user gave.
+    foreseen : by key, a fit and what of it is left to first order with every other effect in addition, by label.
     """
 
     base: Model
@@ -66,13 +67,18 @@ class Table:
     coloured: np.ndarray
     told: np.ndarray
     entries: dict[Key, Entry] = field(default_factory=dict)
+    foreseen: dict[Key, tuple[Fitted, dict[str, float]]] = field(default_factory=dict)
     _models: dict[Key, Model] = field(default_factory=dict)
 
     def entry(self, members: Iterable[Candidate] = ()) -> Entry:
         """The entry of a structure, new where there is none."""
+        new = self.possible(members)
+        return self.entries.setdefault(new.key, new)
+
+    def possible(self, members: Iterable[Candidate]) -> Entry:
+        """An entry of a structure that the table need not hold."""
         order = {c.label: i for i, c in enumerate(self.candidates)}
-        chosen = tuple(sorted(members, key=lambda c: order[c.label]))
-        return self.entries.setdefault(tuple(c.label for c in chosen), Entry(chosen))
+        return Entry(tuple(sorted(members, key=lambda c: order[c.label])))
 
     def key(self, members: Iterable[Candidate]) -> Key:
         """The key of a structure, which may have no entry."""

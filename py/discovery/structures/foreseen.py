@@ -1,0 +1,69 @@
+"""What effects promise to first order, from where a structure was fitted: the order in which they are looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hydrotwin.identification.horizon import first_guess
+from hydrotwin.models.effects import Candidate
+from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.simulation import prepare
+
+from ..fits.response import SAMPLES, WINDOWS, Responses, stretch_of
+from .jobs import Jobs
+from .starts import compatible
+from .table import Entry, Table
+
+
+def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
+    """Share of what a fitted structure leaves that it would leave with every other effect in addition, by label.
+
+    Those of which nothing can be said are not in it: of FMUs, none.
+    """
+    fitted, shares = table.foreseen.get(known.key, (None, {}))
+    if fitted is not known.fitted:
+        others = [c for c in table.candidates if c not in known.members and compatible((*known.members, c))]
+        shares = _shares(table, jobs, known, others)
+        table.foreseen[known.key] = known.fitted, shares
+    return shares
+
+
+def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, float]:
+    flat, values = table.model(known).flat, dict(known.fitted.values)
+    if flat.black_box or not flat.states:
+        return {}
+    along = _along(table, jobs, known, flat, values)
+    found = {}
+    for one in others:
+        entry = table.possible([*known.members, one])
+        if table.usable(entry):
+            model = table.model(entry).flat
+            sets = np.array([model.parameter_vector({**values, **start}) for start in jobs.starts_of(one)])
+            found[one.label] = along.of(model, sets, model.parameter_vector({**values, **one.neutral}))
+    return dict(zip(found, along.shares(list(found.values())).tolist(), strict=True)) if found else {}
+
+
+def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapping[str, float]) -> Responses:
+    """Responses where most is left; a residual counts in units of what is left of its output there."""
+    question, p, size = table.question, flat.parameter_vector(dict(values)), known.fitted.rmse
+    lengths = (jobs.windows or question).lengths
+    propagator = prepare(flat, step=question.step, few_runs=True)
+    T, most, stretches = lengths[-1] if lengths else 0.0, SAMPLES // len(question.fit), []
+    for recording in question.fit:
+
+        def run(part: slice, x0: np.ndarray, recording=recording):
+            time = recording.time[part]
+            try:
+                return propagator.run(time, recording.u[part], p, x0)
+            except SolveError:
+                return np.full((len(time), recording.y.shape[1]), np.nan), np.tile(x0, (len(time), 1))
+
+        window = max(T, most * float(np.median(np.diff(recording.time)))) / WINDOWS
+        (states,) = first_guess(flat, [recording], propagator, p, window)
+        stretches.append(stretch_of(recording, states, run, size, T, most))
+    there = np.concatenate([s.left.reshape(-1, s.left.shape[-1]) for s in stretches])
+    there = np.sqrt(np.nansum(there**2, axis=0) / np.maximum(np.isfinite(there).sum(axis=0), 1))
+    return Responses(flat, p, table.names(known), stretches, np.fmax(there, table.noise))

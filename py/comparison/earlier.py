@@ -124,6 +124,8 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
     """
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(told, dict):
+            raise ValueError("it holds no table of names")
         _check_format(path, told.get("format", FORMAT))  # a file without one is older, with the same means
         rows = _means(told, variant) if variant else told["means"]
         means = {(s["model"], s["output"], s["mode"]): s for s in rows}

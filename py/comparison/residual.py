@@ -98,6 +98,8 @@ def _correlations(e: np.ndarray, others: np.ndarray) -> np.ndarray:
 def _strongest(grid: np.ndarray, e: np.ndarray, record: Record, period: float) -> tuple[str, float, float]:
     """Signal, correlation and lag [s] (0 to a quarter of the recording, at most 2 s) of the strongest link with e."""
     best = ("", 0.0, 0.0)
+    if not period > 0:  # a single sample follows nothing
+        return best
     reach = min(len(grid) // 4, int(2.0 / period)) + 1
     names = [name for name, values in record.signals.items() if np.isfinite(values).all()]
     if not names:

@@ -31,6 +31,7 @@ from .field_tables import field_section
 from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
+from .notices import notices
 from .page import Note, Page, Section, write_page
 from .provenance import command_line, provenance_section, used, versions
 
@@ -96,7 +97,7 @@ def comparison_page(
         eyebrow=_eyebrow(comparison, date),
         answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *(says or [answer(comparison, shown)])]),
         facts=facts(comparison, shown),
-        notices=_notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
+        notices=notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),
         sections=tuple(s for s in made if s.parts),
         data=comparison_data(comparison, fits, command, date) | acceptance_data(accepted),
@@ -212,52 +213,6 @@ def _domain(comparison: Comparison, look) -> Section:
 def _missing(comparison: Comparison, look) -> Section:
     parts = tuple(t for t in (failure_table(comparison, look), unscored_table(comparison, look)) if t)
     return Section("missing", "Not in the scores", parts)
-
-
-def _notices(comparison: Comparison) -> tuple[str, ...]:
-    """What failed, each cause once, what cannot be believed, and holes in the recordings."""
-    causes: dict[tuple[str, str], dict[str, list[str]]] = {}
-    for f in comparison.failures:
-        modes = causes.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), {})
-        modes.setdefault(f.mode, []).append(f.record)
-    found = []
-    for (model, text), modes in causes.items():
-        where = " and ".join(f"in {mode} on {', '.join(records)}" for mode, records in modes.items())
-        found.append(f"{model} failed {where}: {text}")
-    if len(found) > 3:
-        found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
-    found += _too_good(comparison)
-    found += _untrusted(comparison)
-    found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
-    return tuple(found) + tuple(f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3])
-
-
-def _untrusted(comparison: Comparison) -> list[str]:
-    """Models whose bands are not to be believed, and why: one sentence for the outputs that share the reason."""
-    found, scored = [], {s.name for s in comparison.outputs}
-    for entrant in comparison.entrants:
-        doubted: dict[str, list[str]] = {}
-        for band in entrant.bands:
-            if band.trusted is False and band.output in scored:
-                doubted.setdefault(band.why, []).append(band.output)
-        found += [
-            f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: {why.rstrip('.')}."
-            for why, names in doubted.items()
-        ]
-    return found
-
-
-def _too_good(comparison: Comparison) -> list[str]:
-    """Models whose one-step error is below the noise of the sensor."""
-    outputs: dict[str, list[str]] = {}
-    for s in comparison.scores:
-        if s.too_good and s.output not in outputs.setdefault(s.model, []):
-            outputs[s.model].append(s.output)
-    return [
-        f"{model} is too good to be true one step ahead on {', '.join(names)}: its error is below the noise of the "
-        "measurement, so it may have seen the sample it predicts (or the noise estimate has taken vibration for noise)."
-        for model, names in outputs.items()
-    ]
 
 
 def _eyebrow(comparison: Comparison, date: datetime) -> str:

@@ -104,25 +104,10 @@ def notes(matrix) -> list[str]:
     """What a user must know of inputs that nobody recorded, of starts that were estimated, and of recordings that a
     model was made from; one variant's own."""
     from hydrotwin.export.fmu_settings import AT_REST
+    from hydrotwin.report import seen_before
 
     found = [f"{e.name}: {e.provenance[AT_REST]}" for e in matrix.base.entrants if e.provenance.get(AT_REST)]
-    return found + [str(started) for started in matrix.base.starts] + _seen(matrix.base)
-
-
-def _seen(comparison) -> list[str]:
-    """Recordings that a model was fitted to or trained on: how good it is on those says little."""
-    from hydrotwin.comparison.band import made_from
-
-    found = []
-    for entrant in comparison.entrants:
-        known = made_from(entrant.provenance)
-        seen = [r.name for r in comparison.records if r.digest and r.digest in known]
-        if seen:
-            found.append(
-                f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
-                "Judge it on one that it has not seen."
-            )
-    return found
+    return found + [str(started) for started in matrix.base.starts] + seen_before(matrix.base)
 
 
 def print_matrix(matrix) -> None:

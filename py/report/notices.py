@@ -1,0 +1,94 @@
+"""Notices of a comparison: what must not be missed, first on the page, in Markdown and in the JSON."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydrotwin.comparison import Comparison
+from hydrotwin.comparison.band import made_from
+
+
+def notices(comparison: Comparison) -> tuple[str, ...]:
+    """What a model was made from, what failed, each cause once, what cannot be believed, holes in the recordings."""
+    causes: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for f in comparison.failures:
+        modes = causes.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), {})
+        modes.setdefault(f.mode, []).append(f.record)
+    found = []
+    for (model, text), modes in causes.items():
+        where = " and ".join(f"in {mode} on {', '.join(records)}" for mode, records in modes.items())
+        found.append(f"{model} failed {where}: {text}")
+    if len(found) > 3:
+        found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
+    found = seen_before(comparison) + _inaccurate(comparison) + found
+    found += _too_good(comparison)
+    found += _untrusted(comparison)
+    found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
+    found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
+    return tuple(found + _holes(comparison))
+
+
+def seen_before(comparison: Comparison) -> list[str]:
+    """Recordings that a model was fitted to or trained on: how good it is on those says little."""
+    found = []
+    for entrant in comparison.entrants:
+        known = made_from(entrant.provenance)
+        seen = [r.name for r in comparison.records if r.digest and r.digest in known]
+        if seen:
+            found.append(
+                f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
+                "Judge it on one that it has not seen."
+            )
+    return found
+
+
+def _inaccurate(comparison: Comparison) -> list[str]:
+    """Models whose own numbers are not those of their equations: the first sentence of each, and how often."""
+    runs: dict[str, list[str]] = {}
+    for run in comparison.inaccurate:
+        runs.setdefault(run.model, []).append(f"{run.record}: {run.sentence.removeprefix(f'{run.model}: ')}")
+    return [
+        f"The numbers of {model} are not those of its equations, on {told[0].rstrip('.')}."
+        + (f" The same on {len(told) - 1} more." if len(told) > 1 else "")
+        for model, told in runs.items()
+    ]
+
+
+def _holes(comparison: Comparison) -> list[str]:
+    """Samples that an output lacks, by recording: scores are of the others."""
+    found = []
+    for record in comparison.records:
+        lacks = {s.name: int(np.isnan(record[s.name]).sum()) for s in comparison.outputs if s.name in record}
+        told = [f"{name} in {count}" for name, count in lacks.items() if count]
+        if told:
+            lacking = ", ".join(told)
+            found.append(f"{record.name}: no value of {lacking} of {len(record.time)} samples; scores are of the rest.")
+    return found
+
+
+def _untrusted(comparison: Comparison) -> list[str]:
+    """Models whose bands are not to be believed, and why: one sentence for the outputs that share the reason."""
+    found, scored = [], {s.name for s in comparison.outputs}
+    for entrant in comparison.entrants:
+        doubted: dict[str, list[str]] = {}
+        for band in entrant.bands:
+            if band.trusted is False and band.output in scored:
+                doubted.setdefault(band.why, []).append(band.output)
+        found += [
+            f"The bands of {entrant.name} cannot be trusted for {', '.join(names)}: {why.rstrip('.')}."
+            for why, names in doubted.items()
+        ]
+    return found
+
+
+def _too_good(comparison: Comparison) -> list[str]:
+    """Models whose one-step error is below the noise of the sensor."""
+    outputs: dict[str, list[str]] = {}
+    for s in comparison.scores:
+        if s.too_good and s.output not in outputs.setdefault(s.model, []):
+            outputs[s.model].append(s.output)
+    return [
+        f"{model} is too good to be true one step ahead on {', '.join(names)}: its error is below the noise of the "
+        "measurement, so it may have seen the sample it predicts (or the noise estimate has taken vibration for noise)."
+        for model, names in outputs.items()
+    ]

@@ -81,6 +81,7 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     if one.group and not of_group(asked.records, one.group):
         known = [*(r.name for r in asked.records), *groups(asked.records)]
         raise DeclarationError(f"accept: '{one.text}': no recordings '{one.group}'. {nearest(one.group, known)}")
+    _check_name(one, asked)
     _check_model(one, asked, model)
     if one.than and not one.than.endswith(SUFFIX):
         _check_model(one, asked, _known(one.than, asked.models))
@@ -96,6 +97,16 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
         raise DeclarationError(
             f"accept: '{one.text}': {what} is scored in free run only, and judged is the first mode, {asked.mode}. Put "
             "'free run' first."
+        )
+
+
+def _check_name(one: Criterion, asked: Asked) -> None:
+    """A name that several recordings have says of none of them that it is meant."""
+    same = [r.name for r in asked.records if r.name == one.group or r.name.startswith(f"{one.group} (")]
+    if one.group and one.group in same and len(same) > 1:
+        raise DeclarationError(
+            f"accept: '{one.text}': more than one recording is called {one.group}: they stand as {', '.join(same)}, in "
+            "the order in which they were given. Rename the files, or give them a tag and judge by that."
         )
 
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from xml.etree import ElementTree
 
 from .acceptance import Acceptance
 from .criteria import Judged
 
 
-def junit(found: Acceptance, title: str) -> str:
-    """The criteria, a test case each; values in the unit that each criterion was written in."""
+def junit(found: Acceptance, title: str, notices: Sequence[str] = ()) -> str:
+    """The criteria, a test case each; values in the unit that each criterion was written in.
+
+    notices : what a reader must not miss, for the whole of it.
+    """
     failed = [one for one in found.judged if not one.passed]
     suite = ElementTree.Element("testsuite", name=title, tests=str(len(found.judged)), failures=str(len(failed)))
     suite.attrib |= {"errors": "0", "skipped": "0"}
@@ -20,6 +24,8 @@ def junit(found: Acceptance, title: str) -> str:
             ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
         if one.caution:
             ElementTree.SubElement(case, "system-out").text = one.caution
+    if notices:
+        ElementTree.SubElement(suite, "system-out").text = "\n".join(notices)
     root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
     root.append(suite)
     ElementTree.indent(root)

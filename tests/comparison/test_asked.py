@@ -163,3 +163,17 @@ def test_files_of_the_command_line_start_from_its_folder_and_not_from_that_of_th
     said = Wanted(("y not worse than a.json",), base=tmp_path / "scenario")
     both = Wanted(("y not worse than b.json",), base=tmp_path).over(said)
     assert [both.folder(text) for text in both.accept] == [tmp_path / "scenario", tmp_path]
+
+
+def test_a_name_that_two_recordings_have_is_no_group(tmp_path):
+    """Which of them is meant would depend on the order in which they are given."""
+    import hydrotwin as ht
+    from hydrotwin.comparison import Wanted, acceptance
+    from hydrotwin.models.language.errors import DeclarationError
+
+    record = ht.read_record("examples/cehA/recordings/validate_1.csv").window(0, 1)
+    other = ht.read_record("examples/cehA/recordings/validate_2.csv").window(0, 1)
+    runs = [ht.Record(r.time, dict(r.signals), r.units, name="run") for r in (record, other)]
+    comparison = ht.compare([ht.load("cehA")], runs, modes=["free run"])
+    with pytest.raises(DeclarationError, match=r"more than one recording is called run: .*run, run \(2\)"):
+        acceptance(comparison, Wanted(("run: arm_angle.rmse < 0.02 deg",)))

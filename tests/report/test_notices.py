@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.comparison import Wanted, acceptance
 from hydrotwin.comparison.comparison import Inaccurate
+from hydrotwin.comparison.junit import junit
 from hydrotwin.report import write_report
 from hydrotwin.report.notices import notices
 
@@ -44,3 +47,9 @@ def test_a_model_that_was_made_from_what_judges_it_is_told_first(compared):
     seen = dataclasses.replace(compared.entrants[0], provenance={"recordings": own})
     told = notices(dataclasses.replace(compared, entrants=(seen,)))
     assert own and told[0].startswith("cehA was made from") and "say nothing of other recordings" in told[0]
+
+
+def test_servers_are_told_what_a_reader_must_not_miss(compared):
+    found = junit(acceptance(compared, Wanted(("arm_angle.rmse < 90 deg",))), "here", notices(compared))
+    (suite,) = ElementTree.fromstring(found.partition("?>")[2]).iter("testsuite")
+    assert "no value of arm_angle in 30 of 301" in suite.findtext("system-out")

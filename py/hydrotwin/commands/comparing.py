@@ -13,7 +13,7 @@ from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
-from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
+from .comparing_many import AUTO, Runs, notes, notices_of, print_matrix, run, write
 from .exporting import equations_told
 from .recording_evidence import known_of, recorded_as
 from .recordings import read_all, reads, told_in
@@ -173,11 +173,11 @@ def compare(
     if not any(one.comparison.scores for one in matrix.runs):
         require_inputs(matrix.base)
         if junit_file is not None:  # all missed: a server shall not read those of an earlier run
-            write_whole(junit_file, junit(accepted, matrix.title))
+            write_whole(junit_file, junit(accepted, matrix.title, notices_of(matrix)))
         raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
-        write_whole(junit_file, junit(accepted, matrix.title))
+        write_whole(junit_file, junit(accepted, matrix.title, notices_of(matrix)))
         paths |= {"junit": junit_file}
     if record is not None:
         record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))

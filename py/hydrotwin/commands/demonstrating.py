@@ -177,7 +177,7 @@ def compare_all(machine: str, folder: Path, models, fit, train: list[Record], va
     model, else the identified one; criteria.xml has them as JUnit.
     """
     from hydrotwin.comparison import BlockContender, PhysicalContender, Wanted, acceptance, as_contender, compare, junit
-    from hydrotwin.report import write_report
+    from hydrotwin.report import notices, write_report
 
     out.rule(f"{machine}: compare")
     identified, completed, network, fmus = models
@@ -194,7 +194,7 @@ def compare_all(machine: str, folder: Path, models, fit, train: list[Record], va
     accepted = acceptance(comparison, Wanted(CRITERIA[machine], COMPLETED if completed else IDENTIFIED))
     paths = write_report(comparison, folder, fits=[fit], accepted=accepted)
     paths |= {"junit": folder / "criteria.xml"}
-    write_whole(paths["junit"], junit(accepted, title))
+    write_whole(paths["junit"], junit(accepted, title, notices(comparison)))
     print_comparison(comparison, accepted)
     out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     return accepted.passed

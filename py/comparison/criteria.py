@@ -68,6 +68,9 @@ _THAN = re.compile(
 )
 
 
+LIMITS = {"coverage": (0.0, 1.0), "iso18571": (0.0, 1.0), "fit": (-np.inf, 1.0), "r2": (-np.inf, 1.0)}  # of metrics
+
+
 @dataclass(frozen=True)
 class Criterion:
     """One sentence, understood.
@@ -193,6 +196,7 @@ def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crite
     output, metric = _named(text, found["what"], signals)
     bound = _si(text, float(found["bound"]), found["unit"], signals[output], metric)
     sides = {"high": bound} if found["sign"] in ("<", "<=") else {"low": bound}
+    _require_a_test(text, metric, sides.get("low", -np.inf), sides.get("high", np.inf))
     written = _written(found["unit"], signals[output], metric)
     return Criterion(text, output, metric, found["group"] or "", **sides, **written)
 
@@ -202,8 +206,20 @@ def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crit
     low, high = (_si(text, float(found[side]), found["unit"], signals[output], metric) for side in ("low", "high"))
     if low > high:
         raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
+    _require_a_test(text, metric, low, high)
     written = _written(found["unit"], signals[output], metric)
     return Criterion(text, output, metric, found["group"] or "", low, high, **written)
+
+
+def _require_a_test(text: str, metric: str, low: float, high: float) -> None:
+    """A bound beyond what a metric can be is met by everything, or by nothing."""
+    least, most = LIMITS.get(metric, (-np.inf, np.inf))
+    if low > most or high < least or (metric in LIMITS and low <= least and high >= most):
+        holds = "nothing" if low > most or high < least else "everything"
+        span = f"{least:g} to {most:g}" if np.isfinite(least) else f"at most {most:g}"
+        raise DeclarationError(
+            f"accept: '{text}' holds for {holds}: {metric} is {span} ({100 * most:g} %). Take a bound inside."
+        )
 
 
 def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
@@ -226,6 +242,12 @@ def _written(unit: str | None, signal: Signal, metric: str) -> dict[str, str | f
 
 def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, str]:
     output, _, metric = what.rpartition(".")
+    if what in METRICS and what not in signals:
+        first = next(iter(signals), "output")
+        raise DeclarationError(
+            f"accept: '{text}' names no output. Write {first}.{what}, and one for each output that counts: "
+            f"{', '.join(signals)}."
+        )
     if what in signals or not output:
         raise DeclarationError(f"accept: '{text}' names no metric. Write {what}.rmse; known: {', '.join(METRICS)}.")
     if output not in signals:

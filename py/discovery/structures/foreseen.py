@@ -21,7 +21,7 @@ from .table import Entry, Table
 def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
     """Share of what a fitted structure leaves that it would leave with every other effect in addition, by label.
 
-    Those of which nothing can be said are not in it: of FMUs, none.
+    Those of which nothing can be said are not in it: of FMUs, and of recordings of a few samples, none.
     """
     fitted, shares = table.foreseen.get(known.key, (None, {}))
     if fitted is not known.fitted:
@@ -33,7 +33,7 @@ def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
 
 def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, float]:
     flat, values = table.model(known).flat, dict(known.fitted.values)
-    if flat.black_box or not flat.states:
+    if flat.black_box or not flat.states or min(len(r.time) for r in table.question.fit) <= WINDOWS:
         return {}
     along = _along(table, jobs, known, flat, values)
     found = {}

@@ -61,7 +61,8 @@ EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in
 _WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
 _BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
 _RANGE = re.compile(
-    rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*,\s*(?P<high>{NUMBER})\s*\]\s*(?P<unit>\S.*?)?\s*$"
+    rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*(?P<each>[^\s,\]][^,\]]*?)?\s*,\s*(?P<high>{NUMBER})\s*"
+    r"(?(each)(?P=each)\s*\]|\]\s*(?P<unit>\S.*?)?)\s*$"
 )
 _THAN = re.compile(
     rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
@@ -203,11 +204,12 @@ def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crite
 
 def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
     output, metric = _named(text, found["what"], signals)
-    low, high = (_si(text, float(found[side]), found["unit"], signals[output], metric) for side in ("low", "high"))
+    unit = found["each"] or found["unit"]  # behind each bound, or behind both
+    low, high = (_si(text, float(found[side]), unit, signals[output], metric) for side in ("low", "high"))
     if low > high:
         raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
     _require_a_test(text, metric, low, high)
-    written = _written(found["unit"], signals[output], metric)
+    written = _written(unit, signals[output], metric)
     return Criterion(text, output, metric, found["group"] or "", low, high, **written)
 
 

@@ -54,6 +54,20 @@ def test_groups_and_other_models_are_read():
 
 
 @pytest.mark.parametrize(
+    ("text", "low", "high"),
+    [
+        ("arm_angle.coverage in [50 %, 99 %]", 0.5, 0.99),
+        ("arm_angle.coverage in [50, 99] %", 0.5, 0.99),
+        ("arm_angle.coverage in [0.5, 0.99]", 0.5, 0.99),
+        ("arm_angle.max in [1 rad, 2 rad]", 1.0, 2.0),
+    ],
+)
+def test_a_range_has_its_unit_behind_each_bound_or_behind_both(text, low, high):
+    one = understood(text)
+    assert (one.low, one.high) == pytest.approx((low, high))
+
+
+@pytest.mark.parametrize(
     ("text", "says"),
     [
         ("arm_angel.rmse < 2 deg", "Did you mean 'arm_angle'"),
@@ -73,6 +87,7 @@ def test_groups_and_other_models_are_read():
         ("arm_angle.coverage in [0.99, 0.9]", "ends before it begins"),
         ("arm_angle.fit not worse than eq17", "compares no error"),
         ("arm_angle.rmse < nan deg", "is no criterion"),
+        ("arm_angle.bias in [1 deg, 2 rad]", "is no criterion"),
         ("good enough", "is no criterion"),
         ("", "is no criterion"),
     ],

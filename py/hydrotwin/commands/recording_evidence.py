@@ -108,8 +108,10 @@ def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None
         heads = ["", "recorded", "number", "then", "now", ""]
         shown = [o for o in made if not o.passed or not o.what.endswith(QUIET)]
         table("run again, SI", heads, [[_word(o.passed), o.date[:10], o.what, o.before, o.now, o.why] for o in shown])
-        same = sum(bool(o.passed) for o in made)
-        out.print(f"{same} of {len(made)} numbers are the same." if same else "Nothing could be confirmed.")
+        same, untried = sum(bool(o.passed) for o in made), sum(o.passed is None for o in made)
+        left = f" {untried} could not be tried." if untried else ""
+        tried = f"{same} of {len(made) - untried} numbers are the same.{left}"
+        out.print(tried if same else f"Nothing could be confirmed.{left}")
     return good and _all_same(made)
 
 

@@ -40,7 +40,13 @@ class Alternatives:
 
     @property
     def best(self) -> Entry:
-        return self.table.entries[self.table.posterior().best]
+        """The most probable structure; one with an effect where the base leaves more than names would cost.
+
+        Nothing may be as probable then, but only once the others were asked.
+        """
+        structures = self.table.posterior().structures
+        known = structures if self.table.explained([self.table.entry()]) else {k: p for k, p in structures.items() if k}
+        return self.table.entries[max(known or structures, key=(known or structures).__getitem__)]
 
     def settle(self) -> None:
         """Ask for alternatives until the best structure stays the best."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
@@ -102,12 +104,21 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
 
 def _check_name(one: Criterion, asked: Asked) -> None:
     """A name that several recordings have says of none of them that it is meant."""
-    same = [r.name for r in asked.records if r.name == one.group or r.name.startswith(f"{one.group} (")]
-    if one.group and one.group in same and len(same) > 1:
+    own = {r.name: _given_name(r, [other.name for other in asked.records]) for r in asked.records}
+    same = [name for name, given in own.items() if given == own.get(one.group)]
+    if len(same) > 1:
         raise DeclarationError(
-            f"accept: '{one.text}': more than one recording is called {one.group}: they stand as {', '.join(same)}, in "
-            "the order in which they were given. Rename the files, or give them a tag and judge by that."
+            f"accept: '{one.text}': more than one recording is called {own[one.group]}: they stand as "
+            f"{', '.join(same)}, in the order in which they were given. Rename the files, or give them a tag and judge "
+            "by that."
         )
+
+
+def _given_name(record: Record, names: Sequence[str]) -> str:
+    """The name before it was told apart from others: that of ``run (2)``, of another folder's run.csv, is ``run``."""
+    plain = re.sub(r" \(\d+\)$", "", record.name)
+    renamed = Path(record.source).stem == plain if record.source else plain in names
+    return plain if renamed else record.name
 
 
 def _check_model(one: Criterion, asked: Asked, model: str) -> None:

@@ -28,6 +28,7 @@ from .matrix_tables import (
     variants_table,
     worst_table,
 )
+from .notices import notices_of_variants
 from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section
 from .write import comparison_data, display_units, write_report
@@ -80,7 +81,10 @@ def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | 
         eyebrow=_eyebrow(matrix, date),
         answer=" ".join([*(verdict(accepted, how.units) if accepted else ()), _answer(matrix, how)]),
         facts=_facts(matrix, how),
-        notices=tuple(f"Variant {r.name} could not be scored: {r.failed}" for r in matrix.runs if r.failed),
+        notices=(
+            *(f"Variant {r.name} could not be scored: {r.failed}" for r in matrix.runs if r.failed),
+            *notices_of_variants(matrix.runs),
+        ),
         headline=headline(matrix, how),
         sections=tuple(s for s in made if s.parts),
         data=comparison_data(base, (), command, date) | acceptance_data(accepted) | {"variants": variants_data(matrix)},

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hydrotwin.comparison import Comparison
@@ -26,6 +28,16 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
     found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
     return tuple(found + _holes(comparison))
+
+
+def notices_of_variants(runs: Sequence) -> list[str]:
+    """Those of several variants: once what all share, the others behind the names of their variants."""
+    told: dict[str, list[str]] = {}
+    ended = [run for run in runs if not run.failed]
+    for run in ended:
+        for text in notices(run.comparison):
+            told.setdefault(text, []).append(run.name)
+    return [text if len(names) == len(ended) else f"{', '.join(names)}: {text}" for text, names in told.items()]
 
 
 def seen_before(comparison: Comparison) -> list[str]:

@@ -177,3 +177,5 @@ def test_a_name_that_two_recordings_have_is_no_group(tmp_path):
     comparison = ht.compare([ht.load("cehA")], runs, modes=["free run"])
     with pytest.raises(DeclarationError, match=r"more than one recording is called run: .*run, run \(2\)"):
         acceptance(comparison, Wanted(("run: arm_angle.rmse < 0.02 deg",)))
+    with pytest.raises(DeclarationError, match="more than one recording is called run:"):
+        acceptance(comparison, Wanted(("run (2): arm_angle.rmse < 0.02 deg",)))

@@ -13,7 +13,7 @@ from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
 from ..loading import is_fmu, load, origin
-from .comparing_many import AUTO, Runs, notes, notices_of, print_matrix, run, write
+from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
 from .recording_evidence import known_of, recorded_as
 from .recordings import read_all, reads, told_in
@@ -164,6 +164,8 @@ def compare(
         raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
     if ssp is not None and described.variants:
         raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
+    from hydrotwin.report import notices_of_variants
+
     named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     matrix = run(described, loaded, output, runs)
@@ -173,11 +175,11 @@ def compare(
     if not any(one.comparison.scores for one in matrix.runs):
         require_inputs(matrix.base)
         if junit_file is not None:  # all missed: a server shall not read those of an earlier run
-            write_whole(junit_file, junit(accepted, matrix.title, notices_of(matrix)))
+            write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
         raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
-        write_whole(junit_file, junit(accepted, matrix.title, notices_of(matrix)))
+        write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
         paths |= {"junit": junit_file}
     if record is not None:
         record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))

@@ -110,14 +110,6 @@ def notes(matrix) -> list[str]:
     return found + [str(started) for started in matrix.base.starts] + seen_before(matrix.base)
 
 
-def notices_of(matrix) -> list[str]:
-    """What a reader must not miss of each variant, its name before it where there are several."""
-    from hydrotwin.report import notices
-
-    runs = [r for r in matrix.runs if not r.failed]
-    return [f"{r.name}: {n}" if len(runs) > 1 else n for r in runs for n in notices(r.comparison)]
-
-
 def print_matrix(matrix) -> None:
     """The variants for a reader: mean RMSE of each model on the first output, criteria, what failed."""
     from hydrotwin.report import display_units, matrix_page

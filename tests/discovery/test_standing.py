@@ -137,8 +137,10 @@ def test_the_same_effect_at_two_places_is_named_and_no_class():
     assert {c.site.name for c in said.members(said.order[0])} == {"rate", "other"}
 
 
-def test_what_leaves_nothing_stays_named_however_many_were_not_looked_at(table, monkeypatch):
-    """None of them can be better."""
+def test_what_leaves_nothing_gets_no_name_while_others_that_may_do_the_same_were_not_looked_at(table, monkeypatch):
     monkeypatch.setattr(type(table), "unseen", lambda self: 50.0)
     said = fitted(table, all_seen=False, base=30.0, coulomb_friction=1.0)
-    assert said.told()["not looked at"] > 0.9 and said.verdict == "named"
+    assert said.told()["not looked at"] > 0.9 and said.verdict == "unknown" and not said.part
+    assert [c.id for c in said.best.members] == ["coulomb_friction"] and said.kept is table.entry()
+    monkeypatch.setattr(type(table), "unseen", lambda self: 0.5)
+    assert standing(table).verdict == "named"

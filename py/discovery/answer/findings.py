@@ -41,6 +41,11 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
             f"{capitalised(_words(best.members))} {verb} of what is missing: {percent(closed(table, best))} of the gap "
             f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"
         )
+    if best is not None and table.explained([best]):
+        return (
+            f"{capitalised(_words(best.members))} explains all that is missing, but most other effects were not asked "
+            f"whether they explain as much ({percent(said.posterior.unseen)}). It gets no name yet.{unfinished}"
+        )
     if best is not None and table.share(best) < WORTH:
         return (
             f"Something is missing, and no effect of the catalogue explains all of it: {_words(best.members)} comes "

@@ -9,7 +9,7 @@ from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..evidence.gaps import gap_closed
-from ..evidence.posterior import NOTHING, Key, Posterior, temperature
+from ..evidence.posterior import NOTHING, Key, Posterior
 from ..structures.table import Entry, Table
 
 UNSEEN = "not looked at"  # the key of effects that nobody looked at, among probabilities
@@ -19,7 +19,8 @@ UNSEEN = "not looked at"  # the key of effects that nobody looked at, among prob
 class Standing:
     """What a table says.
 
-    verdict : "none", "named", "class" or "unknown". best : the most probable structure with an effect, beside
+    verdict : "none", "named", "class" or "unknown", whichever is most probable: what nobody looked at is unknown, too,
+    even where the best explains all, for others may explain as much. best : the most probable structure with an effect, beside
     something else where that is more probable; None without any. order : its effects, the one that explains most alone
     first. class_ : structures that are told together. part : whether the best, which does not explain all, is a part of
     what is missing; not before every single effect was looked at, for another may be the whole of it.
@@ -75,21 +76,16 @@ def standing(table: Table) -> Standing:
     class_, part = tuple(k for k in posterior.class_() if k != NOTHING), False
     if nothing >= max(posterior.else_, sum(effects.values())):
         verdict = "none"
-    elif max(posterior.else_, _better_unseen(posterior, best, scores)) > sum(effects.values()):
+    elif max(posterior.else_, posterior.unseen) > sum(effects.values()):
         verdict = "unknown"
-        best = table.entries[max(effects, key=posterior.beside.__getitem__)] if effects else None
-        part = best is not None and table.seen_all() and closed(table, best) >= DECIDING.part
+        if best is not None and not table.explained([best]):
+            best = table.entries[max(effects, key=posterior.beside.__getitem__)]
+            part = table.seen_all() and closed(table, best) >= DECIDING.part
     else:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
     return Standing(table, posterior, verdict, best, order, class_, part)
-
-
-def _better_unseen(posterior: Posterior, best: Entry | None, scores: Mapping[Key, float]) -> float:
-    """Probability of what nobody looked at, where it may be better than the best: not where that leaves nothing."""
-    better = best is None or scores[best.key] > temperature(scores[NOTHING])
-    return posterior.unseen if better else 0.0
 
 
 def closed(table: Table, entry: Entry) -> float:

@@ -162,6 +162,14 @@ def test_in_the_place_of_each_of_a_pair_the_others_count(told):
     assert told.unseen() == pytest.approx(1 * 0.5 / 3)
 
 
+def test_of_two_that_are_as_good_that_counts_for_which_most_were_asked(told):
+    """A twin that turns out a hair better was not asked for anything, and need not be."""
+    one, other, third = told.candidates
+    told.entry().fitted, told.entry([one, other]).fitted = leaving(30.0), leaving(1.01)
+    told.entry([one, third]).fitted, told.entry([other, third]).beside = leaving(1.0), 0.9
+    assert told.unseen() == 0.0
+
+
 def coloured(times):
     """A fit that leaves white noise and a slow error of so many times its size."""
     runs = [NOISE * (np.random.default_rng(k).standard_normal(600) + times * np.sin(np.arange(600) / 40))[:, None]

@@ -127,15 +127,20 @@ class Table:
     def unseen(self) -> float:
         """How many structures that explain all are to be expected among those that nobody looked at.
 
-        As large a share as of others, beside the one that is right. Where one explains all, others were looked at if
-        they were asked from where it ended: from a base that is bent even the right one may promise nothing.
+        As large a share as of others, beside the one that is right. Where some explain all, others were looked at if
+        they were asked from where one of fewest effects ended, for which most were: from a base that is bent even the
+        right one may promise nothing.
         Source: Jeffreys, Proc. R. Soc. A 186 (1946).
         """
         scores, enough = self.scores(), self._enough()
         right = [e for e in self.fitted if e.members and scores[e.key] < enough]
         if not right:
             return (len(self.candidates) - self._seen()) / (2 * self._seen() + 2)
-        best = min(right, key=lambda e: scores[e.key])
+        fewest = min(len(e.key) for e in right)
+        return min(self._unasked(e, right) for e in right if len(e.key) == fewest)
+
+    def _unasked(self, best: Entry, right: Sequence[Entry]) -> float:
+        """The same of structures that have another effect in the place of one of a structure's that explains all."""
         others = [self.entries.get(self.key(members)) for one in best.members for members in self.instead(best, one)]
         seen = 1 + sum(bool(e and (e.fitted or e.failed or e.asked)) for e in others)
         twins = sum(e in others for e in right)

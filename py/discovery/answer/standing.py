@@ -19,11 +19,11 @@ UNSEEN = "not looked at"  # the key of effects that nobody looked at, among prob
 class Standing:
     """What a table says.
 
-    verdict : "none", "named", "class" or "unknown", whichever is most probable: what nobody looked at is unknown, too,
-    even where the best explains all, for others may explain as much. best : the most probable structure with an effect, beside
-    something else where that is more probable; None without any. order : its effects, the one that explains most alone
-    first. class_ : structures that are told together. part : whether the best, which does not explain all, is a part of
-    what is missing; not before every single effect was looked at, for another may be the whole of it.
+    verdict : "none", "named", "class" or "unknown", whichever is most probable; what nobody looked at is unknown, too,
+    even where the best explains all: others may explain as much. best : the most probable structure with an effect,
+    beside something else where that is more probable; None without any. order : its effects, the one that explains most
+    alone first. class_ : structures that are told together. part : whether the best, which does not explain all, is a
+    part of what is missing; not before every single effect was looked at, for another may be the whole of it.
     """
 
     table: Table

@@ -14,8 +14,9 @@ from hydrotwin.records import Record
 
 from .band import SD
 from .comparison import FREE_RUN, Comparison, Entrant
-from .criteria import OF_BAND, SCORED, Criterion, criterion
+from .criteria import Criterion, criterion
 from .earlier import Earlier, earlier
+from .metric import METRICS, SCORED
 from .rates import rate_signal
 from .tags import groups, of_group
 
@@ -128,7 +129,7 @@ def _check_model(one: Criterion, asked: Asked, model: str) -> None:
         raise DeclarationError(
             f"accept: '{one.text}': {model} gives no {one.output}. It gives {', '.join(given) or 'nothing scored'}."
         )
-    if one.metric in OF_BAND and not asked.banded(model, one.output):
+    if METRICS[one.metric].of_band and not asked.banded(model, one.output):
         banded = [e.name for e in asked.entrants if asked.banded(e.name, one.output)]
         have = f"Those with one: {', '.join(banded)}." if banded else "`identify` gives a model one."
         raise DeclarationError(

@@ -85,7 +85,8 @@ class PhysicalContender:
 
     def estimate_start(self, record: Record, how: str) -> StartEstimate:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
-        return estimate_start(self.flat, record, how, self._start_of(record))
+        left = Spread.left_by(self.provenance)
+        return estimate_start(self.flat, record, how, self._start_of(record), left)
 
     def unknown_at_first(self, record: Record) -> list[str]:
         """Outputs that say where a state starts, and of which the first sample is not known."""

@@ -11,7 +11,8 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
 from .comparison import Comparison
-from .criteria import SCORED, SIZED, over_recordings
+from .criteria import over_recordings
+from .metric import METRICS, SCORED
 
 VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
 SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
@@ -99,7 +100,7 @@ class Earlier:
         if rows and set(names) <= set(rows):
             return over_recordings(metric, [_number(rows[name].get(SCORED[metric])) for name in names])
         mean = self.means.get(key, {})
-        if len(names) != mean.get("recordings", len(names)) or (metric in SIZED and len(names) > 1):
+        if len(names) != mean.get("recordings", len(names)) or (METRICS[metric].sized and len(names) > 1):
             return float("nan")
         return over_recordings(metric, [_number(mean.get(SCORED[metric]))])
 

@@ -79,7 +79,7 @@ def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | 
     return Page(
         title=matrix.title,
         eyebrow=_eyebrow(matrix, date),
-        answer=" ".join([*(verdict(accepted, how.units) if accepted else ()), _answer(matrix, how)]),
+        answer=" ".join([*(verdict(accepted) if accepted else ()), _answer(matrix, how)]),
         facts=_facts(matrix, how),
         notices=(
             *(f"Variant {r.name} could not be scored: {r.failed}" for r in matrix.runs if r.failed),

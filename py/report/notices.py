@@ -8,6 +8,7 @@ import numpy as np
 
 from hydrotwin.comparison import Comparison
 from hydrotwin.comparison.band import made_from
+from hydrotwin.comparison.uneven import uneven
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
@@ -27,7 +28,7 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
     found += _untrusted(comparison)
     found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
-    return tuple(found + _holes(comparison))
+    return tuple(found + _holes(comparison) + _uneven(comparison))
 
 
 def notices_of_variants(runs: Sequence) -> list[str]:
@@ -76,6 +77,19 @@ def _holes(comparison: Comparison) -> list[str]:
             lacking = ", ".join(told)
             found.append(f"{record.name}: no value of {lacking} of {len(record.time)} samples; scores are of the rest.")
     return found
+
+
+def _uneven(comparison: Comparison) -> list[str]:
+    """Outputs whose means rest on recordings of very different numbers of known samples."""
+    told: dict[str, list[str]] = {}
+    for signal in comparison.outputs:
+        samples = {s.record: s.samples for s in comparison.scores if s.output == signal.name}
+        if sentence := uneven(samples):
+            told.setdefault(sentence, []).append(signal.name)
+    return [
+        f"Means of {', '.join(names)}: {sentence}. Read the recordings one by one, or judge them by name."
+        for sentence, names in told.items()
+    ]
 
 
 def _untrusted(comparison: Comparison) -> list[str]:

@@ -95,7 +95,7 @@ def comparison_page(
     return Page(
         title=comparison.title,
         eyebrow=_eyebrow(comparison, date),
-        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *(says or [answer(comparison, shown)])]),
+        answer=" ".join([*(verdict(accepted) if accepted else ()), *(says or [answer(comparison, shown)])]),
         facts=facts(comparison, shown),
         notices=notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),

@@ -12,7 +12,7 @@ from hydrotwin.models.language.errors import DeclarationError, SolveError, neare
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
-from ..loading import is_fmu, load, origin
+from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
 from .recording_evidence import known_of, recorded_as
@@ -265,13 +265,11 @@ def require_inputs(comparison) -> None:
 
 
 def entry(text: str):
-    """``NAME=MODEL`` or ``MODEL``; a file without a name of its own goes by its file name."""
+    """``NAME=MODEL`` or ``MODEL``, which then goes by how it is written, see `ModelEntry.label`."""
     from hydrotwin.comparison import ModelEntry
 
     name, equals, model = text.partition("=")
-    if equals:
-        return ModelEntry(model, name)
-    return ModelEntry(text, Path(text).name if text.endswith(".toml") or is_fmu(text) else None)
+    return ModelEntry(model, name) if equals else ModelEntry(text)
 
 
 def print_comparison(comparison, accepted=None) -> None:

@@ -43,11 +43,11 @@ def recorded_as(path: Path, scenario) -> str:
     as_it_is = [entry for entry in found if not entry.settings]
     if not as_it_is:
         raise DeclarationError(f"compare: --record {path}: the scenario sets other values (set = {{..}}). Drop them.")
-    names = [entry.name or "" for entry in as_it_is]
+    names = [entry.label or "" for entry in as_it_is]
     judged = scenario.wanted.model
     if not scenario.wanted.accept or "" in names:  # one that goes by its own name is known when it is read
         return names[0]
-    first = next((entry.name or entry.model for entry in scenario.models if entry.model != "hold_last"), "")
+    first = next((entry.label or entry.model for entry in scenario.models if entry.model != "hold_last"), "")
     if (judged or first) not in names:
         raise DeclarationError(
             f"compare: --record {path}: the criteria are about '{judged or first}', the file is '{names[0]}'. Judge "

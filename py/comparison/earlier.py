@@ -145,7 +145,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         raise DataError(
             f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
         ) from None
-    own = path.parent / folder / path.name
+    own = path.parent / (_folder_of(told, variant) or folder) / path.name
     if variant and means and folder and own.is_file():
         scores = _of_the_same(means, earlier(own))
     if variant:  # the file tells these of the base
@@ -169,6 +169,12 @@ def _scores(rows: Sequence[Mapping]) -> dict[Key, dict[str, Mapping]]:
 def _number(value: object) -> float:
     """NaN for what was not defined, or not yet scored."""
     return float("nan") if value is None else float(value)
+
+
+def _folder_of(told: dict, variant: str) -> str:
+    """The folder of the page of a variant, as the overview has it: of the variant that was run for it."""
+    page = next((v.get("page") for v in told.get("variants", ()) if v["name"] == variant), None)
+    return str(Path(page).parent) if page else ""
 
 
 def _means(told: dict, variant: str) -> list[dict]:

@@ -32,13 +32,27 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
 
 
 def notices_of_variants(runs: Sequence) -> list[str]:
-    """Those of several variants: once what all share, the others behind the names of their variants."""
+    """Those of several variants: which failed or is another over again, once what all share, the others behind the
+    names of their variants."""
     told: dict[str, list[str]] = {}
-    ended = [run for run in runs if not run.failed]
+    ended = [run for run in runs if not run.failed and not run.same_as]
     for run in ended:
         for text in notices(run.comparison):
             told.setdefault(text, []).append(run.name)
-    return [text if len(names) == len(ended) else f"{', '.join(names)}: {text}" for text, names in told.items()]
+    said = [f"Variant {run.name} could not be scored: {run.failed}" for run in runs if run.failed]
+    said += twins(runs)
+    return said + [text if len(names) == len(ended) else f"{', '.join(names)}: {text}" for text, names in told.items()]
+
+
+def twins(runs: Sequence) -> list[str]:
+    """Variants that come to the same as another one, by that."""
+    same: dict[str, list[str]] = {}
+    for run in (run for run in runs if run.same_as):
+        same.setdefault(run.same_as, []).append(run.name)
+    return [
+        f"Variant{'s' * (len(names) > 1)} {', '.join(names)} come{'s' * (len(names) == 1)} to the same as {first}, and "
+        "its runs stand for both." for first, names in same.items()
+    ]  # fmt: skip
 
 
 def seen_before(comparison: Comparison) -> list[str]:

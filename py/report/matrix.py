@@ -32,6 +32,7 @@ from .notices import notices_of_variants
 from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section
 from .write import comparison_data, display_units, write_report
+from .written import forget_others, note_written
 
 LEVEL = 1.02  # variants whose errors differ by less are level
 
@@ -41,7 +42,9 @@ def write_variant(run: VariantRun, out_dir: str | Path, *, command: str | None =
     another variant has the same."""
     if not run.comparison.scores or run.same_as:
         return {}
-    return write_report(run.comparison, Path(out_dir) / run.folder, accepted=run.accepted, command=command)
+    paths = write_report(run.comparison, Path(out_dir) / run.folder, accepted=run.accepted, command=command)
+    note_written(Path(out_dir), paths.values())
+    return paths
 
 
 def write_matrix(
@@ -49,10 +52,12 @@ def write_matrix(
 ) -> dict[str, Path]:
     """Write the overview as report.html, report.md and compare.json into ``out_dir``; the paths as `write_report`.
 
-    The pages of the variants are those of `write_variant`. compare.json holds the base as it does without variants, and
-    every variant under ``variants``.
+    The pages of the variants are those of `write_variant`; those of variants that an earlier run had here and this one
+    has not are removed. compare.json holds the base as it does without variants, and every variant under ``variants``.
     """
-    return write_page(matrix_page(matrix, command=command, date=date), out_dir, data_name="compare.json")
+    paths = write_page(matrix_page(matrix, command=command, date=date), out_dir, data_name="compare.json")
+    forget_others(Path(out_dir), {run.folder for run in matrix.runs if page_of(run)})
+    return paths
 
 
 def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | None = None) -> Page:

@@ -165,6 +165,7 @@ def compare(
     if ssp is not None and described.variants:
         raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
     from hydrotwin.report import notices_of_variants
+    from hydrotwin.report.written import note_written
 
     named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
@@ -176,11 +177,13 @@ def compare(
         require_inputs(matrix.base)
         if junit_file is not None:  # all missed: a server shall not read those of an earlier run
             write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
-        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
+        stale = f" The report in {output} is of an earlier run." if (output / "compare.json").exists() else ""
+        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}{stale}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
         paths |= {"junit": junit_file}
+        note_written(output, [junit_file])
     if record is not None:
         record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
         paths |= {"record": record}

@@ -103,13 +103,14 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
     without = tuple(n for n in of_group(comparison.records, about.group) if n not in holding)
     values = _Values(comparison, model, about, Path())
     samples = {s.record: s.samples for s in values.rows(model).values() if s.record in holding}
+    mixed = uneven(samples)
     one = dataclasses.replace(
         one,
         samples=sum(samples.values()) or None,
         without=without,
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
         doubt=_doubt(comparison, model, about),
-        uneven=uneven(samples) if about.metric != "max" else "",
+        uneven=mixed.briefly if mixed and about.metric != "max" else "",
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))

@@ -111,8 +111,8 @@ class Judged:
         if self.uneven:
             told.append(self.uneven)
         if self.doubt:
-            what = "judged on a band" if METRICS[one.metric].of_band else f"the band of {one.output} is one"
-            told.append(f"{what} that cannot be trusted: {self.doubt.rstrip('.')}")
+            of_band = METRICS[one.metric].of_band
+            told.append("judged on a band that cannot be trusted" if of_band else "its band cannot be trusted")
         return "; ".join(told)
 
     @property

@@ -322,7 +322,7 @@ def _check_criteria(scenario: Scenario, one: _Prepared, wanted: Wanted, records:
     """Refuse what the models of a variant cannot be judged by: changed values, for one, have no band."""
     if one.failed:
         return
-    asked = asked_of(scenario, one.contenders, records)
+    asked = dataclasses.replace(asked_of(scenario, one.contenders, records), changed=True)
     for text in wanted.accept:
         try:
             check_criterion(criterion(text, asked.outputs), asked, judged_model(asked, wanted.model))

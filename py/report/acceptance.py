@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hydrotwin.comparison import Acceptance, Change, Judged
+from hydrotwin.comparison.metric import METRICS
 
 from .format import NONE, difference_to_shown, number_text, with_unit
 from .page import Section
@@ -34,13 +35,18 @@ def verdict(accepted: Acceptance) -> tuple[str, ...]:
 
 
 def _careful(judged: Sequence[Judged]) -> tuple[str, ...]:
-    """What to know of the criteria before they are relied on: of that on the fewest samples, and of how many more."""
-    cautions = dict.fromkeys(one.caution for one in sorted(judged, key=lambda one: one.samples or 0) if one.caution)
-    if not cautions:
+    """What to know of the criteria before they are relied on: of the one that says least, and of how many more."""
+    careful = sorted((one for one in judged if one.caution), key=_says)
+    if not careful:
         return ()
-    first, *others = cautions
-    more = f" The table of the criteria tells {len(others)} more." if others else ""
-    return (f"Careful: {first}.{more}",)
+    first, *others = careful
+    more = f" The table of the criteria says what to know of {len(others)} more." if others else ""
+    return (f"Careful with “{first.criterion.text}”: {first.caution}.{more}",)
+
+
+def _says(one: Judged) -> tuple[bool, int]:
+    """How much a criterion with a caution says: least where its band counts and is doubted, then by its samples."""
+    return not (one.doubt and METRICS[one.criterion.metric].of_band), one.samples or 0
 
 
 def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:
@@ -85,7 +91,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
         | {"samples": one.samples, "without": list(one.without), "lacking": list(one.lacking)}
-        | {"caution": one.caution, "undefined": one.undefined}
+        | {"caution": one.caution, "doubt": one.doubt, "undefined": one.undefined}
         | {"as_written": {key: one.criterion.as_written(getattr(one, key)) for key in ("value", "low", "high")}}
         for one in accepted.judged
     ]

@@ -59,8 +59,9 @@ def headline(matrix: Matrix, how: Shown) -> Table:
     models = [m for m in matrix.base.models if any((r.name, m) in mean for r in runs)]
     for model in models:
         values = [mean.get((r.name, model)) for r in runs]
-        column = numbers(model, model, values, signal.unit, how.units[signal.name], best="min")
-        columns.append(quiet(column, [model in r.left for r in runs]))
+        own = [model not in r.left for r in runs]
+        column = numbers(model, model, values, signal.unit, how.units[signal.name], best="min", among=own)
+        columns.append(quiet(column, [not one for one in own]))
     if matrix.accepted and matrix.accepted.judged:
         columns.append(Column("criteria", "Criteria", tuple(_verdict(r) for r in runs)))
     lost = [len({(f.model, f.record) for f in r.comparison.failures}) for r in runs]
@@ -71,7 +72,7 @@ def headline(matrix: Matrix, how: Shown) -> Table:
         "is bold. Names lead to the detailed pages."
     )
     if any(r.left for r in runs):
-        note += " Pale: the variant leaves this model as it is, or comes to the same as another."
+        note += " Pale, in text in brackets: the variant leaves this model as it is, or comes to the same as another."
     return table("matrix", "", columns, note)
 
 

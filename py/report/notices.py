@@ -93,13 +93,18 @@ def _holes(comparison: Comparison) -> list[str]:
     return found
 
 
+def doubts(comparison: Comparison) -> list[str]:
+    """What to doubt of numbers that are there: bands, and means over very different recordings."""
+    return _untrusted(comparison) + _uneven(comparison)
+
+
 def _uneven(comparison: Comparison) -> list[str]:
     """Outputs whose means rest on recordings of very different numbers of known samples."""
     told: dict[str, list[str]] = {}
     for signal in comparison.outputs:
         samples = {s.record: s.samples for s in comparison.scores if s.output == signal.name}
         if sentence := uneven(samples):
-            told.setdefault(sentence, []).append(signal.name)
+            told.setdefault(str(sentence), []).append(signal.name)
     return [
         f"Means of {', '.join(names)}: {sentence}. Read the recordings one by one, or judge them by name."
         for sentence, names in told.items()

@@ -132,14 +132,12 @@ def _told(value: float, one: Judged) -> str:
     if not math.isfinite(value):
         return NONE
     told, unit = number_text(one.criterion.as_written(value), DIGITS), one.criterion.unit
-    return f"{told}\u00a0%" if unit == "%" else with_unit(told, unit)
+    return f"{told}\u00a0%" if unit == "%" else with_unit(told, unit).replace(" ", "\u00a0")
 
 
 def _criteria(judged: Sequence[Judged]) -> Table:
     columns = [
         texts("criterion", "Criterion", [one.criterion.text for one in judged]),
-        Column("found", "Found", tuple(Cell(one.value, found_told(one)) for one in judged)),
-        Column("margin", "Margin", tuple(Cell(one.margin, margin_told(one)) for one in judged)),
         Column(
             "result",
             "Result",
@@ -148,6 +146,8 @@ def _criteria(judged: Sequence[Judged]) -> Table:
                 for one in judged
             ),
         ),
+        Column("found", "Found", tuple(Cell(one.value, found_told(one)) for one in judged)),
+        Column("margin", "Margin", tuple(Cell(one.margin, margin_told(one)) for one in judged)),
     ]
     return table("acceptance", "", columns)
 

@@ -273,10 +273,10 @@ def test_a_result_is_told_in_the_unit_of_its_criterion_everywhere(tmp_path):
         one.criterion.text: line
         for one, (_, line) in zip(accepted.judged, acceptance_lines(accepted, {})[1:], strict=True)
     }
-    assert f": {1000 * score.rmse:.3g}" in lines[texts[0]] and "mrad," in lines[texts[0]]
+    assert f": {1000 * score.rmse:.3g}" in lines[texts[0]] and "\u00a0mrad," in lines[texts[0]]
     assert f": {score.fit_percent / 100:.3f}," in lines[texts[1]]
     assert f": {score.fit_percent:.1f}\u00a0%," in lines[texts[2]]
-    assert " s, " in lines[texts[3]] and "ms" not in lines[texts[3]] and "°, " in lines[texts[4]]
+    assert "\u00a0s, " in lines[texts[3]] and "ms" not in lines[texts[3]] and "°, " in lines[texts[4]]
     assert "\u00a0%, " in lines[texts[5]]
     write_report(comparison, tmp_path, accepted=accepted)
     told = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hydrotwin.comparison import Comparison
 from hydrotwin.comparison.band import made_from
+from hydrotwin.comparison.criteria import some_of
 from hydrotwin.comparison.uneven import uneven
 
 
@@ -34,6 +35,8 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
 def notices_of_variants(runs: Sequence) -> list[str]:
     """Those of several variants: which failed or is another over again, once what all share, the others behind the
     names of their variants."""
+    if len(runs) == 1:
+        return list(notices(runs[0].comparison))
     told: dict[str, list[str]] = {}
     ended = [run for run in runs if not run.failed and not run.same_as]
     for run in ended:
@@ -128,12 +131,17 @@ def _untrusted(comparison: Comparison) -> list[str]:
 
 def _too_good(comparison: Comparison) -> list[str]:
     """Models whose one-step error is below the noise of the sensor."""
-    outputs: dict[str, list[str]] = {}
+    outputs: dict[str, dict[str, list[str]]] = {}
     for s in comparison.scores:
-        if s.too_good and s.output not in outputs.setdefault(s.model, []):
-            outputs[s.model].append(s.output)
+        if s.too_good:
+            outputs.setdefault(s.model, {}).setdefault(s.output, []).append(s.record)
     return [
-        f"{model} is too good to be true one step ahead on {', '.join(names)}: its error is below the noise of the "
+        f"{model} is too good to be true one step ahead on {_where(found)}: its error is below the noise of the "
         "measurement, so it may have seen the sample it predicts (or the noise estimate has taken vibration for noise)."
-        for model, names in outputs.items()
+        for model, found in outputs.items()
     ]
+
+
+def _where(found: Mapping[str, Sequence[str]]) -> str:
+    """Outputs, each with the recordings that it is about."""
+    return ", ".join(f"{output} ({some_of(records)})" for output, records in found.items())

@@ -105,9 +105,12 @@ def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None
         out.print(file.stale)
     if made is not None:
         out.print()
-        heads = ["", "recorded", "number", "then", "now", ""]
+        heads = ["", "recorded", "number", "then", "now", "unit", ""]
         shown = [o for o in made if not o.passed or not o.what.endswith(QUIET)]
-        table("run again, SI", heads, [[_word(o.passed), o.date[:10], o.what, o.before, o.now, o.why] for o in shown])
+        rows = [
+            [_word(o.passed), o.date[:10], o.what, o.before / o.scale, o.now / o.scale, o.unit, o.why] for o in shown
+        ]
+        table("run again, metrics in SI, criteria as they are written", heads, rows)
         same, untried = sum(bool(o.passed) for o in made), sum(o.passed is None for o in made)
         left = f" {untried} could not be tried." if untried else ""
         tried = f"{same} of {len(made) - untried} numbers are the same.{left}"

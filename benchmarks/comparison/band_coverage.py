@@ -125,6 +125,9 @@ def answer(one: BandCase, with_draws: bool = True) -> dict:
         found = compare([contender], judged_on, modes=[FREE_RUN], repeats=0, initial_states=how)
         for score in found.scores:
             rows[score.output].setdefault(how, []).append(score.coverage)
+        for band in found.entrants[0].bands:  # as the report says it, having seen what was measured
+            if band.output in rows:
+                rows[band.output]["trusted"] &= bool(band.trusted)
     told |= {"outputs": rows, "seconds": seconds}
     drawn = with_draws and told["kind"] == RIGHT
     return told | ({"draws": _by_draws(fit, judged_on[0], next(iter(rows)))} if drawn else {})

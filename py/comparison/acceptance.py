@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from .asked import SUFFIX, Asked, check_criterion, judged_model
-from .comparison import Comparison, Score
-from .criteria import BEST, SCORED, Criterion, Judged, criterion, judge, over_recordings
+from .comparison import FREE_RUN, Comparison, Score
+from .criteria import Criterion, Judged, criterion, judge, over_recordings
 from .earlier import Change, earlier
+from .metric import METRICS, SCORED
 from .tags import of_group
+from .uneven import uneven
 from .variants import Variant
 
 
@@ -99,7 +101,17 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
     about = one.criterion
     holding = _holding(comparison, about)
     without = tuple(n for n in of_group(comparison.records, about.group) if n not in holding)
-    one = dataclasses.replace(one, samples=_samples(one, comparison, model), without=without)
+    values = _Values(comparison, model, about, Path())
+    samples = {s.record: s.samples for s in values.rows(model).values() if s.record in holding}
+    mixed = uneven(samples)
+    one = dataclasses.replace(
+        one,
+        samples=sum(samples.values()) or None,
+        without=without,
+        lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
+        doubt=_doubt(comparison, model, about),
+        uneven=mixed.briefly if mixed and about.metric != "max" else "",
+    )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
     if np.isnan(one.high) and not about.than.endswith(SUFFIX):
@@ -118,12 +130,13 @@ def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple
     return failed[0] if failed else ""
 
 
-def _samples(one: Judged, comparison: Comparison, model: str) -> int | None:
-    """Of all recordings that a criterion is about; None where nothing was scored."""
-    chosen, mode = of_group(comparison.records, one.criterion.group), comparison.modes[0]
-    key = (model, one.criterion.output, mode)
-    counts = [s.samples for s in comparison.scores if (s.model, s.output, s.mode) == key and s.record in chosen]
-    return sum(counts) if counts else None
+def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:
+    """Why the band of the judged output, or of the other model where it counts, cannot be trusted; "" where it can."""
+    if comparison.modes[0] != FREE_RUN:
+        return ""
+    names = (model, about.than) if METRICS[about.metric].of_band else (model,)
+    bands = [b for n in names for e in comparison.entrants if e.name == n for b in e.bands if b.output == about.output]
+    return next((band.why for band in bands if band.trusted is False), "")
 
 
 def _holding(comparison: Comparison, one: Criterion) -> tuple[str, ...]:
@@ -149,11 +162,20 @@ class _Values:
         holding = _holding(self.comparison, self.criterion)
         if model.endswith(SUFFIX):
             return self._before(holding, metric, self.base / model)
-        name, mode = model or self.model, self.comparison.modes[0]
-        rows = {s.record: s for s in self.comparison.scores if (s.model, s.output, s.mode) == (name, output, mode)}
+        rows = self.rows(model or self.model)
         if not set(holding) <= set(rows):
-            return -np.inf if metric in BEST else np.inf
+            return -np.inf if METRICS[metric].best else np.inf
         return over_recordings(metric, [self._value(metric, rows[record]) for record in holding])
+
+    def rows(self, model: str) -> dict[str, Score]:
+        """The scores of a model on the output of the criterion, by recording."""
+        key = (model, self.criterion.output, self.comparison.modes[0])
+        return {s.record: s for s in self.comparison.scores if (s.model, s.output, s.mode) == key}
+
+    def lacking(self, holding: tuple[str, ...], model: str) -> tuple[str, ...]:
+        """Recordings on which a model has a score, and no number of the metric."""
+        rows, metric = self.rows(model), self.criterion.metric
+        return tuple(n for n in holding if n in rows and np.isnan(self._value(metric, rows[n])))
 
     def _value(self, metric: str, score: Score) -> float:
         return score.rmse / self._range(score) if metric == "nrmse" else getattr(score, SCORED[metric])

@@ -29,6 +29,7 @@ class Again:
     """One number of an evidence: as it was written, as it is now, and whether it is the same.
 
     what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason.
+    before, now : SI, or a share of 1. unit : that a criterion is written in; scale : one of it, in SI.
     """
 
     date: str
@@ -37,6 +38,8 @@ class Again:
     now: float
     passed: bool | None
     why: str = ""
+    unit: str = ""
+    scale: float = 1.0
 
 
 def replay(path: str | Path, model, folders: Sequence[Path] = ()) -> tuple[Again, ...]:
@@ -81,7 +84,9 @@ def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Ag
 def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
     text = row["text"]
     try:
-        if criterion(text, found.outputs).than:
+        asked = criterion(text, found.outputs)
+        nothing = replace(nothing, unit=asked.unit, scale=asked.scale)
+        if asked.than:
             why = "another model or file is not in the record"
             return replace(nothing, what=text, before=row["value"], why=why)
         (now,) = acceptance(found, Wanted((text,))).judged

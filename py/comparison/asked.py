@@ -14,8 +14,9 @@ from hydrotwin.records import Record
 
 from .band import SD
 from .comparison import FREE_RUN, Comparison, Entrant
-from .criteria import OF_BAND, SCORED, Criterion, criterion
+from .criteria import Criterion, criterion
 from .earlier import Earlier, earlier
+from .metric import METRICS, SCORED
 from .rates import rate_signal
 from .tags import groups, of_group
 
@@ -28,12 +29,14 @@ YARDSTICK = "yardstick"
 
 @dataclass(frozen=True)
 class Asked:
-    """What a comparison is of: its models, the outputs that are scored (slopes too), its recordings and first mode."""
+    """What a comparison is of: its models, the outputs that are scored (slopes too), its recordings and first mode;
+    changed : whether it is a variant whose models are not those of the scenario."""
 
     entrants: Sequence[Entrant]
     outputs: Sequence[Signal]
     records: Sequence[Record]
     mode: str
+    changed: bool = False
 
     @classmethod
     def of(cls, comparison: Comparison) -> Asked:
@@ -128,9 +131,11 @@ def _check_model(one: Criterion, asked: Asked, model: str) -> None:
         raise DeclarationError(
             f"accept: '{one.text}': {model} gives no {one.output}. It gives {', '.join(given) or 'nothing scored'}."
         )
-    if one.metric in OF_BAND and not asked.banded(model, one.output):
+    if METRICS[one.metric].of_band and not asked.banded(model, one.output):
         banded = [e.name for e in asked.entrants if asked.banded(e.name, one.output)]
         have = f"Those with one: {', '.join(banded)}." if banded else "`identify` gives a model one."
+        if asked.changed:
+            have = f"Values that a variant changes are of no fit. Ask it of another: 'variant=base: {one.text}'."
         raise DeclarationError(
             f"accept: '{one.text}': {model} has no band of {one.output} in {asked.mode} to take {one.metric} of. {have}"
         )

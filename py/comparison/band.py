@@ -10,14 +10,17 @@ FMU) has the deviations among its outputs, or none. Sources: `identification.ban
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from hydrotwin.identification.bands import SPREAD
 from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
 
 SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SENSITIVITIES = "sensitivities"
+FEW_INSIDE = 0.75  # of a 95 % band, mean over recordings: right models had 79 % at least (docs/validation.md)
 MISSING = "its fit left more than noise. Something is missing in it, and elsewhere the machine may be further off."
 SEEN = ", though its physics was identified on these recordings to their end"
 
@@ -46,6 +49,20 @@ def bands_of(contender) -> tuple[Band, ...]:
         elif f"{name}{SD}" in own:
             found.append(Band(name, OWN, None, "it was judged on nothing that was held out"))
     return tuple(found)
+
+
+def held_here(bands: Sequence[Band], coverage: Mapping[str, float]) -> tuple[Band, ...]:
+    """The bands, those doubted that did not hold what was measured here; coverage : mean share inside, by output.
+
+    Whatever a band was judged on before, one that misses the recordings at hand is wrong there.
+    """
+    return tuple(_held(band, coverage.get(band.output, np.nan)) for band in bands)
+
+
+def _held(band: Band, inside: float) -> Band:
+    if not inside < FEW_INSIDE or band.trusted is False:
+        return band
+    return replace(band, trusted=False, why=f"only {100 * inside:.2g} % of what was measured here lies in it")
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:

@@ -22,6 +22,7 @@ from hydrotwin.work.executor import portable
 
 from .travel import with_changes
 
+OWN_METHOD = "auto"  # of every run, see `prepare`
 _WORDS = ("provenance", "description")  # of a block: no run depends on them
 
 
@@ -81,11 +82,13 @@ class PhysicalContender:
 
     def stepped(self, step: float | None, method: str | None) -> PhysicalContender:
         """The same run with another longest step [s] and another method, see `prepare`; None for its own."""
-        return with_changes(self, how={k: v for k, v in (("step", step), ("method", method)) if v is not None})
+        own, asked = {"step": float(self.flat.step), "method": OWN_METHOD}, {"step": step, "method": method}
+        return with_changes(self, how={k: v for k, v in asked.items() if v not in (None, own[k])})
 
     def estimate_start(self, record: Record, how: str) -> StartEstimate:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
-        return estimate_start(self.flat, record, how, self._start_of(record))
+        left = Spread.left_by(self.provenance)
+        return estimate_start(self.flat, record, how, self._start_of(record), left)
 
     def unknown_at_first(self, record: Record) -> list[str]:
         """Outputs that say where a state starts, and of which the first sample is not known."""

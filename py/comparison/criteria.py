@@ -20,41 +20,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible, convert, display_units
 
 from .comparison import mean_known
+from .metric import ERRORS, METRICS, PLAIN, SHARE, TIME
 
-OF_OUTPUT, SHARE, TIME, PLAIN = "output", "share", "time", "number"  # what a metric is measured in
-METRICS: Mapping[str, str] = {
-    "rmse": OF_OUTPUT,
-    "mae": OF_OUTPUT,
-    "max": OF_OUTPUT,
-    "bias": OF_OUTPUT,  # its size, whatever its sign
-    "nrmse": SHARE,  # of the range of the measurement
-    "fit": SHARE,  # the NRMSE fit
-    "coverage": SHARE,  # of the measurements, inside the 95 % band
-    "r2": SHARE,  # the coefficient of determination
-    "theil": SHARE,  # Theil's inequality coefficient
-    "iso18571": SHARE,  # the overall rating of ISO/TS 18571
-    "lag": TIME,  # its size: how late or early the prediction is
-    "steady": OF_OUTPUT,  # its size: the mean error where inputs and measurement rest
-    "vv20": PLAIN,  # RMSE over the validation uncertainty of ASME V&V 20
-}
-SIZED = ("bias", "lag", "steady")  # judged by their size, whatever their sign
-SCORED: Mapping[str, str] = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias", "fit": "fit_percent"} | {
-    name: name for name in ("r2", "theil", "iso18571", "lag", "steady", "vv20", "coverage")
-}  # metric -> field of a `Score`
-BEST = ("fit", "r2", "iso18571", "coverage")  # the larger the better
-OF_BAND = ("coverage", "vv20")  # a model without a band has none
-ERRORS = ("rmse", "mae", "max", "bias", "nrmse", "theil", "lag", "steady", "vv20")  # the smaller the better
-UNDEFINED: Mapping[str, str] = {
-    "r2": "the measurement does not move",
-    "fit": "the measurement does not move",
-    "nrmse": "the measurement does not move",
-    "theil": "the measurement does not move",
-    "iso18571": "a curve does not move or is too short, or the mode is not free run",
-    "lag": "a curve does not move, or they do not correlate best within a fifth of the recording",
-    "steady": "inputs and measurement never rest together",
-    "vv20": "the model has no band there",
-    "coverage": "the model has no band there",
-}
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
@@ -67,9 +34,6 @@ _RANGE = re.compile(
 _THAN = re.compile(
     rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
 )
-
-
-LIMITS = {"coverage": (0.0, 1.0), "iso18571": (0.0, 1.0), "fit": (-np.inf, 1.0), "r2": (-np.inf, 1.0)}  # of metrics
 
 
 @dataclass(frozen=True)
@@ -104,7 +68,9 @@ class Judged:
     value : SI or a share of 1. low, high : what it had to lie in. margin : how far inside, over the size of the bound;
     negative outside. reason : why a recording left no number, in a sentence; what has none passes nothing.
     samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
-    output, so that it was judged on the others.
+    output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
+    band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
+    a mean rests on, in words; "" where they are alike.
     """
 
     criterion: Criterion
@@ -114,6 +80,9 @@ class Judged:
     reason: str = ""
     samples: int | None = None
     without: tuple[str, ...] = ()
+    lacking: tuple[str, ...] = ()
+    doubt: str = ""
+    uneven: str = ""
 
     @property
     def passed(self) -> bool:
@@ -124,18 +93,26 @@ class Judged:
         """Why there is no number to judge, in a sentence; empty where there is one."""
         if self.reason:
             return self.reason
+        one, on = self.criterion, f" on {some_of(self.lacking)}" if self.lacking else ""
         if not np.isnan(self.value):
-            one = self.criterion
-            return f"{one.than} has no {one.metric} to compare with" if np.isnan(self.high) else ""
-        return f"not defined: {UNDEFINED.get(self.criterion.metric, 'nothing was found to judge')}"
+            return f"{one.than} has no {one.metric}{on} to compare with" if np.isnan(self.high) else ""
+        why = METRICS[one.metric].undefined or "nothing was found of {output}"
+        return f"not defined{on}: {why.format(output=one.output)}"
 
     @property
     def caution(self) -> str:
         """What to know before it is relied on; empty where there is nothing."""
-        told = [f"not judged on {', '.join(self.without[:3])}{' and others' * (len(self.without) > 3)}, which "
-                f"hold{'s' * (len(self.without) == 1)} no {self.criterion.output}"] if self.without else []  # fmt: skip
+        one, told = self.criterion, []
+        if self.without:
+            holds = "holds" if len(self.without) == 1 else "hold"
+            told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
+        if self.uneven:
+            told.append(self.uneven)
+        if self.doubt:
+            of_band = METRICS[one.metric].of_band
+            told.append("judged on a band that cannot be trusted" if of_band else "its band cannot be trusted")
         return "; ".join(told)
 
     @property
@@ -150,22 +127,32 @@ class Judged:
     def _size(self) -> float:
         """What a bound of zero is measured by: the other bound, or of a share or a number one; zero where none is."""
         own = max((abs(bound) for bound in (self.low, self.high) if np.isfinite(bound)), default=0.0)
-        return own or float(METRICS[self.criterion.metric] in (SHARE, PLAIN))
+        return own or float(METRICS[self.criterion.metric].of in (SHARE, PLAIN))
 
 
 def _share_of(room: float, size: float) -> float:
     return room / size if size else float(np.copysign(np.inf, room)) if room else 0.0
 
 
+def some_of(names: Sequence[str], most: int = 3) -> str:
+    """The first of several names, and that there are more.
+
+    >>> some_of(["a", "b", "c", "d", "e"]), some_of(["a", "b"])
+    ('a, b, c and 2 more', 'a, b')
+    """
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"
+
+
 def over_recordings(metric: str, values: Sequence[float]) -> float:
-    """What a criterion takes of the scores of several recordings: the largest maximum, of those in SIZED the
-    mean size (of errors at rest where something rests), else the mean; what is in percent as a share.
+    """What a criterion takes of the scores of several recordings: the largest maximum, of those that are
+    sized the mean size (of errors at rest where something rests), else the mean; what is in percent as a share.
     """
     if metric == "max":
         return float(max(values))
     if metric == "steady":
         return mean_known(np.abs(values))
-    value = float(np.mean(np.abs(values) if metric in SIZED else values))
+    value = float(np.mean(np.abs(values) if METRICS[metric].sized else values))
     return value / 100 if metric == "fit" else value
 
 
@@ -185,7 +172,7 @@ def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
 def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judged:
     """Whether it holds. value : what was found for (group, output, metric, model), model "" the one that is judged."""
     found = value(one.group, one.output, one.metric, "")
-    found = abs(found) if one.metric in SIZED else found
+    found = abs(found) if METRICS[one.metric].sized else found
     if not one.than:
         return Judged(one, found, one.low, one.high)
     other = abs(value(one.group, one.output, one.metric, one.than))
@@ -197,7 +184,7 @@ def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crite
     output, metric = _named(text, found["what"], signals)
     bound = _si(text, float(found["bound"]), found["unit"], signals[output], metric)
     sides = {"high": bound} if found["sign"] in ("<", "<=") else {"low": bound}
-    _require_a_test(text, metric, sides.get("low", -np.inf), sides.get("high", np.inf))
+    _require_a_test(text, metric, list(sides.values()), Criterion(text, output, metric, **sides), found["sign"] in "<>")
     written = _written(found["unit"], signals[output], metric)
     return Criterion(text, output, metric, found["group"] or "", **sides, **written)
 
@@ -208,20 +195,24 @@ def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Crit
     low, high = (_si(text, float(found[side]), unit, signals[output], metric) for side in ("low", "high"))
     if low > high:
         raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
-    _require_a_test(text, metric, low, high)
+    _require_a_test(text, metric, [low, high], Criterion(text, output, metric, low=low, high=high))
     written = _written(unit, signals[output], metric)
     return Criterion(text, output, metric, found["group"] or "", low, high, **written)
 
 
-def _require_a_test(text: str, metric: str, low: float, high: float) -> None:
-    """A bound beyond what a metric can be is met by everything, or by nothing."""
-    least, most = LIMITS.get(metric, (-np.inf, np.inf))
-    if low > most or high < least or (metric in LIMITS and low <= least and high >= most):
-        holds = "nothing" if low > most or high < least else "everything"
-        span = f"{least:g} to {most:g}" if np.isfinite(least) else f"at most {most:g}"
-        raise DeclarationError(
-            f"accept: '{text}' holds for {holds}: {metric} is {span} ({100 * most:g} %). Take a bound inside."
-        )
+def _require_a_test(text: str, metric: str, bounds: Sequence[float], one: Criterion, strict: bool = False) -> None:
+    """A bound beyond what a metric can be is met by everything, or by nothing; strict : the bound itself is not met."""
+    can = METRICS[metric]
+    never = one.low > can.most or one.high < can.least or (strict and (one.low == can.most or one.high == can.least))
+    always = one.low <= can.least and one.high >= can.most
+    if never or always:
+        said = f"holds for {'nothing' if never else 'everything'}"
+    elif any(not can.least <= bound <= can.most for bound in bounds):
+        said = "has a bound that nothing reaches"
+    else:
+        return
+    way = "Give the size that it may have." if np.isinf(can.most) else "Take a bound inside."
+    raise DeclarationError(f"accept: '{text}' {said}: {metric} is {can.span}. {way}")
 
 
 def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
@@ -229,15 +220,24 @@ def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Cri
     if metric not in ERRORS:
         raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
     by = float(found["by"] or 0.0) / 100
-    written, than = _written(None, signals[output], metric), found["than"].strip().strip("\"'")
+    if by <= -1:
+        raise DeclarationError(
+            f"accept: '{text}' holds for nothing: no error is smaller by 100 %. Give a smaller share."
+        )
+    written, than = _written(None, signals[output], metric, bare=True), found["than"].strip().strip("\"'")
     return Criterion(text, output, metric, found["group"] or "", than=than, by=by, **written)
 
 
-def _written(unit: str | None, signal: Signal, metric: str) -> dict[str, str | float]:
-    """The unit of a criterion, as written or as a person reads it, and what one of it is in SI."""
-    if METRICS[metric] in (SHARE, PLAIN):
-        return {"unit": unit or "", "scale": 0.01 if unit == "%" else 1.0}
-    of = "s" if METRICS[metric] == TIME else signal.unit
+def _written(unit: str | None, signal: Signal, metric: str, bare: bool = False) -> dict[str, str | float]:
+    """The unit of a criterion, as written or as a person reads it, and what one of it is in SI.
+
+    bare : there is no number in it that could have a unit.
+    """
+    what = METRICS[metric]
+    if what.of in (SHARE, PLAIN):
+        unit = unit or ("%" if bare and what.percent else "")
+        return {"unit": unit, "scale": 0.01 if unit == "%" else 1.0}
+    of = "s" if what.of == TIME else signal.unit
     unit = unit or ("ms" if of == "s" else display_units(of)[0])
     return {"unit": "" if unit == "1" else unit, "scale": convert(1.0, unit, of) - convert(0.0, unit, of)}
 
@@ -263,15 +263,19 @@ def _si(text: str, value: float, unit: str | None, signal: Signal, metric: str) 
     """A bound in SI; a metric of an output is a difference, so that degC counts as K."""
     if unit and unit.startswith(","):
         raise DeclarationError(f"accept: '{text}' has a decimal comma. Write a point.")
-    if METRICS[metric] == SHARE:
-        if unit not in (None, "%") or (unit is None and abs(value) > 1):
-            raise UnitError(f"accept: '{text}': {metric} is a share. Write it as 5 % or as 0.05.")
+    what = METRICS[metric]
+    if what.of == SHARE:
+        if unit not in (None, "%"):
+            raise UnitError(f"accept: '{text}': {metric} is a share, {what.span}. Write it as 5 % or as 0.05.")
+        if unit is None and abs(value) > 1:
+            raise UnitError(
+                f"accept: '{text}': {metric} is a share, {what.span}, and {value:g} without a unit is "
+                f"{100 * value:g} %. Write {value:g} % or {value / 100:g}, if that is meant."
+            )
         return value / 100 if unit else value
-    if METRICS[metric] == PLAIN and unit:
+    if what.of == PLAIN and unit:
         raise UnitError(f"accept: '{text}': {metric} is a number. Write {value:g} without a unit.")
-    if value < 0:
-        raise DeclarationError(f"accept: '{text}': {metric} is never negative. Give the size that it may have.")
-    of = {TIME: "s", PLAIN: "1"}.get(METRICS[metric], signal.unit)
+    of = {TIME: "s", PLAIN: "1"}.get(what.of, signal.unit)
     if not unit and of == "1":
         return value
     return _converted(text, value, unit, signal.name if of == signal.unit else metric, of)

@@ -11,7 +11,8 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
 from .comparison import Comparison
-from .criteria import SCORED, SIZED, over_recordings
+from .criteria import over_recordings
+from .metric import METRICS, SCORED
 
 VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
 SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
@@ -99,7 +100,7 @@ class Earlier:
         if rows and set(names) <= set(rows):
             return over_recordings(metric, [_number(rows[name].get(SCORED[metric])) for name in names])
         mean = self.means.get(key, {})
-        if len(names) != mean.get("recordings", len(names)) or (metric in SIZED and len(names) > 1):
+        if len(names) != mean.get("recordings", len(names)) or (METRICS[metric].sized and len(names) > 1):
             return float("nan")
         return over_recordings(metric, [_number(mean.get(SCORED[metric]))])
 
@@ -144,7 +145,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         raise DataError(
             f"{path}: not the compare.json of a comparison ({error}). Name one that `hydrotwin compare` wrote."
         ) from None
-    own = path.parent / folder / path.name
+    own = path.parent / (_folder_of(told, variant) or folder) / path.name
     if variant and means and folder and own.is_file():
         scores = _of_the_same(means, earlier(own))
     if variant:  # the file tells these of the base
@@ -168,6 +169,12 @@ def _scores(rows: Sequence[Mapping]) -> dict[Key, dict[str, Mapping]]:
 def _number(value: object) -> float:
     """NaN for what was not defined, or not yet scored."""
     return float("nan") if value is None else float(value)
+
+
+def _folder_of(told: dict, variant: str) -> str:
+    """The folder of the page of a variant, as the overview has it: of the variant that was run for it."""
+    page = next((v.get("page") for v in told.get("variants", ()) if v["name"] == variant), None)
+    return str(Path(page).parent) if page else ""
 
 
 def _means(told: dict, variant: str) -> list[dict]:

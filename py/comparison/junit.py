@@ -23,13 +23,18 @@ def junit(found: Acceptance, title: str, notices: Sequence[str] = ()) -> str:
             words = _words(one)
             ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
         if one.caution:
-            ElementTree.SubElement(case, "system-out").text = one.caution
+            ElementTree.SubElement(case, "system-out").text = _told(one)
     if notices:
         ElementTree.SubElement(suite, "system-out").text = "\n".join(notices)
     root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
     root.append(suite)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _told(one: Judged) -> str:
+    """What to know of a criterion, and why its band is doubted: a case stands alone on a server."""
+    return f"{one.caution}: {one.doubt.rstrip('.')}" if one.doubt else one.caution
 
 
 def _words(one: Judged) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
+import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
@@ -29,6 +31,7 @@ from .varied import check_variant
 if TYPE_CHECKING:
     import pyarrow
 
+SAME_PERIOD = 1e-9  # relative: two sample times that are one
 _NAMED = re.compile(r"\s*variant\s*=\s*(?P<name>[^:]+?)\s*:\s*(?P<rest>.*)", re.DOTALL)
 
 
@@ -37,6 +40,7 @@ class VariantRun:
     """One variant with what came of it.
 
     failed : why it could not be run at all; "" else. as_base : names of models that it leaves as they are.
+    same_as : the variant before it of which it is in every run the same, and which was run for both; "" else.
     accepted : the criteria that are about it, judged; None without.
     """
 
@@ -44,11 +48,22 @@ class VariantRun:
     comparison: Comparison
     failed: str = ""
     as_base: tuple[str, ...] = ()
+    same_as: str = ""
     accepted: Acceptance | None = None
 
     @property
     def name(self) -> str:
         return self.variant.name
+
+    @property
+    def folder(self) -> str:
+        """Of its detailed page, below that of the overview: of the variant that was run for it."""
+        return Variant(self.same_as).folder if self.same_as else self.variant.folder
+
+    @property
+    def left(self) -> frozenset[str]:
+        """Models of which it has no numbers of its own."""
+        return frozenset(self.comparison.models if self.same_as else self.as_base)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -65,7 +80,8 @@ class Matrix:
 
     def _repr_html_(self) -> str:
         mode, signal, accepted = self.base.modes[0], self.base.outputs[0], self.accepted
-        scores = [(run.name, s) for run in self.runs for s in run.comparison.ranking(signal.name, mode)]
+        scores = [(run.name, s) for run in self.runs if not run.same_as
+                  for s in run.comparison.ranking(signal.name, mode)]  # fmt: skip
         scores.sort(key=lambda row: -row[1].rmse)
         rows = [(name, s.model, s.rmse, s.maximum, s.fit_percent) for name, s in scores]
         columns = ("variant", "model", f"RMSE [{signal.unit}]", f"maximum [{signal.unit}]", "fit [%]")
@@ -116,10 +132,11 @@ def run_matrix(
 
     where : where the runs are made, what keeps them (a second call then makes only what is new), and who is told
         (runs done, runs in all, what was done); by default here.
-    on_variant : called with each variant as soon as it is done. Its curves are then dropped: those of many variants
-        would fill the memory. Without it all curves stay.
+    on_variant : called with each variant that was run as soon as it is done. Its curves are then dropped: those of many
+        variants would fill the memory. Without it all curves stay.
 
-    A variant that cannot be run is listed with its reason, and costs only itself.
+    A variant that cannot be run is listed with its reason, and costs only itself. One that comes to the same as one
+    before it (the same equations and values, starts and recordings) is not run again.
 
     Raises DeclarationError, before anything runs, for a variant or a criterion that names what does not exist, for
     values that no model takes, and for more runs than can be meant; what `run_scenario` raises.
@@ -141,14 +158,20 @@ def run_matrix(
         check_asked(dataclasses.replace(scenario, wanted=_any_of(wanted.values())), base, records)
         for one in prepared[1:]:
             _check_criteria(scenario, one, wanted[one.variant.name], records)
-        total, runs = sum(len(p.contenders) for p in prepared) * len(records) * len(scenario.modes), []
+        first = _first_of(prepared, scenario.initial_states, records)
+        counts = [len(p.contenders) * (j == k) * len(records) * len(scenario.modes)
+                  for k, (p, j) in enumerate(zip(prepared, first, strict=True))]  # fmt: skip
+        runs = []
         for k, one in enumerate(prepared):
-            before = sum(len(p.contenders) for p in prepared[:k]) * len(records) * len(scenario.modes)
-            told = _from(where, before, total, one.variant.name if len(variants) > 1 else "")
-            run = _run(scenario, one, (records, train), told, repeats, runs[0].comparison if runs else None)
-            run = dataclasses.replace(run, as_base=_as_base(one, prepared[0], scenario.initial_states) if k else ())
+            if first[k] == k:
+                told = _from(where, sum(counts[:k]), sum(counts), one.variant.name if len(variants) > 1 else "")
+                run = _run(scenario, one, (records, train), told, repeats, runs[0].comparison if runs else None)
+                as_base = _as_base(one, prepared[0], scenario.initial_states, records) if k else ()
+                run = dataclasses.replace(run, as_base=as_base)
+            else:
+                run = _again(runs[first[k]], one.variant, scenario.title)
             run = dataclasses.replace(run, accepted=_accepted(run, wanted[run.name]))
-            if on_variant:
+            if on_variant and not run.same_as:
                 on_variant(run)
                 run = dataclasses.replace(run, comparison=dataclasses.replace(run.comparison, trajectories=()))
             runs.append(run)
@@ -162,6 +185,11 @@ class _Prepared:
     variant: Variant
     contenders: tuple[Contender, ...]
     failed: str = ""
+
+    @cached_property
+    def contents(self) -> dict[str, str]:
+        """What the runs of each model depend on, hashed; of those that can say it."""
+        return {c.name: Carried(c).content for c in self.contenders if travels(c)}
 
 
 def _prepared(scenario: Scenario, variant: Variant, resolve: Callable[[str], object]) -> _Prepared:
@@ -198,7 +226,39 @@ def _run(scenario: Scenario, one: _Prepared, read, where: Where, repeats: int, b
 
 def thinned(record: Record, period: float | None) -> Record:
     """The recording at another sample time [s], the values of the new samples as they were recorded or on the line."""
-    return record if period is None else record.resample(period)
+    return record if period is None or _sampled_so(record, period) else record.resample(period)
+
+
+def _sampled_so(record: Record, period: float) -> bool:
+    """Whether a recording has this sample time [s] as it is."""
+    return record.uniform and math.isclose(record.period, period, rel_tol=SAME_PERIOD)
+
+
+def _period(variant: Variant, records: Sequence[Record]) -> float | None:
+    """The sample time [s] to which a variant thins out; None where that changes no recording."""
+    if variant.period is None or all(_sampled_so(r, variant.period) for r in records):
+        return None
+    return variant.period
+
+
+def _first_of(prepared: Sequence[_Prepared], how: str, records: Sequence[Record]) -> list[int]:
+    """For each variant the first that comes to the same, by what its runs depend on; its own place where none does."""
+    known: dict[tuple, int] = {}
+    return [known.setdefault(_content(one, how, records) or (k,), k) for k, one in enumerate(prepared)]
+
+
+def _content(one: _Prepared, how: str, records: Sequence[Record]) -> tuple | None:
+    """All that its runs depend on, the recordings apart; None where a model cannot say it, or there is none."""
+    if one.failed or len(one.contents) < len(one.contenders):
+        return None
+    return one.variant.initial_states or how, _period(one.variant, records), tuple(one.contents.items())
+
+
+def _again(first: VariantRun, variant: Variant, title: str) -> VariantRun:
+    """A variant that comes to the same as one before it."""
+    found = dataclasses.replace(first.comparison, title=f"{title}: {variant.name}")
+    as_base = found.models if first.name == BASE else first.as_base
+    return VariantRun(variant, found, first.failed, as_base, first.name)
 
 
 def _check_records(variants: Sequence[Variant], records: Sequence[Record], where: str) -> None:
@@ -221,16 +281,15 @@ def _empty(base: Comparison, reason: str, title: str) -> Comparison:
     return dataclasses.replace(base, title=title, failures=failures, starts=(), inaccurate=(), **nothing)
 
 
-def _as_base(one: _Prepared, base: _Prepared, how: str) -> tuple[str, ...]:
+def _as_base(one: _Prepared, base: _Prepared, how: str, records: Sequence[Record]) -> tuple[str, ...]:
     """Models of which this variant changes nothing, so that their numbers are those of the base.
 
     how : initial_states of the scenario; another way concerns those whose start can be estimated.
     """
-    if one.variant.period is not None:
+    if _period(one.variant, records) is not None:
         return ()
     started = one.variant.initial_states in (None, how)
-    able = {c.name: Carried(c).content for c in base.contenders if travels(c)}
-    same = [c for c in one.contenders if travels(c) and able.get(c.name) == Carried(c).content]
+    same = [c for c in one.contenders if c.name in one.contents and base.contents.get(c.name) == one.contents[c.name]]
     return tuple(c.name for c in same if started or not hasattr(c, "estimate_start"))
 
 
@@ -263,7 +322,7 @@ def _check_criteria(scenario: Scenario, one: _Prepared, wanted: Wanted, records:
     """Refuse what the models of a variant cannot be judged by: changed values, for one, have no band."""
     if one.failed:
         return
-    asked = asked_of(scenario, one.contenders, records)
+    asked = dataclasses.replace(asked_of(scenario, one.contenders, records), changed=True)
     for text in wanted.accept:
         try:
             check_criterion(criterion(text, asked.outputs), asked, judged_model(asked, wanted.model))

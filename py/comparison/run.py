@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -17,8 +18,20 @@ from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
 
-from .band import bands_of
-from .comparison import MODES, Comparison, Entrant, Inaccurate, Timing, Trajectory, mean_scores, relative_scores
+from .band import bands_of, held_here
+from .comparison import (
+    FREE_RUN,
+    MODES,
+    Comparison,
+    Entrant,
+    Inaccurate,
+    Score,
+    Timing,
+    Trajectory,
+    mean_known,
+    mean_scores,
+    relative_scores,
+)
 from .contender import Contender, as_contender
 from .domain import domain_shares
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
@@ -89,7 +102,7 @@ def compare(
     trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
     return Comparison(
         title=title,
-        entrants=tuple(entrant(c) for c in contenders),
+        entrants=tuple(_judged_here(entrant(c), scores) for c in contenders),
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
@@ -207,6 +220,13 @@ def entrant(contender) -> Entrant:
         {**(getattr(contender, "provenance", None) or {}), **({"inputs between samples": chosen} if chosen else {})},
         bands_of(contender),
     )
+
+
+def _judged_here(one: Entrant, scores: Sequence[Score]) -> Entrant:
+    """With its bands held against what was measured."""
+    free = [s for s in scores if (s.model, s.mode) == (one.name, FREE_RUN)]
+    inside = {b.output: mean_known([s.coverage for s in free if s.output == b.output]) for b in one.bands}
+    return dataclasses.replace(one, bands=held_here(one.bands, inside))
 
 
 def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:

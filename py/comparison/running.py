@@ -112,7 +112,7 @@ def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Seque
 def things_of(scenario: Scenario, resolve: Callable[[str], object]) -> list[Thing]:
     """The models of a scenario under their names, before they are contenders; not the yardstick."""
     loaded = [(e, _with_settings(resolve(e.model), e)) for e in scenario.models if e.model != HOLD_LAST]
-    return [Thing(entry.name or thing.name, thing) for entry, thing in loaded]
+    return [Thing(entry.label or thing.name, thing) for entry, thing in loaded]
 
 
 def load_contenders(

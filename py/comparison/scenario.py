@@ -38,6 +38,17 @@ class ModelEntry:
     name: str | None = None
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
+    @property
+    def label(self) -> str | None:
+        """What it is called in criteria, tables and files: its name, or as it is written, a file without its folder.
+
+        None for what a Python file makes, which has a name of its own.
+        """
+        if self.name or ".py:" in self.model:
+            return self.name
+        base, at, values = self.model.partition("@")
+        return f"{Path(base).name}{at}{Path(values).name}"
+
 
 @dataclass(frozen=True)
 class Scenario:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import fnmatch
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language import Model
-from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.units import convert
 
 from .contender import PhysicalContender
 from .variants import Variant
 
+SAME = 1e-12  # relative: the same number, read in one unit or another
 _VALUE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
 
 
@@ -38,7 +40,9 @@ def varied(one: Thing, variant: Variant) -> object:
     if isinstance(made, Model):
         made = _with_effects(made, variant)
     known = settable(made)
-    values = {path: value for path, value in variant.parameters.items() if path in known}
+    values = {
+        path: value for path, value in variant.parameters.items() if path in known and not _has(made, path, value)
+    }
     if not values:
         return made
     if hasattr(made, "with_values"):
@@ -144,6 +148,19 @@ def _candidate(model: Model, wanted: str) -> Candidate | None:
 
 def _fitting(model: Model, wanted: str) -> list[Candidate]:
     return [c for c in candidates(model, [wanted.partition(" at ")[0]], merged=False) if not c.site.frees]
+
+
+def _has(thing, path: str, value: float | str) -> bool:
+    """Whether a parameter has this value already: set once more, an identified one would lose what is known of it."""
+    own = next((p for p in getattr(thing, "flat", thing).parameters if p.name == path), None)
+    if own is None or (isinstance(value, str) and not _VALUE.fullmatch(value)):
+        return False
+    told = _setting(path, value)
+    try:
+        number = convert(told["value"], told.get("unit", own.unit), own.unit)
+    except UnitError:  # the model says it where it is set
+        return False
+    return math.isclose(number, own.value, rel_tol=SAME, abs_tol=0.0)
 
 
 def _setting(path: str, value: float | str) -> Mapping[str, object]:

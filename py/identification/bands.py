@@ -68,6 +68,12 @@ class Spread:
         }
 
     @classmethod
+    def left_by(cls, provenance: Mapping | None) -> dict[str, float]:
+        """What the fit of a model left of each output, SI, as its provenance tells it; empty where it does not."""
+        told = (provenance or {}).get(SPREAD)
+        return dict(cls.from_told(told).left) if told else {}
+
+    @classmethod
     def from_told(cls, told: Mapping) -> Spread:
         """From the data of `told`. Raises DataError where they are garbled."""
         try:

@@ -2,8 +2,9 @@
 
     min over x0   1/2 sum_k sum_outputs ((y(t_k; x0) - y_k) / size)^2,   t_k in the first part
 
-``size`` is the noise of the sensor, or what the run leaves where that is more (see `weighing`): an output that the
-model cannot follow shall not bend the start. The rest of the recording is never looked at.
+``size`` is the noise of the sensor, or what the run leaves where that is more (see `weighing`), or what the fit of the
+model left of the output, where that is known: an output that the model cannot follow shall not bend the start. A first
+part cannot tell by itself which of two sensors is off. The rest of the recording is never looked at.
 """
 
 from __future__ import annotations
@@ -78,13 +79,21 @@ def check_initial_states(how: str, where: str) -> str:
     return how
 
 
-def estimate_start(model, record: Record, how: str = AUTO, known: Mapping[str, float] | None = None) -> StartEstimate:
+def estimate_start(
+    model,
+    record: Record,
+    how: str = AUTO,
+    known: Mapping[str, float] | None = None,
+    left: Mapping[str, float] | None = None,
+) -> StartEstimate:
     """The start states of a Model or FlatModel on a recording, from its first tenth, at least FEWEST_SAMPLES samples.
 
     how : "measured" estimates none: first samples count as exact, the model finds the rest. "auto" estimates those
         whose sensor is noisy, and those that no sensor measures where less is left then than by chance. "free"
         estimates all.
     known : start states (SI, by name) that are given and stay.
+    left : what the fit of the model left of its outputs (RMSE, SI, by name), see `Spread`; an output counts by that
+        where it is more than the noise of its sensor.
 
     Raises DataError for a recording that is too short or holds no output, SolveError for a model that does not run.
     """
@@ -94,7 +103,7 @@ def estimate_start(model, record: Record, how: str = AUTO, known: Mapping[str, f
         return StartEstimate(record.name)
     part = _first_part(filled(record, flat), flat)
     (measured,) = recordings(flat, [part], None, "recording")
-    search = _Search(flat, measured, known or {})
+    search = _Search(flat, measured, known or {}, left or {})
     seconds = float(part.time[0]), float(part.time[-1])
     best = search.best(how)
     at = np.flatnonzero(best.moves)
@@ -139,12 +148,14 @@ class _Found:
 
 
 class _Search:
-    """The first part of one recording under one model; ``known`` start states stay."""
+    """The first part of one recording under one model; ``known`` start states stay, ``left`` as in `estimate_start`."""
 
-    def __init__(self, flat: FlatModel, recording: Recording, known: Mapping[str, float]):
+    def __init__(self, flat: FlatModel, recording: Recording, known: Mapping[str, float], left: Mapping[str, float]):
         self.flat, self.recording, self.known = flat, recording, dict(known)
         self.order = [s.name for s in flat.states]
-        self.noise, self.noisy = _noise(flat, recording)
+        noise, self.noisy = _noise(flat, recording)
+        left_of = np.array([left.get(s.name, 0.0) for s in flat.outputs])
+        self.noise = np.where(left_of > WORTH_IT * noise, left_of, noise)
         self.given = measured_start(flat, recording) | self.known
         self.parameters = _none_free(flat)
         self.assumed = self._start(list(self.given))(recording.u[0], self.parameters.all_values, self._given())[0]

@@ -7,7 +7,7 @@ from .format import number_text, pretty_unit, shown_unit
 from .gap import gap_page, write_gap_report
 from .gap_data import gap_data
 from .matrix import matrix_page, write_matrix, write_variant
-from .notices import notices, notices_of_variants, seen_before
+from .notices import doubts, notices, notices_of_variants, seen_before, twins
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
 from .schema import compare_schema
@@ -35,6 +35,7 @@ __all__ = [
     "counts",
     "decimate",
     "display_units",
+    "doubts",
     "error_bars",
     "figures",
     "fit_section",
@@ -55,6 +56,7 @@ __all__ = [
     "styles",
     "table",
     "texts",
+    "twins",
     "warned",
     "write_gap_report",
     "write_matrix",

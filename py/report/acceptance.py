@@ -7,41 +7,54 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hydrotwin.comparison import Acceptance, Change, Judged
-from hydrotwin.comparison.criteria import METRICS, PLAIN, SHARE, TIME
-from hydrotwin.models.language.units import si_unit
+from hydrotwin.comparison.metric import METRICS
 
 from .format import NONE, difference_to_shown, number_text, with_unit
 from .page import Section
 from .tables import Cell, Column, Table, numbers, table, texts
 
-SHARES = ("nrmse", "fit", "coverage")  # metrics that are shown in percent
+DIGITS = 3  # of what was found
 
 
-def verdict(accepted: Acceptance, shown: Mapping[str, str]) -> tuple[str, ...]:
-    """PASS or FAIL in a sentence, and how close the tightest criterion is; shown : the unit of each output."""
+def verdict(accepted: Acceptance) -> tuple[str, ...]:
+    """PASS or FAIL in a sentence, and how close the tightest criterion is."""
     if not accepted.judged:
         return ()
     tightest = min(accepted.judged, key=lambda one: one.margin if not math.isnan(one.margin) else math.inf)
     count = len(accepted.judged)
-    cautions = [one for one in accepted.judged if one.caution]
-    careful = (f"Careful: {min(cautions, key=lambda one: one.samples or 0).caution}.",) if cautions else ()
+    careful = _careful(accepted.judged)
     if accepted.passed:
         many = "its criterion" if count == 1 else f"all {count} criteria"
         told = f"PASS: {accepted.model} meets {many}, “{tightest.criterion.text}” with {margin_told(tightest, '')}."
         return (told, *careful)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
-    words = [one.undefined.rstrip(".") or f"found {found_told(one, shown)}" for one in missed[:3]]
+    words = [one.undefined.rstrip(".") or f"found {found_told(one)}" for one in missed[:3]]
     told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
     return (f"FAIL: {accepted.model} misses {many}: {told}.", *careful)
 
 
+def _careful(judged: Sequence[Judged]) -> tuple[str, ...]:
+    """What to know of the criteria before they are relied on: of the one that says least, and of how many more."""
+    careful = sorted((one for one in judged if one.caution), key=_says)
+    if not careful:
+        return ()
+    first, *others = careful
+    more = f" The table of the criteria says what to know of {len(others)} more." if others else ""
+    return (f"Careful with “{first.criterion.text}”: {first.caution}.{more}",)
+
+
+def _says(one: Judged) -> tuple[bool, int]:
+    """How much a criterion with a caution says: least where its band counts and is doubted, then by its samples."""
+    return not (one.doubt and METRICS[one.criterion.metric].of_band), one.samples or 0
+
+
 def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:
     """For a screen: the verdict, each criterion, and what became better or worse; good news or bad, and a line."""
-    lines = [(accepted.passed, text) for text in verdict(accepted, shown)]
+    lines = [(accepted.passed, text) for text in verdict(accepted)]
     for one in accepted.judged:
         word = "PASS" if one.passed else "FAIL"
-        lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one, shown)}, {margin_told(one)}"))
+        lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one)}, {margin_told(one)}"))
     lines += [(False, f"  {sentence}") for sentence in accepted.otherwise]
     for one in accepted.changes:
         if one.better or one.worse:
@@ -59,7 +72,7 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
         f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest; "
         "bias, lag and steady by their size."
     )
-    judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged, shown),) if accepted.judged else (), lead)
+    judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged),) if accepted.judged else (), lead)
     if not accepted.changes and not accepted.new and not accepted.gone:
         return (judged,)
     lead = "Mean RMSE, and what it was in the earlier comparison. Changes of less than 2\u00a0% are none."
@@ -77,7 +90,9 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     criteria = [
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
-        | {"samples": one.samples, "without": list(one.without)}
+        | {"samples": one.samples, "without": list(one.without), "lacking": list(one.lacking)}
+        | {"caution": one.caution, "doubt": one.doubt, "undefined": one.undefined}
+        | {"as_written": {key: one.criterion.as_written(getattr(one, key)) for key in ("value", "low", "high")}}
         for one in accepted.judged
     ]
     changes = [asdict(one) | {"better": one.better, "worse": one.worse} for one in accepted.changes]
@@ -95,9 +110,9 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     }
 
 
-def found_told(one: Judged, shown: Mapping[str, str]) -> str:
-    """The value of a criterion in the unit that a person reads."""
-    return _told(one.value, one, shown)
+def found_told(one: Judged) -> str:
+    """The value of a criterion in the unit that it is written in."""
+    return _told(one.value, one)
 
 
 def margin_told(one: Judged, caution: str | None = None) -> str:
@@ -112,24 +127,17 @@ def margin_told(one: Judged, caution: str | None = None) -> str:
     return f"{told}, {caution}" if caution else told
 
 
-def _told(value: float, one: Judged, shown: Mapping[str, str]) -> str:
+def _told(value: float, one: Judged) -> str:
+    """A number of a criterion in the unit of the criterion."""
     if not math.isfinite(value):
         return NONE
-    if one.criterion.metric in SHARES:
-        return f"{number_text(100 * value, 3)}\u00a0%"
-    if METRICS[one.criterion.metric] == TIME:
-        return with_unit(number_text(1000 * value, 3), "ms")
-    if METRICS[one.criterion.metric] in (SHARE, PLAIN):
-        return number_text(value, 4)
-    unit = shown.get(one.criterion.output, "1")
-    return with_unit(number_text(float(difference_to_shown(value, si_unit(unit), unit)), 3), unit)
+    told, unit = number_text(one.criterion.as_written(value), DIGITS), one.criterion.unit
+    return f"{told}\u00a0%" if unit == "%" else with_unit(told, unit).replace(" ", "\u00a0")
 
 
-def _criteria(judged: Sequence[Judged], shown: Mapping[str, str]) -> Table:
+def _criteria(judged: Sequence[Judged]) -> Table:
     columns = [
         texts("criterion", "Criterion", [one.criterion.text for one in judged]),
-        Column("found", "Found", tuple(Cell(one.value, found_told(one, shown)) for one in judged)),
-        Column("margin", "Margin", tuple(Cell(one.margin, margin_told(one)) for one in judged)),
         Column(
             "result",
             "Result",
@@ -138,6 +146,8 @@ def _criteria(judged: Sequence[Judged], shown: Mapping[str, str]) -> Table:
                 for one in judged
             ),
         ),
+        Column("found", "Found", tuple(Cell(one.value, found_told(one)) for one in judged)),
+        Column("margin", "Margin", tuple(Cell(one.margin, margin_told(one)) for one in judged)),
     ]
     return table("acceptance", "", columns)
 

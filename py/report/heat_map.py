@@ -51,7 +51,8 @@ def _bar(size: np.ndarray, unit: str) -> dict:
     known = size[np.isfinite(size)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
     marks = [k + np.log10(t) for k in range(int(np.floor(low)), int(np.ceil(high)) + 1) for t in TICKS]
-    marks = [m for m in marks if low <= m <= high] or [low]
+    marks = [m for m in marks if low <= m <= high]
+    marks = marks if len(marks) > 1 else sorted({low, high})
     texts = [number_text(10.0**m, 2) for m in marks]
     title = {"text": pretty_unit(unit), "side": "top"}
     return {"tickvals": marks, "ticktext": texts, "title": title, "thickness": 12, "outlinewidth": 0}

@@ -32,15 +32,19 @@ from .notices import notices_of_variants
 from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section
 from .write import comparison_data, display_units, write_report
+from .written import forget_others, note_written
 
 LEVEL = 1.02  # variants whose errors differ by less are level
 
 
 def write_variant(run: VariantRun, out_dir: str | Path, *, command: str | None = None) -> dict[str, Path]:
-    """Write the detailed page of a variant into its folder below ``out_dir``; nothing where nothing was scored."""
-    if not run.comparison.scores:
+    """Write the detailed page of a variant into its folder below ``out_dir``; nothing where nothing was scored, or
+    another variant has the same."""
+    if not run.comparison.scores or run.same_as:
         return {}
-    return write_report(run.comparison, Path(out_dir) / run.variant.folder, accepted=run.accepted, command=command)
+    paths = write_report(run.comparison, Path(out_dir) / run.folder, accepted=run.accepted, command=command)
+    note_written(Path(out_dir), paths.values())
+    return paths
 
 
 def write_matrix(
@@ -48,10 +52,12 @@ def write_matrix(
 ) -> dict[str, Path]:
     """Write the overview as report.html, report.md and compare.json into ``out_dir``; the paths as `write_report`.
 
-    The pages of the variants are those of `write_variant`. compare.json holds the base as it does without variants, and
-    every variant under ``variants``.
+    The pages of the variants are those of `write_variant`; those of variants that an earlier run had here and this one
+    has not are removed. compare.json holds the base as it does without variants, and every variant under ``variants``.
     """
-    return write_page(matrix_page(matrix, command=command, date=date), out_dir, data_name="compare.json")
+    paths = write_page(matrix_page(matrix, command=command, date=date), out_dir, data_name="compare.json")
+    forget_others(Path(out_dir), {run.folder for run in matrix.runs if page_of(run)})
+    return paths
 
 
 def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | None = None) -> Page:
@@ -79,12 +85,9 @@ def matrix_page(matrix: Matrix, *, command: str | None = None, date: datetime | 
     return Page(
         title=matrix.title,
         eyebrow=_eyebrow(matrix, date),
-        answer=" ".join([*(verdict(accepted, how.units) if accepted else ()), _answer(matrix, how)]),
+        answer=" ".join([*(verdict(accepted) if accepted else ()), _answer(matrix, how)]),
         facts=_facts(matrix, how),
-        notices=(
-            *(f"Variant {r.name} could not be scored: {r.failed}" for r in matrix.runs if r.failed),
-            *notices_of_variants(matrix.runs),
-        ),
+        notices=tuple(notices_of_variants(matrix.runs)),
         headline=headline(matrix, how),
         sections=tuple(s for s in made if s.parts),
         data=comparison_data(base, (), command, date) | acceptance_data(accepted) | {"variants": variants_data(matrix)},
@@ -100,6 +103,7 @@ def variants_data(matrix: Matrix) -> list[dict]:
             "page": page_of(run) or None,
             "failed": run.failed or None,
             "as_base": list(run.as_base),
+            "same_as": run.same_as or None,
             "means": [asdict(s) for s in run.comparison.means],
             "failures": [asdict(f) for f in run.comparison.failures],
             **acceptance_data(run.accepted),
@@ -115,7 +119,7 @@ def _heat_lead(matrix: Matrix) -> str:
 
 
 def _left(matrix: Matrix) -> bool:
-    return any(run.as_base for run in matrix.runs)
+    return any(run.left for run in matrix.runs)
 
 
 def _answer(matrix: Matrix, how: Shown) -> str:
@@ -141,7 +145,7 @@ def _facts(matrix: Matrix, how: Shown) -> tuple[str, ...]:
     """How much the worst variant adds to the error of the judged model."""
     model, signal, mode = judged_model(matrix), outputs_of(matrix)[0], matrix.base.modes[0]
     mean = {r.name: next((s.rmse for s in r.comparison.ranking(signal.name, mode) if s.model == model), None)
-            for r in matrix.runs if model not in r.as_base}  # fmt: skip
+            for r in matrix.runs if model not in r.left}  # fmt: skip
     known: Mapping[str, float] = {name: value for name, value in mean.items() if value is not None}
     base = known.get(matrix.runs[0].name)
     others = {name: value for name, value in known.items() if name != matrix.runs[0].name}

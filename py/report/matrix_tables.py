@@ -32,7 +32,7 @@ class Shown:
 
 def page_of(run: VariantRun) -> str:
     """The way from the overview to the page of a variant; "" where nothing of it could be scored."""
-    return f"{run.variant.folder}/{PAGE}" if run.comparison.scores else ""
+    return f"{run.folder}/{PAGE}" if run.comparison.scores else ""
 
 
 def outputs_of(matrix: Matrix) -> list[Signal]:
@@ -59,8 +59,9 @@ def headline(matrix: Matrix, how: Shown) -> Table:
     models = [m for m in matrix.base.models if any((r.name, m) in mean for r in runs)]
     for model in models:
         values = [mean.get((r.name, model)) for r in runs]
-        column = numbers(model, model, values, signal.unit, how.units[signal.name], best="min")
-        columns.append(quiet(column, [model in r.as_base for r in runs]))
+        own = [model not in r.left for r in runs]
+        column = numbers(model, model, values, signal.unit, how.units[signal.name], best="min", among=own)
+        columns.append(quiet(column, [not one for one in own]))
     if matrix.accepted and matrix.accepted.judged:
         columns.append(Column("criteria", "Criteria", tuple(_verdict(r) for r in runs)))
     lost = [len({(f.model, f.record) for f in r.comparison.failures}) for r in runs]
@@ -70,8 +71,8 @@ def headline(matrix: Matrix, how: Shown) -> Table:
         f"Mean RMSE of {signal.name} in {mode}, the variant in which {judged} is worst first; the best of each model "
         "is bold. Names lead to the detailed pages."
     )
-    if any(r.as_base for r in runs):
-        note += " Pale: the variant leaves this model as it is."
+    if any(r.left for r in runs):
+        note += " Pale, in text in brackets: the variant leaves this model as it is, or comes to the same as another."
     return table("matrix", "", columns, note)
 
 
@@ -89,7 +90,11 @@ def variants_table(matrix: Matrix) -> Table:
     runs = matrix.runs
     columns = [
         _variants(runs),
-        texts("changes", "Changes", [str(r.variant) for r in runs]),
+        texts(
+            "changes",
+            "Changes",
+            [f"{r.variant} (comes to the same as {r.same_as})" if r.same_as else str(r.variant) for r in runs],
+        ),
         texts(
             "as_base",
             "Leaves as they are",
@@ -112,7 +117,7 @@ def every_table(matrix: Matrix, how: Shown) -> list[Table]:
 def _every(matrix: Matrix, signal: Signal, how: Shown) -> Table:
     mode = matrix.base.modes[0]
     base = {s.model: s.rmse for s in matrix.base.ranking(signal.name, mode)}
-    rows = [(r, s) for r in matrix.runs for s in r.comparison.ranking(signal.name, mode) if s.model not in r.as_base]
+    rows = [(r, s) for r in matrix.runs for s in r.comparison.ranking(signal.name, mode) if s.model not in r.left]
     rows.sort(key=lambda row: -row[1].rmse)
     worst = _worst_recordings(matrix, signal.name, mode)
     unit, cases = how.units[signal.name], [worst[r.name, s.model] for r, s in rows]
@@ -127,9 +132,7 @@ def _every(matrix: Matrix, signal: Signal, how: Shown) -> Table:
         numbers("record_rmse", "RMSE there", [c.rmse for c in cases], signal.unit, unit),
     ]
     note = (
-        "Models that a variant leaves as they are stand once, under base."
-        if any(r.as_base for r in matrix.runs)
-        else ""
+        "Models that a variant leaves as they are stand once, under base." if any(r.left for r in matrix.runs) else ""
     )
     return table(f"every_{signal.name}", f"{signal.name}, {mode}", columns, note, folded=len(rows) > MOST_ROWS)
 
@@ -241,7 +244,7 @@ def grouped(matrix: Matrix, output: str, mode: str, group: Callable):
 
 def _own(run: VariantRun, output: str, mode: str) -> list[Score]:
     """Scores of what the variant changes, without yardsticks."""
-    out = {*run.as_base, *run.comparison.yardsticks}
+    out = {*run.left, *run.comparison.yardsticks}
     return [s for s in run.comparison.scores if (s.output, s.mode) == (output, mode) and s.model not in out]
 
 

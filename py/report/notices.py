@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hydrotwin.comparison import Comparison
 from hydrotwin.comparison.band import made_from
+from hydrotwin.comparison.criteria import some_of
+from hydrotwin.comparison.uneven import uneven
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
@@ -27,17 +29,33 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
     found += _untrusted(comparison)
     found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
-    return tuple(found + _holes(comparison))
+    return tuple(found + _holes(comparison) + _uneven(comparison))
 
 
 def notices_of_variants(runs: Sequence) -> list[str]:
-    """Those of several variants: once what all share, the others behind the names of their variants."""
+    """Those of several variants: which failed or is another over again, once what all share, the others behind the
+    names of their variants."""
+    if len(runs) == 1:
+        return list(notices(runs[0].comparison))
     told: dict[str, list[str]] = {}
-    ended = [run for run in runs if not run.failed]
+    ended = [run for run in runs if not run.failed and not run.same_as]
     for run in ended:
         for text in notices(run.comparison):
             told.setdefault(text, []).append(run.name)
-    return [text if len(names) == len(ended) else f"{', '.join(names)}: {text}" for text, names in told.items()]
+    said = [f"Variant {run.name} could not be scored: {run.failed}" for run in runs if run.failed]
+    said += twins(runs)
+    return said + [text if len(names) == len(ended) else f"{', '.join(names)}: {text}" for text, names in told.items()]
+
+
+def twins(runs: Sequence) -> list[str]:
+    """Variants that come to the same as another one, by that."""
+    same: dict[str, list[str]] = {}
+    for run in (run for run in runs if run.same_as):
+        same.setdefault(run.same_as, []).append(run.name)
+    return [
+        f"Variant{'s' * (len(names) > 1)} {', '.join(names)} come{'s' * (len(names) == 1)} to the same as {first}, and "
+        "its runs stand for both." for first, names in same.items()
+    ]  # fmt: skip
 
 
 def seen_before(comparison: Comparison) -> list[str]:
@@ -78,6 +96,24 @@ def _holes(comparison: Comparison) -> list[str]:
     return found
 
 
+def doubts(comparison: Comparison) -> list[str]:
+    """What to doubt of numbers that are there: bands, and means over very different recordings."""
+    return _untrusted(comparison) + _uneven(comparison)
+
+
+def _uneven(comparison: Comparison) -> list[str]:
+    """Outputs whose means rest on recordings of very different numbers of known samples."""
+    told: dict[str, list[str]] = {}
+    for signal in comparison.outputs:
+        samples = {s.record: s.samples for s in comparison.scores if s.output == signal.name}
+        if sentence := uneven(samples):
+            told.setdefault(str(sentence), []).append(signal.name)
+    return [
+        f"Means of {', '.join(names)}: {sentence}. Read the recordings one by one, or judge them by name."
+        for sentence, names in told.items()
+    ]
+
+
 def _untrusted(comparison: Comparison) -> list[str]:
     """Models whose bands are not to be believed, and why: one sentence for the outputs that share the reason."""
     found, scored = [], {s.name for s in comparison.outputs}
@@ -95,12 +131,17 @@ def _untrusted(comparison: Comparison) -> list[str]:
 
 def _too_good(comparison: Comparison) -> list[str]:
     """Models whose one-step error is below the noise of the sensor."""
-    outputs: dict[str, list[str]] = {}
+    outputs: dict[str, dict[str, list[str]]] = {}
     for s in comparison.scores:
-        if s.too_good and s.output not in outputs.setdefault(s.model, []):
-            outputs[s.model].append(s.output)
+        if s.too_good:
+            outputs.setdefault(s.model, {}).setdefault(s.output, []).append(s.record)
     return [
-        f"{model} is too good to be true one step ahead on {', '.join(names)}: its error is below the noise of the "
+        f"{model} is too good to be true one step ahead on {_where(found)}: its error is below the noise of the "
         "measurement, so it may have seen the sample it predicts (or the noise estimate has taken vibration for noise)."
-        for model, names in outputs.items()
+        for model, found in outputs.items()
     ]
+
+
+def _where(found: Mapping[str, Sequence[str]]) -> str:
+    """Outputs, each with the recordings that it is about."""
+    return ", ".join(f"{output} ({some_of(records)})" for output, records in found.items())

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .format import difference_to_shown, number_text, number_texts, pretty_unit, to_shown
+from .format import NONE, difference_to_shown, number_text, number_texts, pretty_unit, to_shown
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,11 @@ class Cell:
     colour: str = ""
     tone: str = ""
     link: str = ""
+
+    @property
+    def plain(self) -> str:
+        """The text where nothing can be pale: in brackets what is quiet."""
+        return f"({self.text})" if self.tone == "quiet" and self.text != NONE else self.text
 
 
 @dataclass(frozen=True)
@@ -71,7 +76,7 @@ class Table:
         lines = [f"| {' | '.join(_escaped(c.heading) for c in self.columns)} |"]
         lines.append(f"|{'|'.join('---:' if c.numeric else ':---' for c in self.columns)}|")
         for row in self.rows:
-            texts = [_linked(c, f"**{_escaped(c.text)}**" if c.best else _escaped(c.text)) for c in row]
+            texts = [_linked(c, f"**{_escaped(c.plain)}**" if c.best else _escaped(c.plain)) for c in row]
             lines.append(f"| {' | '.join(texts)} |")
         return "\n".join(lines)
 

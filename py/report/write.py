@@ -34,6 +34,7 @@ from .format import number_text, shown_unit
 from .notices import notices
 from .page import Note, Page, Section, write_page
 from .provenance import command_line, provenance_section, used, versions
+from .written import forget_others
 
 
 def write_report(
@@ -53,11 +54,14 @@ def write_report(
     sections : further sections, put before the provenance.
     accepted : whether it is good enough, said first. says : sentences in place of which model is best.
     command : as printed under provenance; by default the running command.
+    Pages of variants that an earlier run left below the folder are removed.
     """
     page = comparison_page(
         comparison, fits=fits, sections=sections, accepted=accepted, says=says, command=command, date=date
     )
-    return write_page(page, out_dir, data_name="compare.json")
+    paths = write_page(page, out_dir, data_name="compare.json")
+    forget_others(Path(out_dir))
+    return paths
 
 
 def comparison_page(
@@ -95,7 +99,7 @@ def comparison_page(
     return Page(
         title=comparison.title,
         eyebrow=_eyebrow(comparison, date),
-        answer=" ".join([*(verdict(accepted, shown) if accepted else ()), *(says or [answer(comparison, shown)])]),
+        answer=" ".join([*(verdict(accepted) if accepted else ()), *(says or [answer(comparison, shown)])]),
         facts=facts(comparison, shown),
         notices=notices(comparison) + tuple(w for w in map(fit_warning, fits) if w),
         headline=headline(comparison, shown, look),

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from hydrotwin.comparison import Scenario, Tags, Wanted, acceptance, compare, junit, read_scenario, run_scenario
+from hydrotwin.comparison.band import Band
 from hydrotwin.comparison.scenario import ModelEntry
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import write_record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_data, acceptance_lines, verdict
+from hydrotwin.report.notices import notices
 from tests.comparison.toys import Toy, recording
 
 MODELS = {"good": Toy("good"), "bad": Toy("bad", gain=130.0), "broken": Toy("broken", fails_on="load2_stroke1")}
@@ -181,14 +185,16 @@ def test_a_criterion_on_few_samples_says_how_few():
     asked = Wanted(("arm_angle.rmse < 10 deg", "arm_angle.max < 10 deg"))
     accepted = acceptance(comparison, asked)
     assert accepted.passed and [one.samples for one in accepted.judged] == [5, 5]
-    told, careful = verdict(accepted, {"arm_angle": "deg"})
-    assert told.startswith("PASS") and careful == "Careful: judged on only 5 samples."
+    told, careful = verdict(accepted)
+    assert told.startswith("PASS") and careful.startswith(
+        "Careful with “arm_angle.rmse < 10 deg”: judged on only 5 samples. The table"
+    )
     lines = [line for _, line in acceptance_lines(accepted, {"arm_angle": "deg"})]
     assert all("judged on only 5 samples" in line for line in lines[1:])
     assert junit(accepted, "few").count("<system-out>judged on only 5 samples</system-out>") == 2
     assert [row["samples"] for row in acceptance_data(accepted)["acceptance"]["criteria"]] == [5, 5]
     many = acceptance(compare([MODELS["good"]], [recording(1)], repeats=0, modes=("free run",)), asked)
-    assert len(verdict(many, {"arm_angle": "deg"})) == 1 and "system-out" not in junit(many, "many")
+    assert len(verdict(many)) == 1 and "system-out" not in junit(many, "many")
 
 
 def test_the_page_says_first_whether_it_is_good_enough(folder, tmp_path):
@@ -254,3 +260,71 @@ def test_a_tag_is_the_whole_of_what_stands_in_a_name(pattern, name, tags):
 def test_no_tag_is_cut_without_a_word(pattern, name):
     with pytest.raises(DeclarationError, match="does not fit"):
         Tags(pattern).put(recording(1), Path(name))
+
+
+def test_a_result_is_told_in_the_unit_of_its_criterion_everywhere(tmp_path):
+    """The files are in SI and so is the page; the criteria are not."""
+    comparison = compare([MODELS["good"], MODELS["bad"]], [recording(1)], repeats=0, modes=("free run",))
+    texts = ("arm_angle.rmse < 300 mrad", "arm_angle.fit > 0.1", "arm_angle.fit > 10 %", "arm_angle.lag < 1 s")
+    texts += ("arm_angle.max < 900 deg", "arm_angle.nrmse not worse than bad")
+    accepted = acceptance(comparison, Wanted(texts, model="good"))
+    score = next(s for s in comparison.scores if (s.model, s.output) == ("good", "arm_angle"))
+    lines = {
+        one.criterion.text: line
+        for one, (_, line) in zip(accepted.judged, acceptance_lines(accepted, {})[1:], strict=True)
+    }
+    assert f": {1000 * score.rmse:.3g}" in lines[texts[0]] and "\u00a0mrad," in lines[texts[0]]
+    assert f": {score.fit_percent / 100:.3f}," in lines[texts[1]]
+    assert f": {score.fit_percent:.1f}\u00a0%," in lines[texts[2]]
+    assert "\u00a0s, " in lines[texts[3]] and "ms" not in lines[texts[3]] and "°, " in lines[texts[4]]
+    assert "\u00a0%, " in lines[texts[5]]
+    write_report(comparison, tmp_path, accepted=accepted)
+    told = json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))
+    rows = {row["criterion"]["value"]: row["found"]["shown"] for row in told["tables"]["acceptance"]["rows"]}
+    assert all(f": {rows[text]}, " in lines[text] for text in texts)
+    first = told["acceptance"]["criteria"][0]
+    assert first["unit"] == "mrad" and first["as_written"]["high"] == pytest.approx(300)
+    assert first["as_written"]["value"] == pytest.approx(1000 * score.rmse)
+
+
+def test_what_is_not_defined_names_the_recording_and_the_output():
+    still = recording(2, name="still")
+    still = still.with_signals({"arm_angle": np.full(len(still), 0.4)})
+    comparison = compare([MODELS["good"], MODELS["bad"]], [recording(1), still], repeats=0, modes=("free run",))
+    asked = Wanted(("arm_angle.r2 > 0.5", "arm_angle.nrmse not worse than bad", "motor_speed.r2 > 0.5"))
+    one, other, fine = acceptance(comparison, asked).judged
+    assert one.undefined == other.undefined == "not defined on still: arm_angle does not move there"
+    assert one.lacking == ("still",) and not fine.lacking and fine.passed
+
+
+def test_a_mean_over_very_different_numbers_of_samples_is_told():
+    short = recording(2, name="short").window(end=0.6)
+    comparison = compare([MODELS["good"]], [recording(1), short], repeats=0, modes=("free run",))
+    mean, largest = acceptance(comparison, Wanted(("arm_angle.rmse < 9 deg", "arm_angle.max < 9 deg"))).judged
+    assert mean.caution == "a mean over recordings of 61 to 800 samples"
+    assert not largest.caution
+    (told,) = (n for n in notices(comparison) if "Means of" in n)
+    assert told.startswith("Means of arm_angle, motor_speed, pressure_cap: short with 61 samples counts")
+    alike = compare([MODELS["good"]], [recording(1), recording(2)], repeats=0, modes=("free run",))
+    assert not any("Means of" in n for n in notices(alike))
+
+
+def test_a_criterion_that_passes_on_a_doubted_band_says_so_itself(tmp_path):
+    comparison = compare([MODELS["good"]], [recording(1)], repeats=0, modes=("free run",))
+    entrant = dataclasses.replace(comparison.entrants[0], bands=(Band("arm_angle", "own", False, "it is too narrow."),))
+    scores = tuple(dataclasses.replace(s, coverage=0.95) for s in comparison.scores)
+    doubted = dataclasses.replace(comparison, entrants=(entrant,), scores=scores)
+    asked = Wanted(("arm_angle.coverage in [0.9, 0.99]", "arm_angle.rmse < 9 deg", "motor_speed.rmse < 900 rpm"))
+    accepted = acceptance(doubted, asked)
+    assert accepted.passed
+    cases = ElementTree.fromstring(junit(accepted, "here").partition("?>")[2]).iter("testcase")
+    said = [case.findtext("system-out") for case in cases]
+    assert said[0] == "judged on a band that cannot be trusted: it is too narrow"
+    assert said[1] == "its band cannot be trusted: it is too narrow" and said[2] is None
+    files = write_report(doubted, tmp_path, accepted=accepted)
+    row = next(
+        r for r in files["markdown"].read_text(encoding="utf-8").splitlines() if r.startswith(f"| {asked.accept[0]}")
+    )
+    first = acceptance_data(accepted)["acceptance"]["criteria"][0]
+    assert first["caution"] in row and first["caution"] == "judged on a band that cannot be trusted"
+    assert first["doubt"] == "it is too narrow."

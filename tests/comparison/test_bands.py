@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import FREE_RUN, BlockContender, as_contender, compare
-from hydrotwin.comparison.band import SEEN, bands_of
+from hydrotwin.comparison.band import SEEN, Band, bands_of, held_here
 from hydrotwin.comparison.travel import Carried
 from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.report import write_report
+from hydrotwin.report.notices import notices
 from tests.comparison.toys import OUTPUTS, Toy, recording
 from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, untrained_block
 
@@ -104,3 +105,19 @@ def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_h
     assert band.source == "conformal" and band.why.endswith(SEEN)
     assert contender.to_travel().half_widths == {"position": band.half_width}
     assert not [b for b in bands_of(contender) if b.output != "position"], "what is not corrected was not judged"
+
+
+def test_a_band_that_misses_what_is_measured_here_is_not_trusted():
+    """Whatever it held before: doubted are those of the outputs that it missed, those it held stay."""
+    before = (Band("arm", "own", True), Band("rod", "own", None, "never judged"), Band("p", "own", False, "known"))
+    arm, rod, p = held_here(before, {"arm": 0.1, "rod": 0.9, "p": 0.0})
+    assert arm.trusted is False and "only 10 % of what was measured here" in arm.why
+    assert (rod, p) == before[1:] and held_here(before, {}) == before
+
+
+def test_a_comparison_holds_its_bands_against_what_it_measured(arx):
+    sure = judged(arx, coverage=0.95, trustworthy=True, half_width=1e-9)
+    found = compare([as_contender(sure, "sure")], [toy_record(3)], modes=[FREE_RUN], repeats=0)
+    (band,) = found.entrants[0].bands
+    assert band.trusted is False and "measured here" in band.why
+    assert any("bands of sure cannot be trusted" in n for n in notices(found))

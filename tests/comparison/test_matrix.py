@@ -13,9 +13,12 @@ import pytest
 
 import hydrotwin
 from hydrotwin.comparison import Where, compare, read_scenario, run_matrix, run_scenario
+from hydrotwin.comparison.comparison import Inaccurate
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError, UnitError
 from hydrotwin.records import write_record
+from hydrotwin.report import as_html, as_markdown, matrix_page
+from hydrotwin.report.matrix import variants_data
 from hydrotwin.work.executor import executor_for
 from hydrotwin.work.memory import Memory
 from tests.comparison.toys import Toy
@@ -273,3 +276,59 @@ def test_a_run_differs_by_its_step_and_method(folder):
     coarse, fine = (next(s.rmse for s in r.comparison.means if s.model == "good") for r in found.runs)
     assert coarse != fine and coarse == pytest.approx(fine, rel=1e-3)
     assert np.isfinite(fine) and found["fine"].as_base == ("hold last sample",)
+
+
+TWINS = """
+accept = ["variant=same: position.rmse < 100 m", "variant=again: motor_speed.rmse < 1e-9 rad/s"]
+[variants.same]
+parameters = {"motor.time_constant" = "100 ms", "motor.gain" = 10.0}
+models = ["good"]
+step = 0.01
+method = "auto"
+period = 0.02
+initial_states = "measured"
+[variants.cold]
+parameters = {"motor.time_constant" = 0.2}
+models = ["good"]
+[variants.again]
+parameters = {"motor.time_constant" = "200 ms"}
+models = ["good"]
+"""
+
+
+def test_a_variant_that_comes_to_the_same_as_another_is_run_once_and_told(folder, tmp_path):
+    done, written = [], []
+    accept, _, tables = TWINS.strip().partition("\n")
+    described = scenario(folder, f"{accept}\n{MODELS}\n{tables}")
+    where = Where(progress=lambda n, total, what: done.append((n, total)))
+    found = run_matrix(described, models, where, repeats=0, on_variant=lambda run: written.append(run.name))
+    assert [run.same_as for run in found.runs] == ["", "base", "", "cold"] and written == ["base", "cold"]
+    assert done[-1] == (24, 24), "3 models, 2 recordings, 2 modes, 2 variants"
+    assert repr(found["again"].comparison.scores) == repr(found["cold"].comparison.scores)
+    assert found["same"].as_base == ("good", "weak", "hold last sample")
+    assert found["again"].as_base == ("weak", "hold last sample")
+    assert (found["same"].accepted.passed, found["again"].accepted.passed) == (True, False)
+    page = matrix_page(found)
+    assert "Variant same comes to the same as base, and its runs stand for both." in page.notices
+    assert "Variant again comes to the same as cold, and its runs stand for both." in page.notices
+    every = next(t for t in page.tables if t.id == "every_position")
+    assert [(r[0].text, r[1].text) for r in every.rows].count(("again", "good")) == 0
+    assert {r[0].text for r in every.rows} == {"base", "cold"}
+    told = {v["name"]: (v["same_as"], v["page"]) for v in variants_data(found)}
+    assert told["again"] == ("cold", "cold/report.html") and told["cold"] == (None, "cold/report.html")
+
+
+def test_what_is_told_of_variants_stands_on_the_overview(folder):
+    """Once what all share, else behind the names of the variants that it is about."""
+    text = '[variants.slow]\nperiod = 0.04\n[variants.broken]\nparameters = {"motor.time_constant" = -1e-4}\n'
+    found = run_matrix(scenario(folder, MODELS.replace(', "hold_last"', "") + text), models, repeats=0)
+    lost = Inaccurate("good", "load1", "good: not accurate.")
+    runs = [replace(run, comparison=replace(run.comparison, inaccurate=(lost,))) for run in found.runs]
+    slow = replace(runs[1], comparison=replace(runs[1].comparison, inaccurate=(lost, replace(lost, model="weak"))))
+    page = matrix_page(replace(found, runs=(runs[0], slow, runs[2])))
+    of = [n for n in page.notices if "not those of its equations" in n]
+    assert [n.partition("The numbers")[0] for n in of] == ["", "slow: "]
+    assert page.notices[0].startswith("Variant broken could not be scored: drive.motor.speed: ")
+    text = as_markdown(page)
+    assert all(f"> {notice}" in text for notice in page.notices)
+    assert all(notice in as_html(page).replace("&#39;", "'") for notice in of)

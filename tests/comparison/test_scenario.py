@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
-from hydrotwin.comparison import HoldLast, ModelEntry, load_contenders, read_scenario, run_scenario
+from hydrotwin.comparison import HoldLast, ModelEntry, Scenario, Wanted, load_contenders, read_scenario, run_scenario
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import write_record
 from tests.comparison.toys import Toy, recording
@@ -173,3 +174,34 @@ def test_the_shipped_scenario_runs_and_its_full_model_beats_the_published_formul
     ranked = comparison.ranking("arm_angle")
     names = [score.model for score in ranked]
     assert names.index("cehA") < names.index("Eq. 17")
+
+
+@pytest.mark.parametrize(
+    ("model", "label"),
+    [
+        ("eq17", "eq17"),
+        ("cehA:third_order", "cehA:third_order"),
+        ("models/fitted.toml", "fitted.toml"),
+        ("bought/pump.fmu:p,q", "pump.fmu:p,q"),
+        ("rig.py:axis", None),
+        ("cehA@found/model.toml", "cehA@model.toml"),
+    ],
+)
+def test_a_model_without_a_name_goes_by_how_it_is_written(model, label):
+    assert ModelEntry(model).label == label and ModelEntry(model, "mine").label == "mine"
+
+
+def test_a_built_in_model_has_one_name_in_scenario_criteria_and_tables():
+    import hydrotwin
+
+    path = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "recordings" / "validate_1.csv"
+    accept = ("arm_angle not worse than eq17 by 900 %", "arm_angle not worse than cehA:third_order by 900 %")
+    models = tuple(map(ModelEntry, ("cehA", "eq17", "cehA:third_order")))
+    described = Scenario("one name", models, (path,), modes=("free run",), wanted=Wanted(accept))
+    comparison = run_scenario(described, hydrotwin.load, repeats=0)
+    assert comparison.models == ("cehA", "eq17", "cehA:third_order")
+    assert {s.model for s in comparison.scores} == set(comparison.models)
+    wrong = dataclasses.replace(described, wanted=Wanted(("arm_angle not worse than hold_last",)))
+    held = dataclasses.replace(wrong, models=(*models, ModelEntry("hold_last")))
+    with pytest.raises(DeclarationError, match="Did you mean 'hold last sample'"):
+        run_scenario(held, hydrotwin.load, repeats=0)

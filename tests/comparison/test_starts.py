@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import casadi as ca
 import numpy as np
 import pytest
 
 from hydrotwin.comparison import HoldLast, PhysicalContender, compare
+from hydrotwin.identification.bands import SPREAD
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from tests.comparison.toys import Toy, recording
 from tests.identification.drive import drive
@@ -108,3 +113,31 @@ def test_the_yardstick_holds_what_is_known():
     assert set(held.free_run(record)["position"]) == {position[2]}
     steps = held.one_step(record)["position"]
     assert steps[:4].tolist() == [position[2]] * 4 and steps[8] == position[6] and steps[9] == position[8]
+
+
+def two_sensors():
+    """The drive whose position two sensors read; only the first tells where a run starts."""
+    t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 5)
+    own = drive()
+    xdot, _ = own.ode(t, x, u, p)
+    ode = ca.Function("ode", [t, x, u, p], [xdot, ca.vertcat(x[1], x[1])], ["t", "x", "u", "p"], ["xdot", "y"])
+    speed, position = own.states
+    outputs = (own.outputs[0], Signal("second", "m", nominal=1.0))
+    states = (dataclasses.replace(speed, measured_by=None), position)
+    return dataclasses.replace(own, outputs=outputs, states=states, ode=ode)
+
+
+def test_an_output_that_the_fit_could_not_follow_does_not_bend_the_start():
+    """A fine sensor whose zero is off: the first part cannot tell which of the two is, the fit of the model can."""
+    off, fine, model, record = 0.05, 1e-4, two_sensors(), moved()
+    second = record["position"] + off + fine * np.random.default_rng(5).standard_normal(len(record.time))
+    record = Record(record.time, {**record.signals, "second": second}, {**record.units, "second": "m"}, "moved")
+    left = {"position": NOISE, "second": off}
+    bent, straight = (estimate_start(model, record, left=told).values for told in (None, left))
+    assert abs(bent["piston.position"] - POSITION) > 4 * NOISE
+    assert straight["piston.position"] == pytest.approx(POSITION, abs=NOISE)
+    spread = {"names": [], "covariance": [], "noise": {"position": NOISE}, "left": left, "explained": ["position"]}
+    contender = PhysicalContender(model, provenance={SPREAD: spread})
+    found = compare([contender], [record], modes=["free run"], repeats=0, initial_states="auto")
+    assert next(s.coverage for s in found.scores if s.output == "position") > 0.9
+    assert next(b.trusted for b in found.entrants[0].bands if b.output == "position")

@@ -16,8 +16,12 @@ def test_a_server_does_not_read_an_old_pass_where_no_model_could_run(recordings,
     file = tmp_path / "criteria.xml"
     answer = hydrotwin(*words, "--out", tmp_path / "out", "--junit", file, "--scale", "command=1e6")
     assert answer.code == 1 and "no model could be scored" in answer.said
-    (case,) = ElementTree.parse(file).getroot()[0]
+    (case,) = ElementTree.parse(file).getroot()[0].iter("testcase")
     assert case.get("name") == TOO_TIGHT and "could not be integrated" in case.find("failure").text
+    assert "is of an earlier run" not in answer.said
+    assert hydrotwin(*words[:-2], "--out", tmp_path / "out").code == 0
+    answer = hydrotwin(*words, "--out", tmp_path / "out", "--scale", "command=1e6")
+    assert answer.code == 1 and "out is of an earlier run" in answer.said.replace("\n", " ")
 
 
 def test_a_file_of_a_criterion_is_looked_for_where_the_command_is_given(recordings, tmp_path, monkeypatch):

@@ -247,7 +247,7 @@ def test_a_learned_block_predicts_the_recorded_angle(here):
 # -- compare ---------------------------------------------------------------------------------------------------
 def test_a_comparison_names_its_models_as_asked(here):
     data = json.loads(Path("report/compare.json").read_text(encoding="utf-8"))
-    assert [m["name"] for m in data["models"]] == ["cehA", "identified", "network.toml", "published_formula"]
+    assert [m["name"] for m in data["models"]] == ["cehA", "identified", "network.toml", "eq17"]
     assert Path("report/report.html").stat().st_size > 10_000
     kinds = {(s["model"], s["mode"]) for s in data["scores"]}
     assert kinds == {(m["name"], mode) for m in data["models"] for mode in ("free run", "one step")}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -60,7 +61,7 @@ def test_compare_json_is_as_published_and_leads_to_the_file_of_each_variant(writ
         "slow motor",
         {"parameters": {"motor.gain": 100.0}},
     )
-    assert base["means"] == data["means"] and slow["as_base"] == ["published_formula"]
+    assert base["means"] == data["means"] and slow["as_base"] == ["eq17"]
     assert (base["acceptance"]["passed"], slow["acceptance"]["passed"]) == (True, False)
     assert not data["acceptance"]["passed"]
     for one in (base, slow):
@@ -125,3 +126,20 @@ def test_runs_are_kept_where_they_are_many(folder, monkeypatch, tmp_path):
     monkeypatch.setattr("hydrotwin.commands.comparing_many.MANY", 1)
     assert hydrotwin(*line, tmp_path / "many", "--executor", "here").code == 0
     assert not (tmp_path / "few" / ".runs").exists() and (tmp_path / "many" / ".runs").is_dir()
+
+
+def test_no_page_of_an_earlier_run_passes_for_one_of_this(written, folder, tmp_path):
+    """The variant is called otherwise, then there is none: pages of before go, what is not hydrotwin's stays."""
+    out = tmp_path / "out"
+    shutil.copytree(written[1], out)
+    (out / "slow_motor" / "notes.txt").write_text("mine", encoding="utf-8")
+    renamed = folder / "renamed.toml"
+    renamed.write_text(SCENARIO.replace('variants."slow motor"', "variants.late").replace("slow*", "late"))
+    words = ("--out", out, "--executor", "here", "--junit", out / "criteria.xml")
+    assert hydrotwin("compare", renamed, *words).code == 1
+    assert [p.name for p in (out / "slow_motor").iterdir()] == ["notes.txt"]
+    assert (out / "late" / "report.html").is_file() and (out / "criteria.xml").is_file()
+    alone = folder / "alone.toml"
+    alone.write_text(SCENARIO.partition("[variants")[0].replace(', "variant=slow*: arm_angle.rmse < 0.001 deg"', ""))
+    assert hydrotwin("compare", alone, "--out", out, "--executor", "here").code == 0
+    assert {p.name for p in out.iterdir()} == {".runs", "report.html", "report.md", "compare.json", "slow_motor"}

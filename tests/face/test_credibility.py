@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import tomllib
 import warnings
@@ -319,6 +320,8 @@ def test_a_comparison_is_made_again_from_the_record_alone(file, recordings, tmp_
     assert judged(file, own, *ASKED).code == 0
     row = ht.read_model_file(file).credibility.evidence[-1].recordings[0]
     assert (row["file"], row["tags"]) == ("own/validate_1.csv", {"load": "1"})
+    again = next(row for row in replay(file, ht.load(str(file))) if row.what == LOOSE)
+    assert again.unit == "deg" and again.scale == pytest.approx(math.radians(1.0)) and again.passed
     answer = hydrotwin("check", file, "--replay")
     assert answer.code == 0 and "OTHER" not in answer.said and "15 of 15 numbers are the same" in answer.said
     (own / "validate_1.csv").rename(own / "moved.csv")

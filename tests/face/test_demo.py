@@ -41,7 +41,7 @@ CONTENDERS = [
     "identified",
     "with the named effect",
     "network",
-    "published_formula",
+    "eq17",
     "identified, as FMU",
     "network, as FMU",
 ]
@@ -159,7 +159,7 @@ def test_the_completed_model_meets_the_criteria_and_every_screen_says_so(demo, d
 def test_the_demo_has_bands_of_every_kind_and_its_recordings_have_tags(data):
     sources = {m["name"]: {b["source"] for b in m["bands"].values()} for m in data["models"]}
     assert sources["identified"] == sources["with the named effect"] == {"sensitivities"}
-    assert sources["network"] == {"conformal"} and not sources["published_formula"]
+    assert sources["network"] == {"conformal"} and not sources["eq17"]
     untrusted = [n for n in data["notices"] if "bands of identified cannot be trusted" in n]
     assert untrusted, "an effect is missing in it"
     assert [r["tags"] for r in data["recordings"] if r["role"] == "validate"] == [{"run": "1"}, {"run": "2"}]

@@ -102,7 +102,7 @@ def test_the_modelica_that_is_shown_is_what_is_written():
 
 def test_every_criterion_of_the_documentation_is_one():
     from hydrotwin.comparison import criterion
-    from hydrotwin.comparison.criteria import METRICS
+    from hydrotwin.comparison.metric import METRICS
 
     angle = next(s for s in ht.load("cehA").flat.outputs if s.name == "arm_angle")
     rows = re.findall(r"^\| `(.+?)` \|", VALIDATION.partition("## Bands")[0], re.MULTILINE)

@@ -39,7 +39,7 @@ def test_the_archive_holds_every_model_and_says_who_is_not_in_it(packed, recordi
     assert answer.code == 0, answer.said
     assert "hold last sample: left out, it is no system" in answer.said and f", {archive}" in answer.said
     system = read_ssd(archive).system
-    assert [c.name for c in system.elements] == ["cehA", "identified", "published_formula", "bought"]
+    assert [c.name for c in system.elements] == ["cehA", "identified", "eq17", "bought"]
     assert [c.name for c in system.connectors if c.kind == "input"] == ["command", "motor_speed"]
     with zipfile.ZipFile(archive) as files:
         assert {"resources/validate_1.csv", "resources/validate_2.csv"} <= set(files.namelist())

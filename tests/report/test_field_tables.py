@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import compare
-from hydrotwin.comparison.criteria import METRICS
+from hydrotwin.comparison.metric import METRICS
 from hydrotwin.report.comparison_tables import NONE
 from hydrotwin.report.field_tables import DEFINITIONS, field_section
 from tests.comparison.toys import Toy, recording

@@ -222,7 +222,8 @@ def test_a_model_that_is_too_good_to_be_true_is_a_notice(tmp_path):
     cheat.one_step = lambda record: cheat._record(record, record.signals)
     paths = write_report(compare([cheat], [recording(1)]), tmp_path)
     (notice,) = json.loads(paths["json"].read_text(encoding="utf-8"))["notices"]
-    assert notice.startswith("cheat is too good to be true one step ahead on arm_angle, motor_speed, pressure_cap")
+    where = ", ".join(f"{name} (validation_1)" for name in ("arm_angle", "motor_speed", "pressure_cap"))
+    assert notice.startswith(f"cheat is too good to be true one step ahead on {where}: its error")
 
 
 def test_a_single_model_and_recording_needs_no_rival(tmp_path):

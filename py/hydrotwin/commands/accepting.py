@@ -60,16 +60,14 @@ def accepted(asked: Sequence, block, silent: bool) -> bool:
     """Whether every criterion holds of the block's free run; each is said."""
     from hydrotwin.comparison import judge
     from hydrotwin.report.acceptance import found_told, margin_told
-    from hydrotwin.report.format import shown_unit
 
     card, good = block.provenance.get("free_run", {}), True
-    units = {s.name: shown_unit(s.unit) for s in block.outputs}
     for one in asked:
         found = judge(one, _Card(one.text, card))
         good &= found.passed
         if not silent:
             word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
-            mark(out, word, f"{one.text}: {found_told(found, units)}, {margin_told(found)}", style)
+            mark(out, word, f"{one.text}: {found_told(found)}, {margin_told(found)}", style)
     return good
 
 

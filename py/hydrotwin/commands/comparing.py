@@ -12,7 +12,7 @@ from hydrotwin.models.language.errors import DeclarationError, SolveError, neare
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, require
 
-from ..loading import is_fmu, load, origin
+from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
 from .recording_evidence import known_of, recorded_as
@@ -165,6 +165,7 @@ def compare(
     if ssp is not None and described.variants:
         raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
     from hydrotwin.report import notices_of_variants
+    from hydrotwin.report.written import note_written
 
     named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
@@ -176,11 +177,13 @@ def compare(
         require_inputs(matrix.base)
         if junit_file is not None:  # all missed: a server shall not read those of an earlier run
             write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
-        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
+        stale = f" The report in {output} is of an earlier run." if (output / "compare.json").exists() else ""
+        raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}{stale}")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
         paths |= {"junit": junit_file}
+        note_written(output, [junit_file])
     if record is not None:
         record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
         paths |= {"record": record}
@@ -265,13 +268,11 @@ def require_inputs(comparison) -> None:
 
 
 def entry(text: str):
-    """``NAME=MODEL`` or ``MODEL``; a file without a name of its own goes by its file name."""
+    """``NAME=MODEL`` or ``MODEL``, which then goes by how it is written, see `ModelEntry.label`."""
     from hydrotwin.comparison import ModelEntry
 
     name, equals, model = text.partition("=")
-    if equals:
-        return ModelEntry(model, name)
-    return ModelEntry(text, Path(text).name if text.endswith(".toml") or is_fmu(text) else None)
+    return ModelEntry(model, name) if equals else ModelEntry(text)
 
 
 def print_comparison(comparison, accepted=None) -> None:

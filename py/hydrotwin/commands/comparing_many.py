@@ -102,12 +102,13 @@ def write(matrix, output: Path, several: bool) -> dict[str, Path]:
 
 def notes(matrix) -> list[str]:
     """What a user must know of inputs that nobody recorded, of starts that were estimated, and of recordings that a
-    model was made from; one variant's own."""
+    model was made from, which variants are the same, and what else to doubt; but for variants of the base."""
     from hydrotwin.export.fmu_settings import AT_REST
-    from hydrotwin.report import seen_before
+    from hydrotwin.report import doubts, seen_before, twins
 
     found = [f"{e.name}: {e.provenance[AT_REST]}" for e in matrix.base.entrants if e.provenance.get(AT_REST)]
-    return found + [str(started) for started in matrix.base.starts] + seen_before(matrix.base)
+    found += [str(started) for started in matrix.base.starts] + seen_before(matrix.base)
+    return found + twins(matrix.runs) + doubts(matrix.base)
 
 
 def print_matrix(matrix) -> None:
@@ -117,7 +118,8 @@ def print_matrix(matrix) -> None:
 
     page = matrix_page(matrix)
     headings = [c.heading for c in page.headline.columns]
-    table(page.headline.note, headings, [[cell.text for cell in row] for row in page.headline.rows])
+    table(page.title, headings, [[cell.plain for cell in row] for row in page.headline.rows])
+    out.print(page.headline.note)
     out.print()
     for run in matrix.runs:
         if run.failed:

@@ -186,7 +186,7 @@ def compare_all(machine: str, folder: Path, models, fit, train: list[Record], va
         PhysicalContender(identified, IDENTIFIED),
         *([PhysicalContender(completed, COMPLETED)] if completed else []),
         BlockContender(network, kind="network", name="network"),
-        *(as_contender(load(spec)) for spec in FORMULA.get(machine, [])),
+        *(as_contender(load(spec), spec) for spec in FORMULA.get(machine, [])),
         *fmus,
     ]
     title = f"{machine}: physical, learned and exported models"

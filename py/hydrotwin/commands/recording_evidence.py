@@ -43,11 +43,11 @@ def recorded_as(path: Path, scenario) -> str:
     as_it_is = [entry for entry in found if not entry.settings]
     if not as_it_is:
         raise DeclarationError(f"compare: --record {path}: the scenario sets other values (set = {{..}}). Drop them.")
-    names = [entry.name or "" for entry in as_it_is]
+    names = [entry.label or "" for entry in as_it_is]
     judged = scenario.wanted.model
     if not scenario.wanted.accept or "" in names:  # one that goes by its own name is known when it is read
         return names[0]
-    first = next((entry.name or entry.model for entry in scenario.models if entry.model != "hold_last"), "")
+    first = next((entry.label or entry.model for entry in scenario.models if entry.model != "hold_last"), "")
     if (judged or first) not in names:
         raise DeclarationError(
             f"compare: --record {path}: the criteria are about '{judged or first}', the file is '{names[0]}'. Judge "
@@ -105,9 +105,12 @@ def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None
         out.print(file.stale)
     if made is not None:
         out.print()
-        heads = ["", "recorded", "number", "then", "now", ""]
+        heads = ["", "recorded", "number", "then", "now", "unit", ""]
         shown = [o for o in made if not o.passed or not o.what.endswith(QUIET)]
-        table("run again, SI", heads, [[_word(o.passed), o.date[:10], o.what, o.before, o.now, o.why] for o in shown])
+        rows = [
+            [_word(o.passed), o.date[:10], o.what, o.before / o.scale, o.now / o.scale, o.unit, o.why] for o in shown
+        ]
+        table("run again, metrics in SI, criteria as they are written", heads, rows)
         same, untried = sum(bool(o.passed) for o in made), sum(o.passed is None for o in made)
         left = f" {untried} could not be tried." if untried else ""
         tried = f"{same} of {len(made) - untried} numbers are the same.{left}"

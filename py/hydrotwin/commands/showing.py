@@ -141,6 +141,7 @@ def simulate(
 def _started(thing, record, initial_states: str, settings: Mapping[str, float]):
     """Where a model starts and from what that is known; None where nothing is estimated. Raises as `estimate_start`."""
     from hydrotwin.comparison.starts import Started, not_estimated
+    from hydrotwin.identification.bands import Spread
     from hydrotwin.identification.beginning import FREE, MEASURED, check_initial_states, estimate_start
 
     how = check_initial_states(initial_states, "simulate")
@@ -148,7 +149,8 @@ def _started(thing, record, initial_states: str, settings: Mapping[str, float]):
         return None
     if not hasattr(thing, "flat"):
         return Started(thing.name, not_estimated(record.name)) if how == FREE else None
-    return Started(thing.name, estimate_start(thing.flat.with_parameters(settings), record, how))
+    left = Spread.left_by(getattr(thing, "provenance", None))
+    return Started(thing.name, estimate_start(thing.flat.with_parameters(settings), record, how, left=left))
 
 
 def _parameters_of(thing) -> Sequence:

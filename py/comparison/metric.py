@@ -1,0 +1,68 @@
+"""The metrics that a criterion may name: what each is measured in, what it can be, and when it is not defined."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+OF_OUTPUT, SHARE, TIME, PLAIN = "output", "share", "time", "number"  # what a metric is measured in
+_STILL = "{output} does not move there"
+_NO_BAND = "the model has no band of {output} there"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One metric, as a criterion judges it.
+
+    of : what it is measured in. field : of a `Score`; "" where it is made from one. least, most : what it can be, in SI
+    or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
+    without a band has none. percent : people read this share in percent. undefined : why a recording has no number of
+    it, with ``{output}``.
+    """
+
+    of: str
+    field: str
+    undefined: str = ""
+    least: float = 0.0
+    most: float = math.inf
+    best: bool = False
+    sized: bool = False
+    of_band: bool = False
+    percent: bool = False
+
+    @property
+    def span(self) -> str:
+        """What it can be, in words."""
+        if math.isinf(self.most):
+            return "never negative"
+        most = f"{self.most:g} ({100 * self.most:g} %)"
+        return f"at most {most}" if math.isinf(self.least) else f"{self.least:g} to {most}"
+
+
+METRICS: Mapping[str, Metric] = {
+    "rmse": Metric(OF_OUTPUT, "rmse"),
+    "mae": Metric(OF_OUTPUT, "mae"),
+    "max": Metric(OF_OUTPUT, "maximum"),
+    "bias": Metric(OF_OUTPUT, "bias", sized=True),
+    "nrmse": Metric(SHARE, "", _STILL, percent=True),  # of the range of the measurement
+    "fit": Metric(SHARE, "fit_percent", _STILL, -math.inf, 1.0, best=True, percent=True),  # the NRMSE fit
+    "coverage": Metric(SHARE, "coverage", _NO_BAND, most=1.0, best=True, of_band=True, percent=True),  # of a 95 % band
+    "r2": Metric(SHARE, "r2", _STILL, -math.inf, 1.0, best=True),  # the coefficient of determination
+    "theil": Metric(SHARE, "theil", _STILL, most=1.0),  # Theil's inequality coefficient
+    "iso18571": Metric(  # the overall rating of ISO/TS 18571
+        SHARE, "iso18571", "{output} or its prediction does not move, is too short, or the mode is not free run",
+        most=1.0, best=True,
+    ),
+    "lag": Metric(  # how late or early the prediction is
+        TIME, "lag",
+        "{output} or its prediction does not move, or they do not correlate best within a fifth of the recording",
+        sized=True,
+    ),
+    "steady": Metric(  # the mean error where inputs and measurement rest
+        OF_OUTPUT, "steady", "the inputs and {output} never rest together", sized=True
+    ),
+    "vv20": Metric(PLAIN, "vv20", _NO_BAND, of_band=True),  # RMSE over the validation uncertainty of ASME V&V 20
+}  # fmt: skip
+SCORED: Mapping[str, str] = {name: one.field for name, one in METRICS.items() if one.field}  # -> field of a `Score`
+ERRORS = tuple(name for name, one in METRICS.items() if not one.best)  # the smaller the better

@@ -68,7 +68,8 @@ class Row:
     """One training: error on the test files in the task's unit, of the block and of the first sample held.
 
     carded : error of the free run on what was held out, in the same unit. said : yardsticks that the card says the
-    block is no better than; unsure : those of which it says that it cannot tell.
+    block is no better than; unsure : those of which it says that it cannot tell. tried : of ``auto``, what became of
+    every kind (`learn_best`).
     """
 
     task: str
@@ -82,6 +83,7 @@ class Row:
     failed: str = ""
     unsure: tuple[str, ...] = ()
     carded: float = float("nan")
+    tried: tuple[dict, ...] = ()
 
 
 def tasks() -> list[Task]:
@@ -108,13 +110,14 @@ def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
     """Train one kind by its defaults, where asked for again on all that was given, and run it over the test files."""
     os.environ["OMP_NUM_THREADS"] = "1"
     clock = time.perf_counter if kind == AUTO else time.process_time
-    began, chosen = clock(), ""
+    began, chosen, tried = clock(), "", ()
     records, names = task.read(task.train), (list(task.inputs), [task.output])
     seeded = {"seed": seed} if kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters else {}
     try:
         if kind == AUTO:
             block = learn_best(records, *names, **seeded)
-            chosen = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
+            tried = tuple(block.provenance["ranking"])
+            chosen = next(row["kind"] for row in tried if row["chosen"])
         else:
             block = learn(kind, records, *names, **seeded)
         if refit or kind == AUTO:  # as the command does
@@ -126,6 +129,7 @@ def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
     card, tests = block.provenance["free_run"], task.read(task.test)
     told = {
         "chosen": chosen,
+        "tried": tried,
         "said": tuple(card["no_better_than"]),
         "unsure": tuple(card["cannot_tell"]),
         "carded": task.per_si * card["outputs"].get(task.output, {}).get("rmse", float("nan")),

@@ -14,6 +14,7 @@ from hydrotwin.records import Record
 
 from ..bands import calibrated
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..options import check_counts, check_positive
 from ..training_data import checked_recordings, named, training_box
 from .feedback_band import directions, first_increments, unexplained
 from .feedback_block import FEEDBACK, feedback_frame
@@ -182,12 +183,9 @@ def certify(block: LearnedBlock, trained: Trained, points: int = 2000) -> Certif
 
 
 def _check(points, samples, evaluations, starts, period, lags) -> None:
-    whole = (("points", points, 5), ("samples", samples, 50), ("evaluations", evaluations, 1), ("starts", starts, 1))
-    for option, value, least in whole:
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-            raise DeclarationError(f"{VERB}: {option} must be a whole number from {least} up (got {value}).")
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"{VERB}: period must be positive (got {period}).")
+    counts = {"points": (points, 5), "samples": (samples, 50), "evaluations": (evaluations, 1), "starts": (starts, 1)}
+    check_counts(VERB, counts)
+    check_positive(VERB, period=period)
     if lags is not None and (
         len(tuple(lags)) != 3 or lags[0] not in (0, 1) or lags[1] < 0 or lags[2] < 1 or any(int(v) != v for v in lags)
     ):

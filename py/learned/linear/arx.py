@@ -9,12 +9,13 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..options import check_counts, check_lags, check_positive
 from ..training_data import checked_recordings, named, training_box, usable
 from .arx_block import ARX, arx_states
 from .orders import NOTHING, SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
@@ -82,7 +83,9 @@ def learn_arx(
         DeclarationError: impossible options.
     """
     began = perf_counter()
-    _check_options(period, lags, delay)
+    check_positive("learn_arx", period=period)
+    check_counts("learn_arx", {"delay": (delay, 0)})
+    check_lags("learn_arx", lags, "past values", "2,6")
     inputs, outputs, records, validate = checked_recordings("learn_arx", records, inputs, outputs, validate)
     asked = Asked(rate, *(lags or (None, None)), delay)
     select = usable(select, (*inputs, *outputs)) if select else []
@@ -240,21 +243,6 @@ def certified(block: LearnedBlock, chosen: Chosen, scales: Scales) -> Certificat
         worst = max(worst, float((np.abs(found - expected) / np.ptp(expected, axis=0).clip(1e-300)).max()))
         points += len(expected)
     return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")
-
-
-def _check_options(period, lags, delay) -> None:
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"learn_arx: period must be positive (got {period}). Give seconds, such as 0.01.")
-    counts = {"delay": (0 if delay is None else delay, 0)}
-    if lags is not None:
-        if np.shape(lags) != (2,):
-            raise DeclarationError(
-                f"learn_arx: lags are two: past values, and samples of every input (got {lags}). Write 2,6."
-            )
-        counts |= {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1)}
-    for option, (value, least) in counts.items():
-        if int(value) != value or value < least:
-            raise DeclarationError(f"learn_arx: {option} must be a whole number from {least} up (got {value}).")
 
 
 def _told(order: Order, inputs: Sequence[Signal]) -> dict:

@@ -9,12 +9,13 @@ from importlib import metadata
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED, CtrlC
+from ..options import check_counts, check_positive
 from ..steady import steady_where_it_integrates
 from ..training_data import ROOM, checked_recordings, choose_period, named, on_period, training_box
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
@@ -96,7 +97,9 @@ def learn_state_network(
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
-    _check_options(hidden_states, hidden, past, starts, effort, budget, period)
+    counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
+    check_counts("learn_state_network", counts)
+    check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
     period, began = float(period or _period(records)), time.monotonic()
     data = _normalised(records, inputs, outputs, period)
@@ -161,17 +164,6 @@ def _stepped(net: Network, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     none, ny = np.zeros((n, shape.encoder_features)), shape.outputs
     s = Sections(none, x[:, :ny], u[None], np.zeros((1, n, ny)), np.ones((1, n)))
     return free_run(net, s, x)[1, :, : shape.order]
-
-
-def _check_options(hidden_states, hidden, past, starts, effort, budget, period) -> None:
-    counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
-    for option, (value, least) in counts.items():
-        if value is not None and (int(value) != value or value < least):
-            told = f"learn_state_network: {option} must be a whole number from {least} up (got {value})."
-            raise DeclarationError(told)
-    for option, value in {"effort": effort, "budget": budget, "period": period}.items():
-        if value is not None and not value > 0:
-            raise DeclarationError(f"learn_state_network: {option} must be positive (got {value}).")
 
 
 def _period(records: Sequence[Record]) -> float:

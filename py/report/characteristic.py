@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.learned import Characteristic, LearnedBlock
+from hydrotwin.learned.report_card import card_of
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation.block import Block
 
@@ -53,7 +54,7 @@ def write_characteristic(
         title=f"{_words(forward.rate)}: characteristic",
         eyebrow=f"{len(forward.commands)} steady points · {date:%-d %B %Y}",
         answer=_told(rows, forward),
-        facts=(f"Its {_words(forward.rate)} goes from {low} to {high} {shown.unit}.",),
+        facts=(f"Its {_words(forward.rate)} goes from {low} to {high} {shown.unit}.", *_cards(inverse, compensator)),
         headline=_table(rows, forward.rate.unit, shown),
         sections=(
             Section("curves", "Curves", tuple(figures)),
@@ -62,6 +63,11 @@ def write_characteristic(
         data={"commands": forward.commands, "rates": forward.rates},
     )
     return write_page(page, folder, stem="characteristic", data_name="characteristic.json")
+
+
+def _cards(*blocks: LearnedBlock | None) -> list[str]:
+    """What the blocks' cards say of points that were left out."""
+    return [card["says"] for block in blocks if block is not None and (card := card_of(block))]
 
 
 class _Shown:

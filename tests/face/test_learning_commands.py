@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -106,6 +107,27 @@ def test_a_compensated_command_follows_the_desired_curve():
     name = block.inputs[0].name
     asked = Record(np.arange(4) * block.period, {name: np.array([-1.0, -0.5, 0.5, 1.0])}, {name: "1"})
     assert rate(ht.simulate(block, asked)["current"]) == pytest.approx([-0.15, -0.06, 0.06, 0.15], abs=0.005)
+
+
+def test_an_inverse_ends_with_a_card_that_criteria_judge():
+    line = f"invert ramp_1.csv ramp_2.csv {SIGNALS} --out inverse.toml"
+    screen = hydrotwin(*line.split(), "--accept", "position_rate.rmse < 5 mm/s", "--report", "page")
+    assert screen.code == 0, screen.err
+    assert re.search(r"RMS error of position_rate [\d.]+ mm/s, [\d.]+ % of its range", screen.said)
+    assert "PASS position_rate.rmse < 5 mm/s" in screen.said
+    assert "RMS error of position_rate" in Path("page/characteristic.md").read_text(encoding="utf-8")
+    missed = hydrotwin(*line.split(), "--accept", "position_rate.rmse < 0.0001 mm/s", "--json")
+    assert missed.code == 1 and json.loads(missed.out)["held_out"]["says"] == json.loads(missed.out)["says"]
+    line = f"compensate ramp_1.csv ramp_2.csv {SIGNALS} --waypoint 1=0.15 --out c.toml"
+    good = hydrotwin(*line.split(), "--accept", "position_rate not worse than machine")
+    assert good.code in (0, 1) and "position_rate not worse than machine" in good.said
+    for verb, text, words in (
+        ("invert", "position.rmse < 1 mm", "position_rate"),
+        ("invert", "position_rate.coverage > 90 %", "invert judges"),
+        ("invert", "position_rate not worse than machine", "has no yardstick 'machine'"),
+    ):
+        answer = hydrotwin(*f"{verb} ramp_1.csv {SIGNALS} --out refused.toml".split(), "--accept", text)
+        assert answer.code == 2 and words in answer.err and not Path("refused.toml").exists()
 
 
 def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):

@@ -14,11 +14,10 @@ Every result is kept in ``--out`` and not made twice. Nothing is chosen on test 
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
@@ -29,7 +28,7 @@ from scipy.stats import kendalltau
 
 from benchmarks.learned.page import put_first
 from hydrotwin.learned import learn, learn_best, refitted
-from hydrotwin.learned.learning import KINDS, takes, trainer
+from hydrotwin.learned.learning import KINDS, takes
 from hydrotwin.learned.ranking import ALONE
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
@@ -106,13 +105,17 @@ def _own(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     return tuple(sorted(folder.glob("train_*.csv"))), tuple(sorted(folder.glob("validate_*.csv")))
 
 
-def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
-    """Train one kind by its defaults, where asked for again on all that was given, and run it over the test files."""
+def made(task: Task, kind: str, seed: int, refit: bool = False, options: Mapping | None = None) -> Row:
+    """Train one kind by its defaults, where asked for again on all that was given, and run it over the test files.
+
+    options : of the trainer, in place of its defaults.
+    """
     os.environ["OMP_NUM_THREADS"] = "1"
     clock = time.perf_counter if kind == AUTO else time.process_time
     began, chosen, tried = clock(), "", ()
     records, names = task.read(task.train), (list(task.inputs), [task.output])
-    seeded = {"seed": seed} if kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters else {}
+    seeded = {"seed": seed} if kind == AUTO or takes(kind, "seed") else {}
+    seeded |= options or {}
     try:
         if kind == AUTO:
             block = learn_best(records, *names, **seeded)
@@ -227,7 +230,7 @@ def main() -> None:
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     wanted = [(known[name], kind, seed) for seed in range(given.seeds) for name in given.data for kind in given.kinds
-              if seed == 0 or kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters]  # fmt: skip
+              if seed == 0 or kind == AUTO or takes(kind, "seed")]  # fmt: skip
     rows = _rows(wanted, given)
     text = table(rows, [known[name] for name in given.data])
     (given.out / "table.md").write_text(text + "\n", encoding="utf-8")

@@ -12,6 +12,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
+from .excitation import one_way
 from .gaussian.choice import learn_gp
 from .gaussian.dual import learn_dual_gp
 from .grey_box.learn import learn_grey_box
@@ -163,7 +164,7 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
-    bad += _of_ending(block)
+    bad += [*one_way(records, named[0]), *_of_ending(block)]
     notes += _of_drift(block)
     if not split.parts:
         return card(split, [], Words(bad, notes))

@@ -143,7 +143,7 @@ class Words:
 def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
     """The card as it is stored: what was held out, a row per output, and the sentences."""
     if not rows:
-        return unknown(f"{split.why}. How well the block runs freely is not known.", words)
+        return unknown(f"{split.why.rstrip('.')}. How well the block runs freely is not known.", words)
     good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
     notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
     notes += [row.band_said() for row in rows]

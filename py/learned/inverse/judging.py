@@ -111,7 +111,7 @@ def _apart(forward: Characteristic, given: tuple) -> _Apart:
         records = [source] if isinstance(source, Record) else list(source)
         split = held_out.split(records, [forward.input.name], [getattr(output, "name", output)])
         if not split.parts:
-            raise DataError(f"{split.why}. Record longer.")
+            raise DataError(f"{split.why.rstrip('.')}. Record longer.")
         fit, seen = (characteristic(part, input_, output, **steady) for part in (split.fit, split.held_out))
         return _Apart(fit, seen.commands, seen.rates, OF_ENDS)
     out = np.arange(len(forward.commands)) % EVERY == EVERY // 2

@@ -132,7 +132,7 @@ def choose(
             best = errors, candidate, rows, searches
     if best is None:
         raise DataError(
-            "learn_arx: no stable equation runs over what was held out "
+            "learn: no stable equation runs over what was held out "
             f"({sum(len(r) for r in records)} samples were given). Record longer, and move every input more often."
         )
     _, period, rows, searches = best
@@ -163,7 +163,7 @@ def periods_of(records: Sequence[Record]) -> list[float]:
     recorded, total = max(r.period for r in records), sum(r.duration for r in records)
     if sum(len(r) for r in records) < LEAST:
         raise DataError(
-            f"learn_arx: too few samples to train on (got {sum(len(r) for r in records)}). At least {LEAST} are needed."
+            f"learn: too few samples to train on (got {sum(len(r) for r in records)}). At least {LEAST} are needed."
             " Record longer."
         )
     finest = recorded * max(1, int(np.ceil(total / recorded / MOST)))
@@ -175,7 +175,10 @@ def _equation(search: Search, finalists: int) -> tuple[Equation, float]:
     """The simplest of the best orders, or what is better on what is held out among the refined ones."""
     ranked = [order for order in search.ranked() if fitted(search.rows, search.rows.all, search.output, order).stable]
     if not ranked:
-        raise DataError("learn_arx: no stable equation fits the recordings. Move every input more often.")
+        raise DataError(
+            "learn: no stable equation fits the recordings "
+            f"(got {sum(len(p.y) for p in search.rows.parts)} samples). Record longer, and move every input more often."
+        )
     order = ranked[0]
     best = fitted(search.rows, search.rows.all, search.output, order), search.error(order)
     for order in _apart(ranked)[:finalists]:

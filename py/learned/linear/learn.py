@@ -135,8 +135,9 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
     first = [ranked(group)[0] for group in tried.values() if ranked(group)]
     if not first:
         raise DataError(
-            "learn_linear: no linear model runs over what was held out. Record longer, move every input more often, "
-            "or take learn_arx."
+            "learn_linear: no linear model runs over what was held out "
+            f"(got {max(sum(len(p.y) for p in r.parts) for r in rows.values())} samples). Record longer, move every "
+            "input more often, or take learn arx."
         )
     first.sort(key=lambda c: c.error)
     evaluations = 0

@@ -202,6 +202,18 @@ def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here
     assert (here / "judged.toml").exists(), "it is written all the same"
 
 
+def test_a_block_that_nothing_could_be_held_out_of_is_written_without_a_page(here):
+    time = np.arange(0, 16, 0.02)
+    current = np.interp(time, [0, 2, 6, 8], [0, 1, -1, 0])
+    position = np.cumsum(rate(current)) * 0.02 + np.random.default_rng(0).normal(0, 2e-5, len(time))
+    record = Record(time, {"current": current, "position": position}, {"current": "1", "position": "m"}, "short")
+    ht.write_record(record, here / "short.csv")
+    answer = hydrotwin(*f"learn arx short.csv {SIGNALS} --out short.toml --report no_page".split())
+    text = answer.said + answer.err
+    assert answer.code == 0 and "no page: nothing was held out" in text and "Nothing was held out: " in text
+    assert (here / "short.toml").exists() and not (here / "no_page").exists()
+
+
 @pytest.mark.parametrize(
     ("kind", "criterion", "says"),
     [

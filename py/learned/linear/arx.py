@@ -118,6 +118,7 @@ def choose(
     finalists : how many per output are fitted to their free runs as well; 0: none.
     """
     records, _ = both
+    _check_size(records, period)
     scales, best = Scales.of(records, inputs, outputs), None
     periods = [period] if period else periods_of(records)
     for candidate in periods:
@@ -141,6 +142,15 @@ def choose(
     return Chosen(period, rows, [eq for eq, _ in found], errors)
 
 
+def _check_size(records: Sequence[Record], period: float | None) -> None:
+    """DataError for fewer samples than `LEAST`, as recorded or at the period that is asked for."""
+    samples = sum(len(r) if period is None else min(len(r), int(r.duration / period) + 1) for r in records)
+    if samples < LEAST:
+        at = "" if period is None else f" at {period:g} s"
+        told = f"learn: too few samples to train on (got {samples}{at}). At least {LEAST} are needed. Record longer"
+        raise DataError(f"{told}." if period is None else f"{told}, or choose a shorter period.")
+
+
 def _surely_less(errors: np.ndarray, before: np.ndarray) -> bool:
     """Whether logarithms of errors (outputs, folds) are less by more than one standard error over the folds.
 
@@ -161,11 +171,6 @@ def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0
 def periods_of(records: Sequence[Record]) -> list[float]:
     """The sampling period and multiples, with neither too many samples over all recordings nor too few in one."""
     recorded, total = max(r.period for r in records), sum(r.duration for r in records)
-    if sum(len(r) for r in records) < LEAST:
-        raise DataError(
-            f"learn: too few samples to train on (got {sum(len(r) for r in records)}). At least {LEAST} are needed."
-            " Record longer."
-        )
     finest = recorded * max(1, int(np.ceil(total / recorded / MOST)))
     shortest = min(r.duration for r in records)
     return [float(f"{finest * f:.9g}") for f in FACTORS if f == 1 or shortest / (finest * f) >= SAMPLES]

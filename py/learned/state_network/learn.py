@@ -238,6 +238,7 @@ def _described(shape: StateShape, form: Form) -> str:
 
 
 def _provenance(records, found: Trial, trials: list[dict]) -> dict:
+    of_form = found.form.told().items()
     parts = " and ".join(f"{first:.0%} to {last:.0%}" for first, last in HELD_OUT)
     return {
         "kind": "state_network",
@@ -247,5 +248,8 @@ def _provenance(records, found: Trial, trials: list[dict]) -> dict:
         **found.form.told(),
         "held_out_error": found.error,
         "trials": trials,
+        "seeds": [
+            {key: trial[key] for key in ("seed", "held_out_error")} for trial in trials if of_form <= trial.items()
+        ],
         "versions": {package: metadata.version(package) for package in ("numpy", "casadi")},
     }

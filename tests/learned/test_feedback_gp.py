@@ -210,10 +210,8 @@ def test_what_cannot_be_learnt_is_refused_in_a_sentence(change, error, sentence)
 
 def test_recordings_that_select_choose_in_place_of_the_parts():
     options = QUICK | {"points": 12, "samples": 200, "evaluations": 10, "starts": 1}
-    parts, chosen = (
-        learn_gp([tank_record(1, 240)], [PUMP], [LEVEL], select=select, **options)
-        for select in ([], [tank_record(2, 240)])
-    )
+    train, other = [tank_record(1, 240)], [tank_record(2, 240)]
+    parts, chosen = (learn_gp(train, [PUMP], [LEVEL], select=select, **options) for select in ([], other))
     assert chosen.provenance["selected_on"][0]["name"] == "tank_2"
     assert [r["name"] for r in chosen.provenance["trained_on"]] == ["tank_1"] and chosen.domain == parts.domain
     assert chosen.provenance["free_run_held_out"] != parts.provenance["free_run_held_out"]

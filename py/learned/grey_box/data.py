@@ -128,7 +128,7 @@ def _only_one(verb: str, inputs: Sequence[Signal], outputs: Sequence[Signal]) ->
         if len(given) != 1:
             raise DataError(
                 f"{verb}: one {role} is needed (got {', '.join(s.name for s in given)}). "
-                "Learn a block for each, or take train_network."
+                "Learn a block for each, or take nn, gp, narx or state_nn, which have several."
             )
     if inputs[0].name == outputs[0].name:
         raise DataError(f"{verb}: '{inputs[0].name}' named both as input and output. A signal is one of the two.")

@@ -1,7 +1,7 @@
 """Every kind of learned model by its defaults on recordings that nobody here made, beside two of the project's own.
 
 ``make bench-learned`` or ``python -m benchmarks.learned.foreign [--data NAME...] [--kinds KIND...] [--seeds N]
-[--refit] [--scoreboard docs/scoreboard.md]``: a
+[--refit] [--made] [--scoreboard docs/scoreboard.md]``: a
 table with the error of the free run over the official test files, from their official start, the median over seeds and
 its range, the processor seconds of one training (of ``auto`` those on the clock), and two yardsticks: the first sample
 held, and ARX by least squares. A kind that is no better than a yardstick on the test and did not say so, nor that its
@@ -178,8 +178,9 @@ def _foreseen(rows: Sequence[Row], task: Task) -> str:
 def scoreboard(text: str, found: Sequence[Task], given: argparse.Namespace) -> str:
     """The page that holds the table, with what it is and what others reached."""
     protocol = (
-        f"Seeds: {given.seeds} (median, and range of several), all kinds by their defaults; processor seconds of one "
-        "training, on a machine that may have been shared. "
+        f"Seeds: {'up to ' if given.made else ''}{given.seeds} (median, and range of several; empty: not run), all "
+        "kinds by their defaults; processor seconds of one training, of `auto` seconds on the clock, "
+        "on a machine that may have been shared. "
         f"Trained on the training files alone{AGAIN if given.refit else ''}, run freely over the test files from their "
         "first sample; no training chooses on test files; who develops this has seen such figures. `worse`: than ARX "
         "or than holding the first sample; `silent`: and the report card did not say so; `doubted`: it said that the "
@@ -226,6 +227,7 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=Path("out/learned"))
     parser.add_argument("--refit", action="store_true", help="train again on all that was given, when judged")
+    parser.add_argument("--made", action="store_true", help="train nothing: the table of what --out holds already")
     parser.add_argument("--scoreboard", type=Path, help="write the table with its protocol to this page, too")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -244,7 +246,7 @@ def _rows(wanted: Sequence[tuple[Task, str, int]], given: argparse.Namespace) ->
     """Every training that is wanted; those made before are read."""
     again = "_refit" if given.refit else ""
     files = {one: given.out / f"{one[0].name}_{one[1]}_{one[2]}{again}.json" for one in wanted}
-    missing = [one for one in wanted if not files[one].exists()]
+    missing = [] if given.made else [one for one in wanted if not files[one].exists()]
     alone = [one for one in missing if one[1] == AUTO]  # it has processes of its own
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         jobs = {pool.submit(made, *one, given.refit): one for one in missing if one not in alone}
@@ -252,7 +254,7 @@ def _rows(wanted: Sequence[tuple[Task, str, int]], given: argparse.Namespace) ->
             _keep(job.result(), files[jobs[job]])
     for one in alone:
         _keep(made(*one, given.refit), files[one])
-    return [Row(**json.loads(file.read_text(encoding="utf-8"))) for file in files.values()]
+    return [Row(**json.loads(file.read_text(encoding="utf-8"))) for file in files.values() if file.exists()]
 
 
 def _keep(row: Row, file: Path) -> None:

@@ -48,12 +48,13 @@ def write_characteristic(
         commands = _answers(compensator, asked)[:, 0]
         figures.append(_compensated_figure(forward, asked, commands, desired(asked)))
         rows.append(("compensator", *_missed(forward, commands, desired(asked))))
+    points = "points" if "moving_points" in forward.source else "steady points"
     said = [*_cards(inverse, compensator), _told(rows, forward)]
     date, shown = datetime.now().astimezone(), _Shown(forward.rate, forward.rates)
     low, high = (number_text(float(v)) for v in shown.values(np.array(forward.reach)))
     page = Page(
         title=f"{_words(forward.rate)}: characteristic",
-        eyebrow=f"{len(forward.commands)} steady points · {date:%-d %B %Y}",
+        eyebrow=f"{len(forward.commands)} {points} · {date:%-d %B %Y}",
         answer=said[0],
         facts=(f"Its {_words(forward.rate)} goes from {low} to {high} {shown.unit}.", *said[1:]),
         headline=_table(rows, forward.rate.unit, shown),

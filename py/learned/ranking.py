@@ -134,8 +134,7 @@ def learn_best(
     found = _tried(chosen, (list(records), list(inputs), list(outputs), options), (workers, budget), progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
-        reasons = " ".join(f"{t.kind}: {t.failed}" for t in found)
-        raise DataError(f"learn auto: no kind could be trained. {reasons}")
+        raise DataError(f"learn auto: no kind could be trained. {_reasons(found)}")
     good = [t for t in ranked if t.block is not None and t.as_good_as(ranked[0])]
     taken = min(good, key=lambda t: t.numbers)
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
@@ -179,6 +178,14 @@ def _tried(kinds: Sequence[str], given: tuple, means: tuple, progress: Callable 
                 child.terminate()
                 child.join()
     return found
+
+
+def _reasons(found: Sequence[Tried]) -> str:
+    """Why kinds failed, each reason once behind all that have it."""
+    kinds: dict[str, list[str]] = {}
+    for one in found:
+        kinds.setdefault(one.failed.removeprefix("learn: "), []).append(one.kind)
+    return " ".join(f"{'all' if len(kinds) == 1 else ', '.join(own)}: {why}" for why, own in kinds.items())
 
 
 def _longest_first(kind: str) -> tuple:

@@ -125,8 +125,14 @@ def test_a_kind_that_fails_costs_only_itself(records):
 
 def test_nothing_that_can_be_learnt_is_said_with_every_reason(records):
     short = [records[0].window(0.0, 0.1)]
-    with pytest.raises(DataError, match=r"no kind could be trained. .*piecewise: .*too few"):
+    with pytest.raises(DataError, match=r"no kind could be trained. all: .*too few"):
         learn_best(short, INPUTS, OUTPUTS, kinds=("piecewise",))
+
+
+def test_a_reason_that_kinds_share_is_said_once():
+    tried = [Tried("arx", failed="learn: too few."), Tried("nn", failed="no."), Tried("narx", failed="learn: too few.")]
+    assert ranking._reasons(tried) == "arx, narx: too few. nn: no."
+    assert ranking._reasons(tried[::2]) == "all: too few."
 
 
 def test_a_process_that_broke_is_told(tmp_path):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.learned.excitation import crossings, one_way
+from hydrotwin.learned.excitation import moves, one_way
 from hydrotwin.records import Record
 
 TIME = 0.02 * np.arange(500)
@@ -25,18 +25,21 @@ def record(command: np.ndarray) -> Record:
         (np.full(5, 0.3), 0),
         (np.repeat([0.0, 1.0], 9), 1),
         (np.linspace(-2, 5, 50), 1),
-        (np.sin(np.linspace(0, 4 * np.pi, 200)), 3),
-        (np.concatenate([np.zeros(9), np.tile([0.45, 0.55], 9), np.ones(9)]), 1),
+        (np.sin(np.linspace(0, 4 * np.pi, 200)), 5),
+        (np.interp(np.arange(80), [0, 20, 60, 79], [0, 1, -1, 0]), 3),
+        (np.concatenate([np.zeros(9), np.tile([0.4, 0.6], 9), np.ones(9)]), 1),
     ],
 )
-def test_crossings_are_those_from_well_below_to_well_above_the_middle(values, count):
-    assert crossings(values) == count
+def test_a_move_is_one_that_is_not_taken_back(values, count):
+    assert moves(values) == count
 
 
 def test_one_step_is_told_on_the_card_and_a_command_that_comes_back_is_not():
     step, both = (TIME > 2.0).astype(float), np.sin(TIME)
     told = ht.learn("arx", [record(step)], ["command"], ["angle"]).provenance["free_run"]
-    assert told["bad"] and told["says"].startswith("command goes one way only (once through the middle of its range")
+    assert told["bad"] and told["says"].startswith(
+        "command goes one way only (9.98 s without a way back of 40% of its range"
+    )
     assert one_way([record(both)], ["command"]) == []
     again = ht.learn("arx", [record(both)], ["command"], ["angle"]).provenance["free_run"]
     assert "one way" not in again["says"]

@@ -11,7 +11,7 @@ GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: help demo fmus gates test lint bench bench-bands bench-gap bench-learned bench-others scoreboard clean
+.PHONY: help demo fmus gates test lint bench bench-ablation bench-bands bench-gap bench-learned bench-others scoreboard clean
 
 help:
 	@echo "make demo   the whole main job on the shipped recordings, into $(OUT)"
@@ -26,6 +26,7 @@ help:
 	@echo "make bench-gap  which hidden effects the gap workflow finds, beside the baselines, on 10 short cases;"
 	@echo "                all of them: make bench-gap GAP='--seeds fresh --out out/gap_fresh'"
 	@echo "make bench-learned  every kind of learned model by its defaults on recordings made by others"
+	@echo "make bench-ablation  what each default of the learned kinds brings, one less at a time, into docs/scoreboard.md"
 	@echo "make bench-others  SysIdentPy and deepSI by their own defaults on the same recordings, into docs/scoreboard.md"
 	@echo "make scoreboard  docs/scoreboard.md: learned models and identified physics on official benchmarks"
 
@@ -74,6 +75,9 @@ bench-bands: $(VENV)/.dev
 
 bench-learned: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.learned.foreign $(LEARNED)
+
+bench-ablation: $(VENV)/.dev
+	$(BIN)/python -m benchmarks.learned.ablation --scoreboard docs/scoreboard.md $(ABLATION)
 
 bench-others: $(VENV)-bench/.others
 	$(VENV)-bench/bin/python -m benchmarks.learned.others --scoreboard docs/scoreboard.md $(OTHERS)

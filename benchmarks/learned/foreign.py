@@ -1,7 +1,7 @@
 """Every kind of learned model by its defaults on recordings that nobody here made, beside two of the project's own.
 
 ``make bench-learned`` or ``python -m benchmarks.learned.foreign [--data NAME...] [--kinds KIND...] [--seeds N]
-[--refit] [--scoreboard docs/scoreboard.md]``: a
+[--refit] [--made] [--scoreboard docs/scoreboard.md]``: a
 table with the error of the free run over the official test files, from their official start, the median over seeds and
 its range, the processor seconds of one training (of ``auto`` those on the clock), and two yardsticks: the first sample
 held, and ARX by least squares. A kind that is no better than a yardstick on the test and did not say so, nor that its
@@ -14,11 +14,10 @@ Every result is kept in ``--out`` and not made twice. Nothing is chosen on test 
 from __future__ import annotations
 
 import argparse
-import inspect
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
@@ -29,7 +28,7 @@ from scipy.stats import kendalltau
 
 from benchmarks.learned.page import put_first
 from hydrotwin.learned import learn, learn_best, refitted
-from hydrotwin.learned.learning import KINDS, takes, trainer
+from hydrotwin.learned.learning import KINDS, takes
 from hydrotwin.learned.ranking import ALONE
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record, read_record
@@ -68,7 +67,8 @@ class Row:
     """One training: error on the test files in the task's unit, of the block and of the first sample held.
 
     carded : error of the free run on what was held out, in the same unit. said : yardsticks that the card says the
-    block is no better than; unsure : those of which it says that it cannot tell.
+    block is no better than; unsure : those of which it says that it cannot tell. tried : of ``auto``, what became of
+    every kind (`learn_best`).
     """
 
     task: str
@@ -82,6 +82,7 @@ class Row:
     failed: str = ""
     unsure: tuple[str, ...] = ()
     carded: float = float("nan")
+    tried: tuple[dict, ...] = ()
 
 
 def tasks() -> list[Task]:
@@ -104,17 +105,22 @@ def _own(folder: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     return tuple(sorted(folder.glob("train_*.csv"))), tuple(sorted(folder.glob("validate_*.csv")))
 
 
-def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
-    """Train one kind by its defaults, where asked for again on all that was given, and run it over the test files."""
+def made(task: Task, kind: str, seed: int, refit: bool = False, options: Mapping | None = None) -> Row:
+    """Train one kind by its defaults, where asked for again on all that was given, and run it over the test files.
+
+    options : of the trainer, in place of its defaults.
+    """
     os.environ["OMP_NUM_THREADS"] = "1"
     clock = time.perf_counter if kind == AUTO else time.process_time
-    began, chosen = clock(), ""
+    began, chosen, tried = clock(), "", ()
     records, names = task.read(task.train), (list(task.inputs), [task.output])
-    seeded = {"seed": seed} if kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters else {}
+    seeded = {"seed": seed} if kind == AUTO or takes(kind, "seed") else {}
+    seeded |= options or {}
     try:
         if kind == AUTO:
             block = learn_best(records, *names, **seeded)
-            chosen = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
+            tried = tuple(block.provenance["ranking"])
+            chosen = next(row["kind"] for row in tried if row["chosen"])
         else:
             block = learn(kind, records, *names, **seeded)
         if refit or kind == AUTO:  # as the command does
@@ -126,6 +132,7 @@ def made(task: Task, kind: str, seed: int, refit: bool = False) -> Row:
     card, tests = block.provenance["free_run"], task.read(task.test)
     told = {
         "chosen": chosen,
+        "tried": tried,
         "said": tuple(card["no_better_than"]),
         "unsure": tuple(card["cannot_tell"]),
         "carded": task.per_si * card["outputs"].get(task.output, {}).get("rmse", float("nan")),
@@ -171,8 +178,9 @@ def _foreseen(rows: Sequence[Row], task: Task) -> str:
 def scoreboard(text: str, found: Sequence[Task], given: argparse.Namespace) -> str:
     """The page that holds the table, with what it is and what others reached."""
     protocol = (
-        f"Seeds: {given.seeds} (median, and range of several), all kinds by their defaults; processor seconds of one "
-        "training, on a machine that may have been shared. "
+        f"Seeds: {'up to ' if given.made else ''}{given.seeds} (median, and range of several; empty: not run), all "
+        "kinds by their defaults; processor seconds of one training, of `auto` seconds on the clock, "
+        "on a machine that may have been shared. "
         f"Trained on the training files alone{AGAIN if given.refit else ''}, run freely over the test files from their "
         "first sample; no training chooses on test files; who develops this has seen such figures. `worse`: than ARX "
         "or than holding the first sample; `silent`: and the report card did not say so; `doubted`: it said that the "
@@ -219,11 +227,12 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=os.cpu_count())
     parser.add_argument("--out", type=Path, default=Path("out/learned"))
     parser.add_argument("--refit", action="store_true", help="train again on all that was given, when judged")
+    parser.add_argument("--made", action="store_true", help="train nothing: the table of what --out holds already")
     parser.add_argument("--scoreboard", type=Path, help="write the table with its protocol to this page, too")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     wanted = [(known[name], kind, seed) for seed in range(given.seeds) for name in given.data for kind in given.kinds
-              if seed == 0 or kind == AUTO or "seed" in inspect.signature(trainer(kind)).parameters]  # fmt: skip
+              if seed == 0 or kind == AUTO or takes(kind, "seed")]  # fmt: skip
     rows = _rows(wanted, given)
     text = table(rows, [known[name] for name in given.data])
     (given.out / "table.md").write_text(text + "\n", encoding="utf-8")
@@ -237,7 +246,7 @@ def _rows(wanted: Sequence[tuple[Task, str, int]], given: argparse.Namespace) ->
     """Every training that is wanted; those made before are read."""
     again = "_refit" if given.refit else ""
     files = {one: given.out / f"{one[0].name}_{one[1]}_{one[2]}{again}.json" for one in wanted}
-    missing = [one for one in wanted if not files[one].exists()]
+    missing = [] if given.made else [one for one in wanted if not files[one].exists()]
     alone = [one for one in missing if one[1] == AUTO]  # it has processes of its own
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         jobs = {pool.submit(made, *one, given.refit): one for one in missing if one not in alone}
@@ -245,7 +254,7 @@ def _rows(wanted: Sequence[tuple[Task, str, int]], given: argparse.Namespace) ->
             _keep(job.result(), files[jobs[job]])
     for one in alone:
         _keep(made(*one, given.refit), files[one])
-    return [Row(**json.loads(file.read_text(encoding="utf-8"))) for file in files.values()]
+    return [Row(**json.loads(file.read_text(encoding="utf-8"))) for file in files.values() if file.exists()]
 
 
 def _keep(row: Row, file: Path) -> None:

@@ -5,8 +5,8 @@ The experiment: learn a formula from five recordings, judge it by free runs on t
 with and without the measured motor speed, and plain operon on the same increments: error of the free runs, formula,
 evaluations per processor second, and the time of a refit of all constants on all recordings.
 ``python -m benchmarks.learned.symbolic [--seconds 80] [--seeds 5] [--problems] [--scoreboard docs/scoreboard.md]``:
-length of a recording, as in the paper unless said; seeds of the problems. gplearn has no row on the C-EHA: it has no
-free run.
+length of a recording, as in the paper unless said; seeds of the problems. gplearn has no row here: it has no free run
+of its own. `symbolic_arm` has all of them on the C-EHA, in the same processor time.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _arm(seconds: float) -> list[str]:
 
 def _line(label: str, block, judge, cpu: float) -> str:
     """A row of the table, printed too."""
-    errors = [_error(block, record) for record in judge]
+    errors = [error_of(block, record) for record in judge]
     line = f"| {label} | {np.mean(errors):.3f} | {', '.join(f'{e:.3f}' for e in errors)} | {cpu:.1f} |"
     print(line, flush=True)
     return line
@@ -142,7 +142,7 @@ def _refit_seconds(block, train) -> float:
     return time.process_time() - spent
 
 
-def _error(block, record: Record) -> float:
+def error_of(block, record: Record) -> float:
     return float(np.degrees(np.sqrt(np.mean((simulate(block, record)["arm_angle"] - record["arm_angle"]) ** 2))))
 
 

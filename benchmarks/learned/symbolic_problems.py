@@ -101,6 +101,11 @@ def _searched(rules: Rules, x: np.ndarray, y: np.ndarray, seed: int, seconds: fl
 
 
 def gplearn(x: np.ndarray, y: np.ndarray, seed: int, seconds: float) -> Answer:
+    """gplearn's answer after some processor time."""
+    return gplearn_model(x, y, seed, seconds).predict
+
+
+def gplearn_model(x: np.ndarray, y: np.ndarray, seed: int, seconds: float):
     """gplearn with its defaults and the paper's functions, generation by generation until the time is over."""
     from gplearn.functions import make_function
     from gplearn.genetic import SymbolicRegressor
@@ -112,7 +117,7 @@ def gplearn(x: np.ndarray, y: np.ndarray, seed: int, seconds: float) -> Answer:
     while time.process_time() - began < seconds:
         model.fit(x, y)
         model.set_params(generations=model.generations + 1)
-    return model.predict
+    return model
 
 
 CONTENDERS: dict[str, Callable] = {

@@ -12,6 +12,7 @@ from .hybrid.files import read_hybrid, write_hybrid
 from .hybrid.learn import learn_hybrid
 from .inverse.compensator import learn_compensator
 from .inverse.data import Characteristic, characteristic
+from .inverse.judging import judged_compensator, judged_inverse
 from .inverse.learn import learn_inverse
 from .learning import learn
 from .linear.arx import learn_arx
@@ -37,6 +38,8 @@ __all__ = [
     "band_of",
     "characteristic",
     "domain_share",
+    "judged_compensator",
+    "judged_inverse",
     "learn",
     "learn_arx",
     "learn_best",

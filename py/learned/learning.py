@@ -6,12 +6,15 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
+from .excitation import one_way
 from .gaussian.choice import learn_gp
 from .gaussian.dual import learn_dual_gp
 from .grey_box.learn import learn_grey_box
@@ -163,8 +166,8 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
-    bad += _of_ending(block)
-    notes += _of_drift(block)
+    bad += [*one_way(records, named[0]), *_of_ending(block)]
+    notes += [*_of_drift(block), *_of_seeds(block)]
     if not split.parts:
         return card(split, [], Words(bad, notes))
     more = yardsticks(block.provenance.get("kind", ""), split, *named)
@@ -208,6 +211,16 @@ def _units(block: Block) -> dict[str, str]:
     """Units of the outputs by name, those of a hybrid's residual among them."""
     parts = [block, block.residual] if getattr(block, "residual", None) else [block]
     return {s.name: s.unit for part in parts for s in part.outputs}
+
+
+def _of_seeds(block: Block) -> list[str]:
+    """How far apart trainings from several seeds ended where they were chosen."""
+    errors = [row["held_out_error"] for row in block.provenance.get("seeds", ())]
+    if len(errors) < 2 or not min(errors) > 0:
+        return []
+    apart = max(errors) / min(errors)
+    told = f"{apart:.2g} times the error of the best" if np.isfinite(apart) else "diverged"
+    return [f"Of {len(errors)} seeds the worst {'had ' if np.isfinite(apart) else ''}{told} where they were chosen."]
 
 
 def _of_drift(block: Block) -> list[str]:

@@ -32,6 +32,13 @@ from .verdicts import as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
 QUICK = ("arx", "piecewise")  # tried first where time is short, and the first of them is never ended
+LONG = (
+    "nn",
+    "gp",
+    "state_nn",
+    "symbolic",
+)  # the longest first, where there is time for all: 120, 96, 48 and 31 s of 327 s
+# for all kinds on 10 000 samples of the C-EHA; the others take 2 to 15 s
 TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
 GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
 TOO_LATE = "it was ended, for its share of the budget was over ({share:.3g} s). Give a longer --budget, or none."
@@ -127,8 +134,7 @@ def learn_best(
     found = _tried(chosen, (list(records), list(inputs), list(outputs), options), (workers, budget), progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
-        reasons = " ".join(f"{t.kind}: {t.failed}" for t in found)
-        raise DataError(f"learn auto: no kind could be trained. {reasons}")
+        raise DataError(f"learn auto: no kind could be trained. {_reasons(found)}")
     good = [t for t in ranked if t.block is not None and t.as_good_as(ranked[0])]
     taken = min(good, key=lambda t: t.numbers)
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
@@ -144,7 +150,7 @@ def _tried(kinds: Sequence[str], given: tuple, means: tuple, progress: Callable 
     """
     found: list[Tried] = []
     workers, budget = means[0] or len(os.sched_getaffinity(0)), means[1]
-    waiting = list(kinds) if budget is None else sorted(kinds, key=lambda k: (k not in QUICK, not takes(k, "budget")))
+    waiting = sorted(kinds, key=_longest_first if budget is None else _quickest_first)
     clock, running = _Clock(budget, workers), {}
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -172,6 +178,23 @@ def _tried(kinds: Sequence[str], given: tuple, means: tuple, progress: Callable 
                 child.terminate()
                 child.join()
     return found
+
+
+def _reasons(found: Sequence[Tried]) -> str:
+    """Why kinds failed, each reason once behind all that have it."""
+    kinds: dict[str, list[str]] = {}
+    for one in found:
+        kinds.setdefault(one.failed.removeprefix("learn: "), []).append(one.kind)
+    return " ".join(f"{'all' if len(kinds) == 1 else ', '.join(own)}: {why}" for why, own in kinds.items())
+
+
+def _longest_first(kind: str) -> tuple:
+    """The order that keeps all processes busy to the end, behind one that has an answer at once."""
+    return kind != QUICK[0], LONG.index(kind) if kind in LONG else len(LONG)
+
+
+def _quickest_first(kind: str) -> tuple:
+    return kind not in QUICK, not takes(kind, "budget")
 
 
 class _Clock:

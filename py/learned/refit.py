@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +19,17 @@ from .validation import validated
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 KEPT = "Trained again on all recordings, it ran worse over what had been held out: the block as it was judged is kept."
 
+FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # the options of a kind that say what a provenance tells was chosen
+    "network": lambda told: (
+        {key: told["form"][key] for key in ("period", "delay", "integrates", "hidden")}
+        | {"lags": (told["form"]["output_lags"], told["form"]["input_lags"])}
+    ),
+    "gaussian_feedback": lambda told: (
+        {"period": told["period"], "kernel": told["kernel"]}
+        | {"lags": tuple(told[key] for key in ("level", "increments", "samples"))}
+    ),
+}
+
 
 def refitted(
     block: Block,
@@ -34,12 +45,15 @@ def refitted(
 ) -> Block:
     """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
 
-    A training may end elsewhere. One that then runs worse over what it has now seen than ``block`` did unseen is no
+    The form that was chosen for ``block``, its period, lags, hidden units or kernel, stays where it is one of `FORMS`:
+    to choose it again takes most of a training. A training may end elsewhere. One that then runs worse over what it has
+    now seen than ``block`` did unseen is no
     better anywhere else, and ``block`` is answered. The card in ``provenance["free_run"]`` stays that of ``block``,
     which alone has something to be judged on; it says what became of it, and ``"refitted"`` whether it is the new one.
     Arguments and errors: those of `learn`.
     """
     train, records = trainer(kind, fit), list(records)
+    options = (form_of(block) if fit is None else {}) | options
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     if kind == "hybrid":
         again = train(model, records, list(outputs) or None, **options)
@@ -53,6 +67,12 @@ def refitted(
         return replace(block, provenance={**block.provenance, "free_run": told})
     kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
     return validated(replace(again, provenance={**again.provenance, **kept, "free_run": told}), validate)
+
+
+def form_of(block: Block) -> dict:
+    """The options with which the trainer of a block's kind takes the form that it has; none where it chooses anew."""
+    told = block.provenance
+    return FORMS[told["kind"]](told) if told.get("kind") in FORMS else {}
 
 
 def _worse(again: Block, told: dict, parts: Sequence[Part]) -> bool:

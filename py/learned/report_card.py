@@ -39,6 +39,7 @@ REPEATS = (
     "What was held out repeats commands that were trained on: it cannot tell how good the block is at other "
     "commands, beside ARX or anything else. Record some that do not repeat, last."
 )
+RUN, STEADY = "free_run", "held_out"  # of the provenance: the card of what runs, and of what is steady
 FREE, ONE_STEP = "free_run", "one_step"
 BLOCK = "the block"  # in `Row.stretches`
 Run = Callable[[Record], Record]
@@ -142,15 +143,27 @@ class Words:
 def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
     """The card as it is stored: what was held out, a row per output, and the sentences."""
     if not rows:
-        says = f"Nothing was held out: {split.why}. How well the block runs freely is not known."
-        return {
-            "held_out": [],
-            "outputs": {},
-            "bad": True,
-            "no_better_than": [],
-            "cannot_tell": [],
-            "says": " ".join([*words.bad, says, *words.notes]),
-        }
+        return unknown(f"{split.why.rstrip('.')}. How well the block runs freely is not known.", words)
+    good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
+    notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
+    notes += [row.band_said() for row in rows]
+    return carded(rows, words, split.told(), [good, *filter(None, notes)])
+
+
+def card_of(block: Block) -> Mapping:
+    """The card of a block that was learnt; empty where it has none."""
+    provenance = getattr(block, "provenance", {})
+    return provenance.get(RUN) or provenance.get(STEADY) or {}
+
+
+def unknown(why: str, words: Words) -> dict:
+    """The card of a block that nothing could be held out of."""
+    none: dict = {"held_out": [], "outputs": {}, "bad": True, "no_better_than": [], "cannot_tell": []}
+    return none | {"says": " ".join([*words.bad, f"Nothing was held out: {why}", *words.notes])}
+
+
+def carded(rows: Sequence[Row], words: Words, held_out: Sequence[Mapping], found: Sequence[str]) -> dict:
+    """A card of rows: what they say against the block first, then what was found, then the notes."""
     worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
     bad = [*words.bad, *([REPEATS] if words.repeats else [])]
     bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
@@ -159,17 +172,14 @@ def card(split: Split, rows: Sequence[Row], words: Words) -> dict:
         than = " or ".join(row.undecided(name) for name in row.cannot_tell)
         bad.append(f"Of {row.output.name} the recordings cannot tell whether the block is better than {than}.")
     bad += [ADVICE] if any(HOLD in than or MEAN in than for than in worse.values()) else []
-    good = f"Free run on what was held out ({_parts(split)}): RMS error of {'; '.join(row.said() for row in rows)}."
-    notes = [row.left[FREE].said(row.output.name) for row in rows if FREE in row.left]
-    notes += [row.band_said() for row in rows]
     return {
-        "held_out": split.told(),
+        "held_out": list(held_out),
         "outputs": {row.output.name: row.told() for row in rows},
         "bad": bool(bad),
         "no_better_than": sorted({name for than in worse.values() for name in than}),
         "cannot_tell": sorted({n for row in rows for n in (_beaten(row) if words.repeats else row.cannot_tell)}),
         "repeats": words.repeats,
-        "says": " ".join([*bad, good, *filter(None, notes), *words.notes]),
+        "says": " ".join([*bad, *found, *words.notes]),
     }
 
 

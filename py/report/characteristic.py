@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.learned import Characteristic, LearnedBlock
+from hydrotwin.learned.report_card import card_of
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation.block import Block
 
@@ -47,13 +48,15 @@ def write_characteristic(
         commands = _answers(compensator, asked)[:, 0]
         figures.append(_compensated_figure(forward, asked, commands, desired(asked)))
         rows.append(("compensator", *_missed(forward, commands, desired(asked))))
+    points = "points" if "moving_points" in forward.source else "steady points"
+    said = [*_cards(inverse, compensator), _told(rows, forward)]
     date, shown = datetime.now().astimezone(), _Shown(forward.rate, forward.rates)
     low, high = (number_text(float(v)) for v in shown.values(np.array(forward.reach)))
     page = Page(
         title=f"{_words(forward.rate)}: characteristic",
-        eyebrow=f"{len(forward.commands)} steady points · {date:%-d %B %Y}",
-        answer=_told(rows, forward),
-        facts=(f"Its {_words(forward.rate)} goes from {low} to {high} {shown.unit}.",),
+        eyebrow=f"{len(forward.commands)} {points} · {date:%-d %B %Y}",
+        answer=said[0],
+        facts=(f"Its {_words(forward.rate)} goes from {low} to {high} {shown.unit}.", *said[1:]),
         headline=_table(rows, forward.rate.unit, shown),
         sections=(
             Section("curves", "Curves", tuple(figures)),
@@ -62,6 +65,11 @@ def write_characteristic(
         data={"commands": forward.commands, "rates": forward.rates},
     )
     return write_page(page, folder, stem="characteristic", data_name="characteristic.json")
+
+
+def _cards(*blocks: LearnedBlock | None) -> list[str]:
+    """What the blocks' cards say of points that were left out."""
+    return [card["says"] for block in blocks if block is not None and (card := card_of(block))]
 
 
 class _Shown:
@@ -161,7 +169,11 @@ def _missed(forward: Characteristic, commands: np.ndarray, wanted: np.ndarray) -
 def _told(rows, forward: Characteristic) -> str:
     shares = [(what, rms / np.ptp(forward.rates)) for what, rms, _ in rows]
     errors = [f"behind the {what} it misses what is wanted by {100 * share:.2g} % of it" for what, share in shares]
-    return f"Over the whole range, {'; '.join(errors)} (RMS)." if errors else "The steady answer to held commands."
+    return (
+        f"By the points it was learnt from, over the whole range, {'; '.join(errors)} (RMS)."
+        if errors
+        else "The steady answer to held commands."
+    )
 
 
 def _table(rows, unit: str, shown: _Shown) -> Table:
@@ -170,4 +182,4 @@ def _table(rows, unit: str, shown: _Shown) -> Table:
         numbers("rms", "RMS error", [row[1] for row in rows], unit, shown.plain),
         numbers("largest", "Largest error", [row[2] for row in rows], unit, shown.plain),
     )
-    return Table("errors", "", columns, note="Of the rate, over the whole domain, by the steady points.")
+    return Table("errors", "", columns, note="Of the rate, over the whole domain, by the points it was learnt from.")

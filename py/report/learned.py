@@ -55,6 +55,7 @@ def write_learned(
     )
     card = block.provenance.get("free_run", {})
     says = (card["says"],) if "says" in card else ()
+    says += (SEVERAL,) if says and len(shown) > 1 else ()
     return write_report(comparison, folder, sections=learned_sections(block), says=says)
 
 
@@ -109,6 +110,7 @@ KINDS = (
     "the stretches held out, the one with the fewest numbers is chosen. What was held out chose it, so its figure "
     "flatters it."
 )
+SEVERAL = "These errors count all samples together; the tables below take the mean over recordings."
 FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
 TERMS = (
     "Error reduction ratio: the share of the squared increments that a term explains, one step ahead, beside those "
@@ -130,7 +132,7 @@ def _yardsticks(card: Mapping[str, Mapping]) -> Table:
     ]
     for name in names:
         cells = tuple(_share(row.get("yardsticks", {}).get(name), row, row.get("rmse")) for row in card.values())
-        columns.append(Column(name, name.capitalize(), cells))
+        columns.append(Column(name, name[0].upper() + name[1:], cells))
     return table("yardsticks", "", columns, "RMS error in percent of the range; a yardstick that is as good is marked.")
 
 
@@ -160,14 +162,14 @@ def _ranking(rows: Sequence[Mapping]) -> Table | None:
     columns = [
         texts("kind", "Kind", [row["kind"] for row in rows]),
         texts("choice", "", [_choice(row) for row in rows]),
-        numbers("numbers", "Numbers", [row.get("numbers") for row in rows], common=False),
+        counts("numbers", "Numbers", [row.get("numbers") for row in rows]),
     ]
     for name in names:
         values = [row.get("percent_of_range", {}).get(name) for row in rows]
         columns.append(numbers(name, f"{name}, of its range", values, "%", best="min", common=False))
         apart = [_apart(row.get("stretches", {}).get(name, ())) for row in rows]
         columns.append(texts(f"{name}.stretches", "by stretch", apart))
-    columns.append(numbers("seconds", "Training", [row["seconds"] for row in rows], "s", common=False))
+    columns.append(numbers("seconds", "Training", [row["seconds"] or None for row in rows], "s", common=False))
     columns.append(texts("why", "", [row.get("failed", "") for row in rows]))
     return table("kinds", "", columns)
 
@@ -195,7 +197,7 @@ def _front(rows: Sequence[Mapping]) -> Section:
             "layout": layout("size (operators, variables, constants)", [title], height=320),
         }
         spec["data"][0]["mode"] = "lines+markers"
-        parts.append(Figure(f"front-{output}", output, spec))
+        parts += [Figure(f"front-{output}", output, spec)] if len(own) > 1 else []
         columns = [
             texts("chosen", "", ["chosen" if r["chosen"] else "" for r in own]),
             counts("size", "Size", [r["size"] for r in own]),

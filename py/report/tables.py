@@ -121,9 +121,10 @@ def numbers(
     return Column(key, title, tuple(cells), unit, shown, numeric=True)
 
 
-def counts(key: str, title: str, values: Sequence[int]) -> Column:
-    """A column of whole numbers."""
-    return Column(key, title, tuple(Cell(int(v), f"{int(v)}") for v in values), numeric=True)
+def counts(key: str, title: str, values: Sequence[int | None]) -> Column:
+    """A column of whole numbers, or of none."""
+    cells = tuple(Cell(None, NONE) if v is None else Cell(int(v), f"{int(v)}") for v in values)
+    return Column(key, title, cells, numeric=True)
 
 
 def warned(column: Column, where: Sequence[bool]) -> Column:

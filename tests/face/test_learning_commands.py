@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,6 +109,27 @@ def test_a_compensated_command_follows_the_desired_curve():
     assert rate(ht.simulate(block, asked)["current"]) == pytest.approx([-0.15, -0.06, 0.06, 0.15], abs=0.005)
 
 
+def test_an_inverse_ends_with_a_card_that_criteria_judge():
+    line = f"invert ramp_1.csv ramp_2.csv {SIGNALS} --out inverse.toml"
+    screen = hydrotwin(*line.split(), "--accept", "position_rate.rmse < 5 mm/s", "--report", "page")
+    assert screen.code == 0, screen.err
+    assert re.search(r"RMS error of position_rate [\d.]+ mm/s, [\d.]+ % of its range", screen.said)
+    assert "PASS position_rate.rmse < 5 mm/s" in screen.said
+    assert "RMS error of position_rate" in Path("page/characteristic.md").read_text(encoding="utf-8")
+    missed = hydrotwin(*line.split(), "--accept", "position_rate.rmse < 0.0001 mm/s", "--json")
+    assert missed.code == 1 and json.loads(missed.out)["held_out"]["says"] == json.loads(missed.out)["says"]
+    line = f"compensate ramp_1.csv ramp_2.csv {SIGNALS} --waypoint 1=0.15 --out c.toml"
+    good = hydrotwin(*line.split(), "--accept", "position_rate not worse than machine")
+    assert good.code in (0, 1) and "position_rate not worse than machine" in good.said
+    for verb, text, words in (
+        ("invert", "position.rmse < 1 mm", "position_rate"),
+        ("invert", "position_rate.coverage > 90 %", "invert judges"),
+        ("invert", "position_rate not worse than machine", "has no yardstick 'machine'"),
+    ):
+        answer = hydrotwin(*f"{verb} ramp_1.csv {SIGNALS} --out refused.toml".split(), "--accept", text)
+        assert answer.code == 2 and words in answer.err and not Path("refused.toml").exists()
+
+
 def test_a_hybrid_is_learnt_written_and_loaded(recordings, tmp_path):
     train = recordings / "train_1.csv"
     line = f"learn hybrid {train} --model cehA --output arm_angle --hidden 0 --budget 2 --json --out {tmp_path}/h.toml"
@@ -178,6 +200,18 @@ def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here
     bad = hydrotwin(*line.split(), "--accept", "position.rmse < 1 um", "--accept", "position not worse than mean")
     assert bad.code == 1 and "FAIL position.rmse < 1 um: " in bad.said and "PASS position not worse" in bad.said
     assert (here / "judged.toml").exists(), "it is written all the same"
+
+
+def test_a_block_that_nothing_could_be_held_out_of_is_written_without_a_page(here):
+    time = np.arange(0, 16, 0.02)
+    current = np.interp(time, [0, 2, 6, 8], [0, 1, -1, 0])
+    position = np.cumsum(rate(current)) * 0.02 + np.random.default_rng(0).normal(0, 2e-5, len(time))
+    record = Record(time, {"current": current, "position": position}, {"current": "1", "position": "m"}, "short")
+    ht.write_record(record, here / "short.csv")
+    answer = hydrotwin(*f"learn arx short.csv {SIGNALS} --out short.toml --report no_page".split())
+    text = answer.said + answer.err
+    assert answer.code == 0 and "no page: nothing was held out" in text and "Nothing was held out: " in text
+    assert (here / "short.toml").exists() and not (here / "no_page").exists()
 
 
 @pytest.mark.parametrize(

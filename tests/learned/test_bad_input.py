@@ -21,10 +21,12 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import (
+    learn_arx,
     learn_dual_gp,
     learn_gaussian_process,
     learn_grey_box,
     learn_hybrid,
+    learn_linear,
     learn_narx,
     learn_piecewise,
     learn_rate_network,
@@ -53,6 +55,8 @@ class Kind:
 
 
 KINDS = {
+    "arx": Kind(lambda r: learn_arx(r, ["current"], ["position"], lags=(2, 2), period=PERIOD), None),
+    "linear": Kind(lambda r: learn_linear(r, ["current"], ["position"], order=2, period=PERIOD), None),
     "nn": Kind(lambda r: train_network(r, ["current"], ["position"], hidden=2, starts=1, effort=0.02, lags=(1, 2),
                                      period=PERIOD), None),
     "state_nn": Kind(lambda r: learn_state_network(r, ["current"], ["position"], hidden=2, hidden_states=1, starts=1,

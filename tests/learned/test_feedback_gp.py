@@ -206,3 +206,14 @@ def test_the_fmu_equals_the_run_with_its_band(tank, tmp_path):
 def test_what_cannot_be_learnt_is_refused_in_a_sentence(change, error, sentence):
     with pytest.raises(error, match=sentence):
         learn_gp([tank_record(1, 100)], ["pump"], ["level"], **QUICK | change)
+
+
+def test_recordings_that_select_choose_in_place_of_the_parts():
+    options = QUICK | {"points": 12, "samples": 200, "evaluations": 10, "starts": 1}
+    train, other = [tank_record(1, 240)], [tank_record(2, 240)]
+    parts, chosen = (learn_gp(train, [PUMP], [LEVEL], select=select, **options) for select in ([], other))
+    assert chosen.provenance["selected_on"][0]["name"] == "tank_2"
+    assert [r["name"] for r in chosen.provenance["trained_on"]] == ["tank_1"] and chosen.domain == parts.domain
+    assert chosen.provenance["free_run_held_out"] != parts.provenance["free_run_held_out"]
+    with pytest.raises(DeclarationError, match="select is no option of a process without output feedback"):
+        learn_gp(train, [PUMP], [LEVEL], select=other, feedback=False)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.learned import learn, learn_piecewise, ranking, refit, refitted
+from hydrotwin.learned.learning import takes
 from hydrotwin.learned.ranking import Tried, learn_best
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from tests.learned.toy_machine import toy_record
@@ -77,6 +78,44 @@ def test_a_block_may_be_trained_again_on_all_and_keeps_the_card_of_what_had_not_
     assert after["says"].startswith(before["says"]) and "trained again on all recordings" in after["says"]
 
 
+FORM = {"period": 0.1, "output_lags": 1, "input_lags": 4, "delay": 2, "integrates": True, "places": True, "hidden": 3}
+PROCESS = {"period": 0.2, "kernel": "linear+rbf", "level": 1, "increments": 1, "samples": 3}
+
+
+@pytest.mark.parametrize(
+    ("kind", "told", "form"),
+    [
+        (
+            "nn",
+            {"kind": "network", "form": FORM},
+            {"period": 0.1, "lags": (1, 4), "delay": 2, "integrates": True, "hidden": 3},
+        ),
+        (
+            "gp",
+            {"kind": "gaussian_feedback", **PROCESS},
+            {"period": 0.2, "lags": (1, 1, 3), "kernel": "linear+rbf"},
+        ),
+        ("piecewise", {"kind": "piecewise"}, {}),
+    ],
+)
+def test_trained_again_a_block_keeps_the_form_that_was_judged(records, monkeypatch, kind, told, form):
+    block, asked = learn_piecewise(records, INPUTS, OUTPUTS), {}
+
+    def train(*given, **options):
+        asked.update(options)
+        return block
+
+    monkeypatch.setattr(refit, "trainer", lambda *_: train)
+    judged = replace(block, provenance=told)
+    refitted(judged, kind, records, INPUTS, OUTPUTS, seed=3)
+    assert asked == form | {"seed": 3} and all(takes(kind, option) for option in form)
+
+
+def test_the_longest_trainings_begin_first_behind_one_that_answers_at_once():
+    kinds = ["arx", "linear", "nn", "gp", "piecewise", "state_nn"]
+    assert sorted(kinds, key=ranking._longest_first) == ["arx", "nn", "gp", "state_nn", "linear", "piecewise"]
+
+
 def test_a_kind_that_fails_costs_only_itself(records):
     block = learn_best(records, ["command", "motor_speed"], OUTPUTS, kinds=("piecewise", "arx"))
     last = block.provenance["ranking"][-1]
@@ -86,8 +125,14 @@ def test_a_kind_that_fails_costs_only_itself(records):
 
 def test_nothing_that_can_be_learnt_is_said_with_every_reason(records):
     short = [records[0].window(0.0, 0.1)]
-    with pytest.raises(DataError, match=r"no kind could be trained. .*piecewise: .*too few"):
+    with pytest.raises(DataError, match=r"no kind could be trained. all: .*too few"):
         learn_best(short, INPUTS, OUTPUTS, kinds=("piecewise",))
+
+
+def test_a_reason_that_kinds_share_is_said_once():
+    tried = [Tried("arx", failed="learn: too few."), Tried("nn", failed="no."), Tried("narx", failed="learn: too few.")]
+    assert ranking._reasons(tried) == "arx, narx: too few. nn: no."
+    assert ranking._reasons(tried[::2]) == "all: too few."
 
 
 def test_a_process_that_broke_is_told(tmp_path):

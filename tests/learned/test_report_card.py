@@ -269,3 +269,25 @@ def test_the_page_shows_the_terms_of_a_polynomial(piecewise):
     assert cells["term"] == ["y[k]", "u[k]^2", "u[k] y[k]"] and cells["err"][:2] == ["0.900", "0.0500"]
     assert "0.5" in cells["factor"][0] and cells["factor"][1] == cells["err"][2], "nothing where it is not kept"
     assert "terms" not in {s.id for s in learned_sections(piecewise)}
+
+
+@pytest.mark.parametrize(
+    ("errors", "says"),
+    [
+        ([0.2, 0.1, 0.15], "Of 3 seeds the worst had 2 times the error of the best where they were chosen."),
+        ([0.2, np.inf], "Of 2 seeds the worst diverged where they were chosen."),
+        ([0.2], ""),
+        ([], ""),
+    ],
+)
+def test_the_spread_over_seeds_is_told(piecewise, errors, says):
+    seeds = [{"seed": k, "held_out_error": error} for k, error in enumerate(errors)]
+    block = replace(piecewise, provenance={**piecewise.provenance, "seeds": seeds})
+    assert learning._of_seeds(block) == ([says] if says else [])
+
+
+def test_a_state_network_tells_what_every_seed_of_its_form_came_to():
+    options = {"hidden": 2, "hidden_states": 1, "starts": 2, "effort": 0.05}
+    block = learning.learn("state_nn", [recording(lambda u: settled(u, 0.3))], ["u"], ["y"], **options)
+    assert [row["seed"] for row in block.provenance["seeds"]] == [0, 1]
+    assert "Of 2 seeds the worst " in block.provenance["free_run"]["says"]

@@ -199,3 +199,18 @@ def test_impossible_options_are_refused(option, value):
 def test_too_few_samples_are_refused_with_their_number():
     with pytest.raises(DataError, match=r"too few samples to learn from \(got 50 at 1 s\)"):
         learn_state_network([two_tanks(1).window(60.0, 109.0)], [PUMP], [LEVEL])
+
+
+def test_recordings_that_select_choose_and_are_not_trained_on():
+    quick = {"starts": 1, "effort": 0.1, "hidden": 2, "hidden_states": 1}
+    strange = two_tanks(5).with_signals({"level": two_tanks(6)["level"]})
+    plain, chosen, same, other = (
+        learn_state_network([two_tanks(1)], [PUMP], [LEVEL], select=select, **quick)
+        for select in ([], [two_tanks(5)], [two_tanks(5)], [strange])
+    )
+    assert chosen.provenance["selected_on"][0]["name"] == two_tanks(5).name
+    assert [r["name"] for r in chosen.provenance["trained_on"]] == [two_tanks(1).name]
+    assert all(np.array_equal(chosen.arrays[n], same.arrays[n]) for n in same.arrays)
+    assert all(np.array_equal(chosen.arrays[n], plain.arrays[n]) for n in ("output_centre", "output_scale"))
+    assert any(not np.array_equal(chosen.arrays[n], other.arrays[n]) for n in other.arrays)
+    assert chosen.domain == plain.domain, "what chooses is not what was learnt from"

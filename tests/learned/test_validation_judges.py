@@ -25,6 +25,7 @@ KINDS = {  # options that keep a training short, and what it needs
     "linear": ({}, None),
     "symbolic": ({"starts": 1, "generations": 3, "population": 40, "lags": (0, 1), "period": PERIOD}, "pyoperon"),
     "narx": ({"terms": 3, "degree": 2, "lags": (1, 2), "period": PERIOD}, "sympy"),
+    "state_nn": ({"hidden": 2, "hidden_states": 1, "starts": 1, "effort": 0.1, "period": PERIOD}, None),
     "hybrid": ({"starts": 1, "hidden": 0, "effort": 0.1, "period": PERIOD, "features": ["velocity"]}, None),
 }
 

@@ -1,8 +1,9 @@
-"""Acceptance criteria of a block that was learnt: its free run on what was held out."""
+"""Acceptance criteria of a block that was learnt: its free run, or its steady points, on what was held out."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
@@ -11,44 +12,59 @@ from hydrotwin.records import Record
 from .shared import mark, out
 
 CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metric -> field of the card, SI
-JUDGED = (*CARD, "nrmse", "fit", "coverage")
+STEADY = (*CARD, "nrmse", "fit")  # of an inverse: it has no band
+JUDGED = (*STEADY, "coverage")
 
 
 def criteria(
     texts: Sequence[str] | None, records: Sequence[Record], outputs: Sequence[Signal | str], model, kind: str
 ) -> list:
-    """The criteria understood before a long training. Raises as `hydrotwin.comparison.criterion`."""
-    from hydrotwin.comparison import criterion
+    """The criteria of ``learn`` understood before a long training. Raises as `understood`."""
+    from hydrotwin.learned.report_card import yardsticks_of
 
     names = [getattr(s, "name", s) for s in outputs]
     if model is not None and not names:
         names = [s.name for s in getattr(model, "flat", model).outputs if all(s.name in r for r in records)]
-    found = [criterion(text, [Signal(n, records[0].units[n]) for n in names]) for text in texts or ()]
+    known = Judge(f"learn {kind}", yardsticks_of(kind, model is not None))
+    return understood(texts, [Signal(n, records[0].units[n]) for n in names], known)
+
+
+@dataclass(frozen=True)
+class Judge:
+    """The command that judges, its yardsticks by name, and the metrics that it knows."""
+
+    verb: str
+    yardsticks: Sequence[str]
+    metrics: Sequence[str] = JUDGED
+
+
+def understood(texts: Sequence[str] | None, signals: Sequence[Signal], by: Judge) -> list:
+    """Criteria on ``signals``. Raises as `hydrotwin.comparison.criterion`, and for what is not judged."""
+    from hydrotwin.comparison import criterion
+
+    found, verb = [criterion(text, list(signals)) for text in texts or ()], by.verb.split()[0]
     for one in found:
-        if one.metric not in JUDGED:
+        if one.metric not in by.metrics:
             raise DeclarationError(
-                f"accept: '{one.text}': learn judges {', '.join(JUDGED)}. Judge {one.metric} with compare."
+                f"accept: '{one.text}': {verb} judges {', '.join(by.metrics)}. Judge {one.metric} with compare."
             )
         if one.group:
             raise DeclarationError(
-                f"accept: '{one.text}': learn judges all that was held out. Write it without '{one.group}:'; compare "
+                f"accept: '{one.text}': {verb} judges all that was held out. Write it without '{one.group}:'; compare "
                 "judges recordings one by one."
             )
         if one.than:
-            _require_yardstick(one, kind, model)
+            _require_yardstick(one, by)
     return found
 
 
-def _require_yardstick(one, kind: str, model) -> None:
-    """DeclarationError when a block of this kind is not held against what the criterion names."""
-    from hydrotwin.learned.report_card import yardsticks_of
-
-    names = yardsticks_of(kind, model is not None)
+def _require_yardstick(one, by: Judge) -> None:
+    """DeclarationError when a block is not held against what the criterion names."""
     if one.metric != "rmse":
         raise DeclarationError(f"accept: '{one.text}': yardsticks have rmse only.")
-    if len(_meant(one.than, names)) != 1:
+    if len(_meant(one.than, by.yardsticks)) != 1:
         raise DeclarationError(
-            f"accept: '{one.text}': learn {kind} has no yardstick '{one.than}'. {nearest(one.than, names)}"
+            f"accept: '{one.text}': {by.verb} has no yardstick '{one.than}'. {nearest(one.than, by.yardsticks)}"
         )
 
 
@@ -57,11 +73,12 @@ def _meant(name: str, known: Sequence[str]) -> list[str]:
 
 
 def accepted(asked: Sequence, block, silent: bool) -> bool:
-    """Whether every criterion holds of the block's free run; each is said."""
+    """Whether every criterion holds of the block's card, what was held out of its making; each is said."""
     from hydrotwin.comparison import judge
+    from hydrotwin.learned.report_card import card_of
     from hydrotwin.report.acceptance import found_told, margin_told
 
-    card, good = block.provenance.get("free_run", {}), True
+    card, good = card_of(block), True
     for one in asked:
         found = judge(one, _Card(one.text, card))
         good &= found.passed

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -13,10 +15,19 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import SUFFIXES, Reading
 
 from ..loading import load
+from .accepting import STEADY, Judge, accepted, understood
 from .recordings import constants_among, read_all, reads
 from .shared import JsonOption, check_file, check_folder, examples, out
 from .training import OutOption, SetOption, named, options_of, trained, written
 
+AcceptOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--accept",
+        metavar="CRITERION",
+        help="'position_rate.rmse < 2 mm/s' at steady points that were left out; exit 1 where it does not hold",
+    ),
+]
 ReportOption = Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the curves")]
 
 
@@ -45,25 +56,30 @@ def invert(
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
+    accept: AcceptOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
     """Learn which command gives a wanted steady rate: the inverse of a characteristic, as a block."""
-    from hydrotwin.learned import characteristic, learn_inverse
+    from hydrotwin.learned import characteristic, judged_inverse, learn_inverse
 
     check_file(output, ".toml")
     if report:
         check_folder(report)
     settings, reading = constants_among(settings, (command, answer), reading)
     options = options_of("invert", learn_inverse, settings, {"method": method}, characteristic)
-    machine = _source(source, reading)
+    machine = _Machine(_source(source, reading), command, answer, options)
+    asked = _criteria(accept, machine, "invert")
     block = trained(
-        "invert", learn_inverse, (machine, command, answer), as_json, **options, **named(name), seed=seed,
+        "invert", judged_inverse, (*machine.named, ), as_json, forward=machine.forward, **options, **named(name),
+        seed=seed,
     )  # fmt: skip
     written(block, output, as_json)
     if report:
-        _report_curves(report, machine, command, answer, options, as_json, inverse=block)
+        _report_curves(report, machine, as_json, inverse=block)
+    if not accepted(asked, block, as_json):
+        raise typer.Exit(1)
 
 
 def compensate(
@@ -77,12 +93,13 @@ def compensate(
     degree: Annotated[int | None, typer.Option(min=1, help="of the polynomial; by default through all points")] = None,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     settings: SetOption = None,
+    accept: AcceptOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
     reading: Reading | None = None,
 ) -> None:
     """Learn what to command instead, so that the machine follows a desired curve through waypoints."""
-    from hydrotwin.learned import characteristic, learn_compensator, learn_inverse
+    from hydrotwin.learned import characteristic, judged_compensator, learn_compensator, learn_inverse
     from hydrotwin.learned.inverse.compensator import desired_curve
 
     check_file(output, ".toml")
@@ -91,21 +108,50 @@ def compensate(
     settings, reading = constants_among(settings, (command, answer), reading)
     options = options_of("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
     points = [_waypoint(text) for text in waypoints]
-    machine = _source(source, reading)
-    block = learn_compensator(machine, command, answer, points, **options, **named(name))
+    machine = _Machine(_source(source, reading), command, answer, options)
+    asked = _criteria(accept, machine, "compensate")
+    block = judged_compensator(*machine.named, points, forward=machine.forward, **options, **named(name))
     written(block, output, as_json)
     if report:
-        curve = desired_curve(points, degree)
-        _report_curves(report, machine, command, answer, options, as_json, compensator=block, desired=curve)
+        _report_curves(report, machine, as_json, compensator=block, desired=desired_curve(points, degree))
+    if not accepted(asked, block, as_json):
+        raise typer.Exit(1)
 
 
-def _report_curves(folder: Path, machine, command: str, answer: str, options: dict, silent: bool, **learnt) -> None:
+@dataclass(frozen=True)
+class _Machine:
+    """A model, a block or recordings, what is commanded and what answers, and the options of all that is learnt."""
+
+    source: object
+    command: str
+    answer: str
+    options: Mapping
+
+    @property
+    def named(self) -> tuple:
+        return self.source, self.command, self.answer
+
+    @cached_property
+    def forward(self):
+        """Its characteristic."""
+        from hydrotwin.learned import characteristic
+
+        own = {k: v for k, v in self.options.items() if k in inspect.signature(characteristic).parameters}
+        return characteristic(*self.named, **own)
+
+
+def _criteria(texts: Sequence[str] | None, machine: _Machine, verb: str) -> list:
+    """The criteria understood before the learning."""
+    from hydrotwin.learned.inverse.judging import YARDSTICKS, judged_signal
+
+    return understood(texts, [judged_signal(machine.forward.rate)], Judge(verb, YARDSTICKS[verb], STEADY))
+
+
+def _report_curves(folder: Path, machine: _Machine, silent: bool, **learnt) -> None:
     """The page of the characteristic that was turned round."""
-    from hydrotwin.learned import characteristic
     from hydrotwin.report.characteristic import write_characteristic
 
-    own = {k: v for k, v in options.items() if k in inspect.signature(characteristic).parameters}
-    files = write_characteristic(characteristic(machine, command, answer, **own), folder, machine=machine, **learnt)
+    files = write_characteristic(machine.forward, folder, machine=machine.source, **learnt)
     if not silent:
         out.print(f"written: {files['html']}")
 

@@ -16,7 +16,7 @@ from hydrotwin.records import Reading, Record
 from ..loading import origin
 from .accepting import accepted, criteria
 from .recordings import constants_among, read_all, reads, require_columns
-from .shared import JsonOption, RecordsArgument, ValidateOption, check_file, check_folder, err, examples, out
+from .shared import JsonOption, RecordsArgument, ValidateOption, check_file, check_folder, err, examples, mark, out
 from .showing import physical
 from .training import OutOption, SetOption, named, options_of, trained, written
 
@@ -186,8 +186,12 @@ def learned_signals(records: list[Record], inputs, outputs) -> tuple[list[Signal
 
 def _write_page(block, records, signals, model, folder: Path, silent: bool) -> None:
     """The page of a block: its free run on what was held out, beside yardsticks and the model alone."""
+    from hydrotwin.learned.report_card import card_of
     from hydrotwin.report.learned import write_learned
 
+    if not card_of(block).get("held_out"):  # the block is not lost because there is nothing to show it on
+        mark(err, "note", "no page: nothing was held out of the training that the block could run on.")
+        return
     files = write_learned(block, records, *signals, folder, model=model)
     if not silent:
         out.print(f"written: {files['html']}")

@@ -119,13 +119,14 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     """The block's files; a hybrid keeps the name of its model."""
     from hydrotwin.learned import write_block, write_hybrid
     from hydrotwin.learned.interruption import INTERRUPTED
+    from hydrotwin.learned.report_card import card_of
     from hydrotwin.learned.validation import sentence
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
     if block.provenance.get("stopped") == INTERRUPTED:
         mark(err, "note", f"stopped by Ctrl-C: {output} holds the best so far.")
-    run = block.provenance.get("free_run", {})
+    run = card_of(block)
     if as_json:
         told = {key: run[key] for key in ("says", "no_better_than") if key in run}
         told |= {"block": block.name, "files": [str(f) for f in files], "period": block.period}

@@ -13,7 +13,7 @@ from .feedback import learn_feedback_gp
 from .single import learn_gaussian_process
 
 OF_DELAYED_INPUTS = ("rate", "fit", "compress", "bound")  # options that only that process has
-OF_FEEDBACK = ("evaluations", "starts")
+OF_FEEDBACK = ("evaluations", "starts", "select")
 
 
 def learn_gp(
@@ -34,6 +34,7 @@ def learn_gp(
     starts: int | None = None,
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     seed: int = 0,
     name: str = "gaussian_process",
     progress: Callable | None = None,
@@ -48,7 +49,7 @@ def learn_gp(
     """
     given = {"rate": rate, "kernel": kernel, "lags": lags, "fit": fit, "points": points, "samples": samples}
     given |= {"compress": compress, "bound": bound, "evaluations": evaluations, "starts": starts}
-    given |= {"period": period}
+    given |= {"period": period, "select": select or None}
     given = {option: value for option, value in given.items() if value is not None}
     only_delayed = [o for o in OF_DELAYED_INPUTS if o in given] + (["lags"] if isinstance(lags, int) else [])
     feedback = not only_delayed if feedback is None else feedback

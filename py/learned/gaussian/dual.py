@@ -17,6 +17,7 @@ from ..bands import calibrated, with_arrays
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import CtrlC
 from ..needs import needed_to_train
+from ..options import check_counts
 from ..steady import steady_where_it_integrates
 from ..training_data import training_box
 from .delay_lines import Rows, certification_grid, delayed_rows, even_period, input_scales, normalised, training_rows
@@ -287,8 +288,7 @@ def _check(kernels, lead, knots, *shared) -> None:
         check_options(VERB, one, *shared)
     if lead not in (None, 0, 1):
         raise DeclarationError(f"{VERB}: lead must be 0, 1 or None (got {lead}). Leave it out to choose by the data.")
-    if isinstance(knots, bool) or not isinstance(knots, (int, np.integer)) or knots < 8:
-        raise DeclarationError(f"{VERB}: knots must be a whole number from 8 up (got {knots}). 60 are usual.")
+    check_counts(VERB, {"knots": (knots, 8)}, " 60 are usual.")
 
 
 def _recordings(records, inputs, outputs, through, validate):

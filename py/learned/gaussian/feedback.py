@@ -14,7 +14,8 @@ from hydrotwin.records import Record
 
 from ..bands import calibrated
 from ..block_file import Certificate, LearnedBlock, assemble
-from ..training_data import checked_recordings, named, training_box
+from ..options import check_counts, check_positive
+from ..training_data import checked_recordings, named, training_box, usable
 from .feedback_band import directions, first_increments, unexplained
 from .feedback_block import FEEDBACK, feedback_frame
 from .feedback_search import KERNELS, Search, Task, folds, periods_of
@@ -39,6 +40,7 @@ def learn_feedback_gp(
     samples: int = 2000,
     evaluations: int = 80,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     seed: int = 0,
     starts: int = STARTS,
     name: str = "gaussian_process",
@@ -61,7 +63,8 @@ def learn_feedback_gp(
             50 000 rows cost 0.4 s of the processor, and are no reason for minibatches (see `sparse`). All of a training
             on 20 000 rows, forms and free runs: 56 s and 190 MB, in one thread.
         evaluations: of the likelihood's bound, at most.
-        validate: recordings for ``provenance["validation"]``; nothing is chosen on them.
+        validate: recordings for ``provenance["validation"]``; nothing is chosen on them. select: recordings that choose
+            in place of the parts, and scale the band; no weight is fitted to them.
         seed, starts: the chosen form is trained from the seeds ``seed ... seed + starts - 1``; the one whose free runs
             over the parts held out are best is kept. ``provenance["seeds"]`` has what each comes to.
         progress: called with a `FeedbackProgress` for every form tried.
@@ -76,11 +79,13 @@ def learn_feedback_gp(
     kernels = [parsed(text, VERB) for text in ([kernel] if kernel else KERNELS)]
     inputs, outputs, records, validate = checked_recordings(VERB, records, inputs, outputs, validate)
     task, effort = Task(records, inputs, outputs), Effort(points, samples, evaluations)
-    search = Search(folds(task), kernels, effort, range(seed, seed + starts), progress)
+    select = usable(select, (*inputs, *outputs)) if select else []
+    search = Search(folds(task, select), kernels, effort, range(seed, seed + starts), progress)
     chosen = search.chosen(periods_of(records, period), lags)
     judged = [(_block(t, f.fit, name, seed), f.held) for t, f in zip(chosen, search.folds, strict=True)]
     block = calibrated(_block(_on_all(task, chosen, effort, search.seeds), task, name, seed), judged)
     told = {"tried": search.tried, "free_run_held_out": search.best, "seeds": search.of_seeds}
+    told |= {"selected_on": named(select) or "parts of every training recording, held out in turn"}
     told |= {"validation": free_run_errors(block, validate, outputs)}
     return replace(block, provenance=block.provenance | told)
 
@@ -182,12 +187,9 @@ def certify(block: LearnedBlock, trained: Trained, points: int = 2000) -> Certif
 
 
 def _check(points, samples, evaluations, starts, period, lags) -> None:
-    whole = (("points", points, 5), ("samples", samples, 50), ("evaluations", evaluations, 1), ("starts", starts, 1))
-    for option, value, least in whole:
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-            raise DeclarationError(f"{VERB}: {option} must be a whole number from {least} up (got {value}).")
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"{VERB}: period must be positive (got {period}).")
+    counts = {"points": (points, 5), "samples": (samples, 50), "evaluations": (evaluations, 1), "starts": (starts, 1)}
+    check_counts(VERB, counts)
+    check_positive(VERB, period=period)
     if lags is not None and (
         len(tuple(lags)) != 3 or lags[0] not in (0, 1) or lags[1] < 0 or lags[2] < 1 or any(int(v) != v for v in lags)
     ):

@@ -77,8 +77,10 @@ class Fold:
         return np.concatenate(missed), np.concatenate(moved)
 
 
-def folds(task: Task) -> list[Fold]:
-    """Parts of every recording held out in turn, cut where the signals are quiet."""
+def folds(task: Task, select: Sequence[Record] = ()) -> list[Fold]:
+    """Parts of every recording held out in turn, cut where the signals are quiet; or the recordings that choose."""
+    if select:
+        return [Fold(task, list(select))]
     parts = next(parts for most, parts in FOLDS if sum(map(len, task.records)) <= most)
     ranges = np.maximum(np.ptp(np.concatenate([r.array(task.names) for r in task.records]), axis=0), 1e-300)
     answer = []

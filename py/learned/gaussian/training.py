@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError
 
 from ..interruption import INTERRUPTED, CtrlC
+from ..options import check_counts, check_known, check_positive
 from ..training_data import named
 from .delay_lines import FEWEST, Rows, normalised
 from .integrated_band import leading
@@ -191,18 +192,12 @@ def reference_name(above: float, below: float) -> str:
 
 def check_options(verb, kernel, lags, fit, points, samples, compress, bound, period) -> None:
     """Raise `DeclarationError` for options that make no sense."""
-    for option, value, known in (("kernel", kernel, KERNELS), ("fit", fit, FITS)):
-        if value not in known:
-            raise DeclarationError(f"{verb}: no {option} '{value}'. {nearest(str(value), known)}")
-    least = {"lags": (lags, 1), "samples": (samples, FEWEST)}
-    least |= {} if points is None else {"points": (points, FEWEST)}
+    check_known(verb, "kernel", kernel, KERNELS)
+    check_known(verb, "fit", fit, FITS)
+    least = {"lags": (lags, 1), "samples": (samples, FEWEST), "points": (points, FEWEST)}
     least |= {} if compress in (None, "auto") else {"compress": (compress, 5)}
-    for option, (value, smallest) in least.items():
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < smallest:
-            raise DeclarationError(f"{verb}: {option} must be a whole number from {smallest} up (got {value}).")
-    for option, value in {"bound": bound, "period": 1.0 if period is None else period}.items():
-        if not (np.isfinite(value) and value > 0):
-            raise DeclarationError(f"{verb}: {option} must be positive (got {value}).")
+    check_counts(verb, least)
+    check_positive(verb, bound=bound, period=period)
 
 
 def check_size(verb: str, rows: int, features: int, processes: int, compress: int | str | None) -> None:

@@ -8,13 +8,14 @@ from functools import cached_property
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.records.resampling import hold
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock
+from ..options import check_positive
 from ..training_data import as_signals, check_excitation, choose_period, usable
 
 FINER = 5  # block samples over the longest period that loses nothing
@@ -127,7 +128,7 @@ def _only_one(verb: str, inputs: Sequence[Signal], outputs: Sequence[Signal]) ->
         if len(given) != 1:
             raise DataError(
                 f"{verb}: one {role} is needed (got {', '.join(s.name for s in given)}). "
-                "Learn a block for each, or take train_network."
+                "Learn a block for each, or take nn, gp, narx or state_nn, which have several."
             )
     if inputs[0].name == outputs[0].name:
         raise DataError(f"{verb}: '{inputs[0].name}' named both as input and output. A signal is one of the two.")
@@ -141,8 +142,7 @@ def block_period(verb: str, records: Sequence[Record], period: float | None) -> 
     """
     if period is None:
         return _fine_period(records)
-    if not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"{verb}: period must be positive (got {period}). Give seconds, such as 0.01.")
+    check_positive(verb, period=period)
     longest = min(r.duration for r in records) / 50
     if period > longest:
         raise DataError(

@@ -9,13 +9,13 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
 from ..integrating import integration, one_form, told_forms
 from ..interruption import INTERRUPTED
+from ..options import check_counts, check_positive
 from ..steady import Steady, steady_block
 from ..training_data import named, training_box
 from .block import GREY_BOX, grey_box_states
@@ -90,7 +90,8 @@ def learn_grey_box(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     began = perf_counter()
-    _check_options(knots, starts, effort)
+    check_counts("learn_grey_box", {"knots": (knots, 4), "starts": (starts, 1)})
+    check_positive("learn_grey_box", effort=effort)
     records, select, input_, output = one_in_one_out("learn_grey_box", records, inputs, outputs, validate, select)
     period = block_period("learn_grey_box", records, period)
     forms = integration(records, (input_,), (output,))
@@ -215,11 +216,3 @@ def _block(fitted: Fitted, sign, integrating, period, name, records, input_: Sig
         ),
         provenance={},
     )
-
-
-def _check_options(knots, starts, effort) -> None:
-    for option, (value, least) in {"knots": (knots, 4), "starts": (starts, 1)}.items():
-        if int(value) != value or value < least:
-            raise DeclarationError(f"learn_grey_box: {option} must be a whole number from {least} up (got {value}).")
-    if not effort > 0:
-        raise DeclarationError(f"learn_grey_box: effort must be positive (got {effort}).")

@@ -18,12 +18,13 @@ from importlib import metadata
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation.block import TrainingDomain
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..needs import needed_to_train
+from ..options import check_counts, check_known
 from .curve import GRID, INVERSE_NETWORK, INVERSE_TABLE, refuse_falling, static_answer
 from .data import Characteristic, characteristic
 
@@ -201,13 +202,9 @@ def _versions(*more: str) -> dict[str, str]:
 
 
 def _check_options(method, steepest, hidden, iterations, monotonicity, sampling) -> None:
-    if method not in METHODS:
-        raise DeclarationError(f"learn_inverse: no method '{method}'. {nearest(str(method), METHODS)}")
-    if sampling not in SAMPLINGS:
-        raise DeclarationError(f"learn_inverse: no sampling '{sampling}'. {nearest(str(sampling), SAMPLINGS)}")
-    for option, value in {"hidden": hidden, "iterations": iterations}.items():
-        if int(value) != value or value < 1:
-            raise DeclarationError(f"learn_inverse: {option} must be a whole number from 1 up (got {value}).")
+    check_known("learn_inverse", "method", method, METHODS)
+    check_known("learn_inverse", "sampling", sampling, SAMPLINGS)
+    check_counts("learn_inverse", {"hidden": (hidden, 1), "iterations": (iterations, 1)})
     if not steepest > 1:
         raise DeclarationError(f"learn_inverse: steepest must be above 1 mean slope (got {steepest}). Try 200.")
     if not 0 <= monotonicity < math.inf:

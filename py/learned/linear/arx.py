@@ -9,12 +9,13 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..options import check_counts, check_lags, check_positive
 from ..training_data import checked_recordings, named, training_box, usable
 from .arx_block import ARX, arx_states
 from .orders import NOTHING, SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
@@ -82,7 +83,9 @@ def learn_arx(
         DeclarationError: impossible options.
     """
     began = perf_counter()
-    _check_options(period, lags, delay)
+    check_positive("learn_arx", period=period)
+    check_counts("learn_arx", {"delay": (delay, 0)})
+    check_lags("learn_arx", lags, "past values", "2,6")
     inputs, outputs, records, validate = checked_recordings("learn_arx", records, inputs, outputs, validate)
     asked = Asked(rate, *(lags or (None, None)), delay)
     select = usable(select, (*inputs, *outputs)) if select else []
@@ -115,6 +118,7 @@ def choose(
     finalists : how many per output are fitted to their free runs as well; 0: none.
     """
     records, _ = both
+    _check_size(records, period)
     scales, best = Scales.of(records, inputs, outputs), None
     periods = [period] if period else periods_of(records)
     for candidate in periods:
@@ -129,13 +133,22 @@ def choose(
             best = errors, candidate, rows, searches
     if best is None:
         raise DataError(
-            "learn_arx: no stable equation runs over what was held out "
+            "learn: no stable equation runs over what was held out "
             f"({sum(len(r) for r in records)} samples were given). Record longer, and move every input more often."
         )
     _, period, rows, searches = best
     found = [_equation(s, finalists) for s in searches]
     errors = np.sqrt([e for _, e in found]) * scales.output_scale
     return Chosen(period, rows, [eq for eq, _ in found], errors)
+
+
+def _check_size(records: Sequence[Record], period: float | None) -> None:
+    """DataError for fewer samples than `LEAST`, as recorded or at the period that is asked for."""
+    samples = sum(len(r) if period is None else min(len(r), int(r.duration / period) + 1) for r in records)
+    if samples < LEAST:
+        at = "" if period is None else f" at {period:g} s"
+        told = f"learn: too few samples to train on (got {samples}{at}). At least {LEAST} are needed. Record longer"
+        raise DataError(f"{told}." if period is None else f"{told}, or choose a shorter period.")
 
 
 def _surely_less(errors: np.ndarray, before: np.ndarray) -> bool:
@@ -158,11 +171,6 @@ def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0
 def periods_of(records: Sequence[Record]) -> list[float]:
     """The sampling period and multiples, with neither too many samples over all recordings nor too few in one."""
     recorded, total = max(r.period for r in records), sum(r.duration for r in records)
-    if sum(len(r) for r in records) < LEAST:
-        raise DataError(
-            f"learn_arx: too few samples to train on (got {sum(len(r) for r in records)}). At least {LEAST} are needed."
-            " Record longer."
-        )
     finest = recorded * max(1, int(np.ceil(total / recorded / MOST)))
     shortest = min(r.duration for r in records)
     return [float(f"{finest * f:.9g}") for f in FACTORS if f == 1 or shortest / (finest * f) >= SAMPLES]
@@ -172,7 +180,10 @@ def _equation(search: Search, finalists: int) -> tuple[Equation, float]:
     """The simplest of the best orders, or what is better on what is held out among the refined ones."""
     ranked = [order for order in search.ranked() if fitted(search.rows, search.rows.all, search.output, order).stable]
     if not ranked:
-        raise DataError("learn_arx: no stable equation fits the recordings. Move every input more often.")
+        raise DataError(
+            "learn: no stable equation fits the recordings "
+            f"(got {sum(len(p.y) for p in search.rows.parts)} samples). Record longer, and move every input more often."
+        )
     order = ranked[0]
     best = fitted(search.rows, search.rows.all, search.output, order), search.error(order)
     for order in _apart(ranked)[:finalists]:
@@ -240,21 +251,6 @@ def certified(block: LearnedBlock, chosen: Chosen, scales: Scales) -> Certificat
         worst = max(worst, float((np.abs(found - expected) / np.ptp(expected, axis=0).clip(1e-300)).max()))
         points += len(expected)
     return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")
-
-
-def _check_options(period, lags, delay) -> None:
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"learn_arx: period must be positive (got {period}). Give seconds, such as 0.01.")
-    counts = {"delay": (0 if delay is None else delay, 0)}
-    if lags is not None:
-        if np.shape(lags) != (2,):
-            raise DeclarationError(
-                f"learn_arx: lags are two: past values, and samples of every input (got {lags}). Write 2,6."
-            )
-        counts |= {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1)}
-    for option, (value, least) in counts.items():
-        if int(value) != value or value < least:
-            raise DeclarationError(f"learn_arx: {option} must be a whole number from {least} up (got {value}).")
 
 
 def _told(order: Order, inputs: Sequence[Signal]) -> dict:

@@ -9,12 +9,13 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..options import check_counts, check_positive
 from ..training_data import checked_recordings, named, training_box, usable
 from .arx import Chosen, choose, periods_of, rows_at
 from .candidates import ORDERS, Candidate, candidates, forms_of, ranked
@@ -68,7 +69,8 @@ def learn_linear(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     began = perf_counter()
-    _check_options(period, order)
+    check_positive("learn_linear", period=period)
+    check_counts("learn_linear", {"order": (order, 1)})
     inputs, outputs, records, validate = checked_recordings("learn_linear", records, inputs, outputs, validate)
     scales = Scales.of(records, inputs, outputs)
     select = usable(select, (*inputs, *outputs)) if select else []
@@ -133,8 +135,9 @@ def _best(rows: dict[float, Rows], chosen: Chosen, orders, asked, progress) -> t
     first = [ranked(group)[0] for group in tried.values() if ranked(group)]
     if not first:
         raise DataError(
-            "learn_linear: no linear model runs over what was held out. Record longer, move every input more often, "
-            "or take learn_arx."
+            "learn_linear: no linear model runs over what was held out "
+            f"(got {max(sum(len(p.y) for p in r.parts) for r in rows.values())} samples). Record longer, move every "
+            "input more often, or take learn arx."
         )
     first.sort(key=lambda c: c.error)
     evaluations = 0
@@ -162,13 +165,6 @@ def _certified(block: LearnedBlock, runs: WholeRuns, fitted: Fitted, way: Way, s
         worst = max(worst, float((np.abs(found - expected) / np.ptp(expected, axis=0).clip(1e-300)).max()))
         points += len(expected)
     return Certificate(worst, TOLERANCE, points, f"numpy {np.__version__} float64, the fit's own run")
-
-
-def _check_options(period, order) -> None:
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"learn_linear: period must be positive (got {period}). Give seconds, such as 0.01.")
-    if order is not None and (int(order) != order or order < 1):
-        raise DeclarationError(f"learn_linear: order must be a whole number from 1 up (got {order}).")
 
 
 def _told(best: Candidate, outputs) -> dict:

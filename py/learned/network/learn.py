@@ -8,11 +8,12 @@ from importlib import metadata
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
+from ..options import check_counts, check_positive
 from ..steady import steady_where_it_integrates
 from ..training_data import checked_recordings, named, training_box
 from .form import Form
@@ -73,7 +74,9 @@ def train_network(
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
-    _check_options(lags, delay, hidden, starts, effort, budget, period)
+    counts = {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1), "delay": (delay, 0), "hidden": (hidden, 0)}
+    check_counts("train_network", counts | {"starts": (starts, 1)})
+    check_positive("train_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, validate = checked_recordings("train_network", records, inputs, outputs, validate)
     select = checked_recordings("train_network", records, inputs, outputs, select)[3]
     asked = Asked(period, *lags, delay, integrates, hidden, seed, starts, effort)
@@ -126,16 +129,6 @@ def certify(block: LearnedBlock, weights: np.ndarray, shape: NarxShape, points: 
         errors.append(deployed[:, ny : 2 * ny] / a["output_scale"] - moved)
     difference = max(float(np.abs(e).max()) for e in errors)
     return Certificate(difference, TOLERANCE, points, f"numpy {metadata.version('numpy')} float64")
-
-
-def _check_options(lags, delay, hidden, starts, effort, budget, period) -> None:
-    counts = {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1), "delay": (delay, 0), "hidden": (hidden, 0)}
-    for option, (value, least) in (counts | {"starts": (starts, 1)}).items():
-        if value is not None and (int(value) != value or value < least):
-            raise DeclarationError(f"train_network: {option} must be a whole number from {least} up (got {value}).")
-    for option, value in {"effort": effort, "budget": budget, "period": period}.items():
-        if value is not None and not value > 0:
-            raise DeclarationError(f"train_network: {option} must be positive (got {value}).")
 
 
 def _check_size(search: Search, asked: Asked) -> None:

@@ -8,13 +8,14 @@ from importlib import metadata
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..gaussian.delay_lines import certification_grid, even_period, input_scales, normalised, training_rows
 from ..needs import needed_to_train
+from ..options import check_counts
 from ..steady import steady_where_it_integrates
 from ..training_data import checked_recordings, named, training_box
 from .rate_block import RATE_NETWORK, rate_frame
@@ -62,7 +63,8 @@ def learn_rate_network(
     """
     with needed_to_train("learn_rate_network"):
         from . import adam
-    _check_options(lags=lags, hidden=hidden, iterations=iterations, starts=starts, samples=samples)
+    counts = {"lags": lags, "hidden": hidden, "iterations": iterations, "starts": starts, "samples": samples}
+    check_counts("learn_rate_network", {option: (value, 1) for option, value in counts.items()})
     inputs, outputs, records, _ = checked_recordings("learn_rate_network", records, inputs, outputs, validate)
     if len(outputs) != 1:
         raise DataError(f"learn_rate_network: one output is needed (got {len(outputs)}). Learn a block for each.")
@@ -112,9 +114,3 @@ def certify(block: LearnedBlock, adam, grid: np.ndarray) -> Certificate:
 
 def _count(arrays: dict[str, np.ndarray]) -> int:
     return sum(a.size for a in arrays.values())
-
-
-def _check_options(**counts: int) -> None:
-    for option, value in counts.items():
-        if int(value) != value or value < 1:
-            raise DeclarationError(f"learn_rate_network: {option} must be a whole number from 1 up (got {value}).")

@@ -9,13 +9,14 @@ from time import perf_counter
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock, assemble
 from ..grey_box.data import FitProgress, Watch, block_period, certify, falls, one_in_one_out, run_of, seen_late
 from ..integrating import integration, one_form, told_forms
+from ..options import check_counts, check_known
 from ..steady import Steady, steady_block
 from ..training_data import named, training_box
 from .block import PIECEWISE, piecewise_states, whole_and_share
@@ -133,13 +134,11 @@ def _block(curve: Curve, integrating, period, name, records, input_: Signal, out
 
 
 def _check_options(fit, starts, dead_time) -> None:
-    if fit not in FITS:
-        raise DeclarationError(f"learn_piecewise: no fit '{fit}'. {nearest(str(fit), FITS)}")
+    check_known("learn_piecewise", "fit", fit, FITS)
+    check_counts("learn_piecewise", {"starts": (starts, 1)})
     if fit == "paper" and dead_time:
         raise DeclarationError(
             f"learn_piecewise: fit='paper' has no dead time (got {dead_time} s). Leave one of them out."
         )
-    if int(starts) != starts or starts < 1:
-        raise DeclarationError(f"learn_piecewise: starts must be a whole number from 1 up (got {starts}).")
     if dead_time is not None and not (np.isfinite(dead_time) and dead_time >= 0):
         raise DeclarationError(f"learn_piecewise: dead_time must not be negative (got {dead_time} s).")

@@ -18,6 +18,7 @@ from ..linear.arx import Chosen, choose
 from ..linear.orders import Asked
 from ..needs import needed_to_train
 from ..network.narx import NarxShape
+from ..options import check_counts, check_lags, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
 from ..symbolic.data import Prepared, prepare
 from ..training_data import checked_recordings, choose_period, named, on_period, usable
@@ -84,7 +85,12 @@ def learn_narx(
     began = perf_counter()
     with needed_to_train("learn_narx"):
         from ..symbolic import deploy
-    _check_options(period, degree, lags, delay, terms, {"tolerance": tolerance, "budget": budget})
+    check_counts("learn_narx", {"degree": (degree, 1), "terms": (terms, 1), "delay": (delay, 0)})
+    check_positive("learn_narx", period=period, budget=budget)
+    check_tolerance("learn_narx", tolerance)
+    check_lags("learn_narx", lags, "past increments", "1,3")
+    if degree > DEGREE:
+        raise DeclarationError(f"learn_narx: degree is {DEGREE} at most (got {degree}). Longer products run away.")
     inputs, outputs, records, validate = checked_recordings("learn_narx", records, inputs, outputs, validate)
     chosen_by = usable(select, (*inputs, *outputs)) if select else []
     asked = Asked(None, None, lags[1] if lags else None, delay)
@@ -241,24 +247,3 @@ def _told(found: _Found, inputs, outputs) -> dict:
 def _describe(told: dict) -> str:
     parts = [f"{name} from {len(t['terms'])} terms of degree {t['degree']}" for name, t in told.items()]
     return "polynomial NARX: " + "; ".join(parts)
-
-
-def _check_options(period, degree, lags, delay, terms, amounts: dict) -> None:
-    if period is not None and not (np.isfinite(period) and period > 0):
-        raise DeclarationError(f"learn_narx: period must be positive (got {period}). Give seconds, such as 0.01.")
-    counts = {"degree": (degree, 1), "terms": (terms, 1)} | ({} if delay is None else {"delay": (delay, 0)})
-    if lags is not None:
-        if np.shape(lags) != (2,):
-            raise DeclarationError(
-                f"learn_narx: lags are two: past increments, and samples of every input (got {lags}). Write 1,3."
-            )
-        counts |= {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1)}
-    for option, (value, least) in counts.items():
-        if int(value) != value or value < least:
-            raise DeclarationError(f"learn_narx: {option} must be a whole number from {least} up (got {value}).")
-    if degree > DEGREE:
-        raise DeclarationError(f"learn_narx: degree is {DEGREE} at most (got {degree}). Longer products run away.")
-    if not 0 <= amounts["tolerance"] < np.inf:
-        raise DeclarationError(f"learn_narx: tolerance must be 0 or more (got {amounts['tolerance']}). 0.05 is 5 %.")
-    if amounts["budget"] is not None and not amounts["budget"] > 0:
-        raise DeclarationError(f"learn_narx: budget must be positive (got {amounts['budget']}). Give seconds.")

@@ -151,11 +151,13 @@ def choose(
 
 
 def on_everything(task: Task, found: Trial) -> Climb:
-    """The chosen network trained some more on all samples, those too that chose it, held back more by its decay.
+    """The chosen network trained some more on all samples of what it was trained on, held back more by its decay.
+
+    Those too that chose it, but for recordings that only choose.
 
     Nothing is left that could judge: the last iterate is the network.
     """
-    runs = [replace(run, used=np.ones(len(run.u), dtype=bool)) for run in task.runs]
+    runs = [replace(run, used=np.ones(len(run.u), dtype=bool)) for run in task.runs if run.used.any()]
     course = replace(found.climb.course, runs=runs, decay=HELD_BACK * found.form.decay)
     return Climb(course, found.climb.best.net, found.seed).through(task.plan.everything)
 

@@ -114,7 +114,7 @@ class Course:
     def sections(self, stage: Stage, rates: np.ndarray, rng: np.random.Generator) -> list[Sections]:
         """Sections of the training recordings, those of one length together."""
         short, whole = [], []
-        for run in self.runs:
+        for run in (run for run in self.runs if run.used.any()):
             n, past, horizon = len(run.u), self.shape.past, stage.horizon
             fits = n > horizon + past + 1
             if stage.whole or not fits:

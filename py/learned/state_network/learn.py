@@ -9,14 +9,15 @@ from importlib import metadata
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED, CtrlC
+from ..options import check_counts, check_positive
 from ..steady import steady_where_it_integrates
-from ..training_data import ROOM, checked_recordings, choose_period, named, on_period, training_box
+from ..training_data import ROOM, checked_recordings, choose_period, named, on_period, training_box, usable
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
 from .climbing import Run, Stage
 from .equations import STATE_NETWORK, StateShape, network_states
@@ -55,6 +56,7 @@ def learn_state_network(
     *,
     period: float | None = None,
     validate: Sequence[Record] = (),
+    select: Sequence[Record] = (),
     hidden_states: int | None = None,
     hidden: int | None = None,
     past: int = PAST,
@@ -81,7 +83,8 @@ def learn_state_network(
         inputs, outputs: Signals, or names that take the unit of the recording.
         period: s between steps; None: the longest that loses nothing worth having (`choose_period`) and leaves
             `PLENTY` samples, or that of the recordings.
-        validate: checked, but nothing is selected on them.
+        validate: checked, but nothing is selected on them. select: recordings that choose in place of parts held out;
+            nothing is fitted to them.
         hidden_states: beside the outputs; None: 1 to 3 are tried.
         hidden: tanh units; None: one for every 100 samples, 2 to 8; 0 gives a linear model.
         past: samples before the first that the encoder sees.
@@ -96,10 +99,13 @@ def learn_state_network(
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
-    _check_options(hidden_states, hidden, past, starts, effort, budget, period)
+    counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
+    check_counts("learn_state_network", counts)
+    check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
     period, began = float(period or _period(records)), time.monotonic()
-    data = _normalised(records, inputs, outputs, period)
+    select = usable(select, (*inputs, *outputs)) if select else []
+    data = _normalised((records, select), inputs, outputs, period)
     forms = _forms(data, hidden_states, hidden)
     with CtrlC() as ctrl_c:
         stop = _Stop(ctrl_c, budget, began)
@@ -119,7 +125,7 @@ def learn_state_network(
         period=period,
         domain=training_box(records, (*inputs, *outputs)),
         description=_described(net.shape, found.form),
-        provenance=_provenance(records, found, trials)
+        provenance=_provenance((records, select), found, trials)
         | {"iterations": found.climb.iterations + last.iterations, "stopped": stop.reason or "finished"},
     )
     block = replace(block, certificate=certify(block, net))
@@ -163,17 +169,6 @@ def _stepped(net: Network, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return free_run(net, s, x)[1, :, : shape.order]
 
 
-def _check_options(hidden_states, hidden, past, starts, effort, budget, period) -> None:
-    counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
-    for option, (value, least) in counts.items():
-        if value is not None and (int(value) != value or value < least):
-            told = f"learn_state_network: {option} must be a whole number from {least} up (got {value})."
-            raise DeclarationError(told)
-    for option, value in {"effort": effort, "budget": budget, "period": period}.items():
-        if value is not None and not value > 0:
-            raise DeclarationError(f"learn_state_network: {option} must be positive (got {value}).")
-
-
 def _period(records: Sequence[Record]) -> float:
     """The period of the network [s]."""
     recorded = max(r.period for r in records)
@@ -181,24 +176,26 @@ def _period(records: Sequence[Record]) -> float:
     return float(f"{min(choose_period(records), most * recorded):.9g}")
 
 
-def _normalised(records, inputs, outputs, period: float) -> _Normalised:
-    even = [on_period(r, period, inputs) for r in records]
-    count = sum(len(r) for r in even)
+def _normalised(both, inputs, outputs, period: float) -> _Normalised:
+    """Recordings to train on, with their scales, and those that only choose."""
+    records, select = ([on_period(r, period, inputs) for r in part] for part in both)
+    count = sum(len(r) for r in records)
     if count < FEWEST:
         raise DataError(
             f"learn_state_network: too few samples to learn from (got {count} at {period:g} s). At least {FEWEST} are "
             "needed. Record longer or choose a shorter period."
         )
-    even = [r for r in even if len(r) > PAST + 2]
-    u, y = ([r.array([s.name for s in part]) for r in even] for part in (inputs, outputs))
-    arrays = {}
-    for part, values in (("input", np.concatenate(u)), ("output", np.concatenate(y))):
+    records, select = ([r for r in part if len(r) > PAST + 2] for part in (records, select))
+    u, y = ([r.array([s.name for s in part]) for r in (*records, *select)] for part in (inputs, outputs))
+    arrays, n = {}, len(records)
+    for part, values in (("input", np.concatenate(u[:n])), ("output", np.concatenate(y[:n]))):
         spread = values.std(axis=0)
         arrays |= {f"{part}_centre": values.mean(axis=0), f"{part}_scale": np.where(spread > 0, spread, 1.0)}
     runs = []
-    for given, measured in zip(u, y, strict=True):
+    for k, (given, measured) in enumerate(zip(u, y, strict=True)):
         normal = (given - arrays["input_centre"]) / arrays["input_scale"]
-        runs.append(Run(normal, (measured - arrays["output_centre"]) / arrays["output_scale"], _used(len(given))))
+        used = np.full(len(given), k < n) if select else _used(len(given))
+        runs.append(Run(normal, (measured - arrays["output_centre"]) / arrays["output_scale"], used))
     return _Normalised(arrays, runs)
 
 
@@ -217,7 +214,7 @@ def _forms(data: _Normalised, hidden_states: int | None, hidden: int | None) -> 
 
 
 def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
-    y = np.concatenate([run.y for run in data.runs])
+    y = np.concatenate([run.y for run in data.runs if run.used.any()])
     room = ROOM * np.ptp(y, axis=0)
     longest = max(len(run.u) for run in data.runs)
     return Task(data.runs, np.array([y.min(axis=0) - room, y.max(axis=0) + room]), past, _plan(longest, effort), hooks)
@@ -245,15 +242,19 @@ def _described(shape: StateShape, form: Form) -> str:
     return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights"
 
 
-def _provenance(records, found: Trial, trials: list[dict]) -> dict:
+def _provenance(both, found: Trial, trials: list[dict]) -> dict:
+    of_form = found.form.told().items()
     parts = " and ".join(f"{first:.0%} to {last:.0%}" for first, last in HELD_OUT)
     return {
         "kind": "state_network",
-        "trained_on": named(records),
-        "selected_on": f"{parts} of every training recording",
+        "trained_on": named(both[0]),
+        "selected_on": named(both[1]) or f"{parts} of every training recording",
         "seed": found.seed,
         **found.form.told(),
         "held_out_error": found.error,
         "trials": trials,
+        "seeds": [
+            {key: trial[key] for key in ("seed", "held_out_error")} for trial in trials if of_form <= trial.items()
+        ],
         "versions": {package: metadata.version(package) for package in ("numpy", "casadi")},
     }

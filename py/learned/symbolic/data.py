@@ -206,7 +206,7 @@ def _enough(record: Record, samples: int, period: float) -> None:
     if samples < LEAST_SAMPLES:
         raise DataError(
             f"{record.source or record.name}: too few samples (got {samples} at {period:g} s). "
-            f"At least {LEAST_SAMPLES} are needed. Leave the recording out or choose a shorter period."
+            f"At least {LEAST_SAMPLES} are needed. Record longer, leave the recording out, or choose a shorter period."
         )
 
 

@@ -16,6 +16,7 @@ from hydrotwin.records import Record
 from ..block_file import LearnedBlock
 from ..interruption import INTERRUPTED
 from ..needs import needed_to_train
+from ..options import check_counts, check_known, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
 from ..training_data import checked_recordings, choose_period, named, usable
 from .block import SUBTRACT, VARIABLE, Formula
@@ -209,25 +210,16 @@ def _judged(selecting, selection, data: Prepared, formula: Formula) -> dict:
 
 
 def _check_options(fit, static, lags, counts: dict, amounts: dict) -> None:
-    if fit not in FITS:
-        raise DeclarationError(f"learn_symbolic: no fit '{fit}'. {nearest(str(fit), FITS)}")
+    check_known("learn_symbolic", "fit", fit, FITS)
     if static and fit == "paper":
         raise DeclarationError("learn_symbolic: static data and fit paper do not go together (got static=True). "
                                "The paper learns the next value. Leave out one of the two.")  # fmt: skip
     n, m = lags
     least = {"lags[0]": 0, "lags[1]": 1, "starts": 1, "population": 20, "generations": 1, "nodes": 3}
-    for option, value in {"lags[0]": n, "lags[1]": m, **counts}.items():
-        if value is not None and (int(value) != value or value < least[option]):
-            raise DeclarationError(
-                f"learn_symbolic: {option} must be a whole number from {least[option]} up (got {value})."
-            )
-    for option in ("budget", "period"):
-        if amounts[option] is not None and not amounts[option] > 0:
-            raise DeclarationError(f"learn_symbolic: {option} must be positive (got {amounts[option]}).")
-    if not 0 <= amounts["tolerance"] < np.inf:
-        raise DeclarationError(
-            f"learn_symbolic: tolerance must be 0 or more (got {amounts['tolerance']}). 0.05 is 5 %."
-        )
+    given = {"lags[0]": n, "lags[1]": m, **counts}
+    check_counts("learn_symbolic", {option: (value, least[option]) for option, value in given.items()})
+    check_positive("learn_symbolic", budget=amounts["budget"], period=amounts["period"])
+    check_tolerance("learn_symbolic", amounts["tolerance"])
 
 
 def _provenance(fit: str, records, select, seed: int, found: dict) -> dict:

@@ -1,0 +1,57 @@
+"""Slides: whole recordings may have several minima close to each other along what they say least about.
+
+A lightly damped mode that rings through a whole recording makes them. Where windows explain all, and a fit to whole
+recordings does not, it came to rest in one of the wrong ones: points along its weakest directions lead to the others.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+
+import numpy as np
+
+from hydrotwin.identification.descent import Task, along_valleys, whole_runs
+from hydrotwin.identification.least_squares import Minimum, minimise
+from hydrotwin.models.language.errors import SolveError
+
+from .job import Fitted, Job
+from .whole import FIRST, TOLERANCE, concluded, first, settled
+
+LENGTHS = (-0.2, -0.1, 0.1, 0.2)  # of a slide, in q of the parameter that moves most
+DIRECTIONS = 3  # in which the recordings say least
+STEPS = 8  # from the end of a slide, which show where it leads
+SLIDES = 4  # one after the other, at most
+
+
+def slide(job: Job) -> Fitted | str:
+    """Fit a structure to whole recordings and slide from there to minima beside it, while that leads to lower ones.
+
+    Pure and picklable. A sentence when it diverges.
+    """
+    began, job = time.perf_counter(), job.beginning()
+    try:
+        task, found = first(job)
+        for _ in range(SLIDES):
+            best = _beside(task, found, job.seconds)
+            if best.cost > found.cost - 1.0:
+                break
+            found = minimise(whole_runs(task)[0], best.q, best.z, **TOLERANCE, most=job.iterations, until=job.seconds)
+        answer = concluded(*settled(task, found, job.iterations, job.seconds))
+    except SolveError as error:
+        return str(error)
+    return dataclasses.replace(answer, seconds=time.perf_counter() - began)
+
+
+def _beside(task: Task, found: Minimum, until: float) -> Minimum:
+    """The lowest of a minimum and of a few steps from each end of a slide."""
+    shooting, free, best = whole_runs(task)[0], task.free, found
+    lower, upper = free.scaled(free.lower), free.scaled(free.upper)
+    for point in along_valleys(found, LENGTHS, DIRECTIONS):
+        if time.process_time() > until:
+            break
+        with contextlib.suppress(SolveError):
+            tried = minimise(shooting, np.clip(point, lower, upper), found.z, **FIRST, most=STEPS, until=until)
+            best = min(best, tried, key=lambda m: m.cost)
+    return best

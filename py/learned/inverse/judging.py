@@ -1,0 +1,162 @@
+"""How well an inverse or a compensator holds at commands that it was not learnt from, beside what costs little.
+
+The inverse g is learnt once more, in the same way, without a fifth of the steady points. At every point left out, a
+command u that gave the rate r,
+
+    error = g^-1(u) - r
+
+is the rate for which g gives that command, less the one that was measured. Where every sample of a recording counts,
+points share samples: there the ends of the recordings are left out, and are turned into points of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError
+from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
+
+from .. import held_out
+from ..block_file import LearnedBlock
+from ..report_card import BLOCK, MEAN, STEADY, Row, Words, carded, further, shown, unknown
+from ..verdicts import rms_of
+from .compensator import DesiredCurve, desired_curve, learn_compensator
+from .curve import GRID, static_answer
+from .data import LEAST_POINTS, Characteristic, characteristic
+from .learn import learn_inverse
+
+EVERY = 5  # of the points, in the order of their commands, one is left out
+LINE, ALONE = "a straight line", "the machine alone"  # the second is beside a compensator only
+YARDSTICKS = {"invert": (MEAN, LINE), "compensate": (MEAN, LINE, ALONE)}
+LEFT_OUT = "steady points that were left out"
+OF_ENDS = "points of the ends of the recordings, which were left out"
+FEWEST = 3  # points that a desired curve must leave to be judged by
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """What is learnt from, and the points left out: commands and rates (n,), SI; ``words``: what they are."""
+
+    fit: Characteristic
+    commands: np.ndarray
+    rates: np.ndarray
+    words: str
+
+
+def judged_inverse(
+    source, input: Signal | str | None, output: Signal | str | None, *, forward: Characteristic | None = None, **options
+) -> LearnedBlock:
+    """`learn_inverse`, with a card in ``provenance["held_out"]``: errors at points left out, in the rate's unit.
+
+    The block itself is learnt from all points. ``forward`` is the characteristic of the source where it is known.
+    Options and errors: those of `learn_inverse`. A card that cannot be made says why.
+    """
+    steady, learning = _two(options)
+    forward = forward or characteristic(source, input, output, **steady)
+    block = learn_inverse(forward, **learning)
+    return _carded(block, forward, (source, input, output, steady), learning, None)
+
+
+def judged_compensator(
+    source,
+    input: Signal | str | None,
+    output: Signal | str | None,
+    waypoints: Sequence[tuple[float, float]],
+    *,
+    forward: Characteristic | None = None,
+    **options,
+) -> LearnedBlock:
+    """`learn_compensator`, with a card as `judged_inverse` has it, over the rates that the curve asks for."""
+    steady, learning = _two(options)
+    forward = forward or characteristic(source, input, output, **steady)
+    block = learn_compensator(forward, None, None, waypoints, **learning)
+    curve = desired_curve(waypoints, learning.pop("degree", None))
+    return _carded(block, forward, (source, input, output, steady), learning, curve)
+
+
+def judged_signal(rate: Signal) -> Signal:
+    """The rate that is judged: as it is measured, not as it is wanted."""
+    return replace(rate, name=rate.name.removeprefix("wanted_"))
+
+
+def _two(options: Mapping) -> tuple[dict, dict]:
+    """Options of `characteristic`, and those of the learning."""
+    steady = {k: v for k, v in options.items() if k in characteristic.__kwdefaults__}
+    return steady, {k: v for k, v in options.items() if k not in steady}
+
+
+def _carded(block: LearnedBlock, forward: Characteristic, given: tuple, learning: Mapping, curve) -> LearnedBlock:
+    again = {k: v for k, v in learning.items() if k not in ("name", "progress")}
+    try:
+        apart = _apart(forward, given)
+        inverse = learn_inverse(apart.fit, **again)
+        told = _card(inverse, apart, forward, curve)
+    except DeclarationError:
+        raise
+    except HydrotwinError as error:
+        told = unknown(f"{error} How well it holds at other commands is not known.", Words())
+    except KeyboardInterrupt:  # the block is learnt: it is not lost because nobody waits for its card
+        told = unknown("the card was interrupted. How well it holds at other commands is not known.", Words())
+    return replace(block, provenance={**block.provenance, STEADY: told})
+
+
+def _apart(forward: Characteristic, given: tuple) -> _Apart:
+    """A fifth of the points left out, or the ends of recordings whose every sample counts."""
+    source, input_, output, steady = given
+    if "moving_points" in forward.source:
+        records = [source] if isinstance(source, Record) else list(source)
+        split = held_out.split(records, [forward.input.name], [getattr(output, "name", output)])
+        if not split.parts:
+            raise DataError(f"{split.why.rstrip('.')}. Record longer.")
+        fit, seen = (characteristic(part, input_, output, **steady) for part in (split.fit, split.held_out))
+        return _Apart(fit, seen.commands, seen.rates, OF_ENDS)
+    out = np.arange(len(forward.commands)) % EVERY == EVERY // 2
+    if np.sum(~out) < LEAST_POINTS:
+        raise DataError(
+            f"{len(forward.commands)} steady points are too few to leave one of {EVERY} out. "
+            f"Hold {-(-LEAST_POINTS * EVERY // (EVERY - 1))} commands or more."
+        )
+    fit = replace(forward, commands=forward.commands[~out], rates=forward.rates[~out])
+    return _Apart(fit, forward.commands[out], forward.rates[out], LEFT_OUT)
+
+
+def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, curve: DesiredCurve | None) -> dict:
+    u, r = apart.commands, apart.rates
+    asked = np.ones(len(r), bool)
+    if curve is not None:
+        most = float(curve(np.array([curve.full]))[0])
+        asked = np.abs(r) <= most if np.sum(np.abs(r) <= most) >= FEWEST else asked
+    slope, offset = np.polyfit(apart.fit.commands, apart.fit.rates, 1)
+    misses = {
+        BLOCK: (_expected(inverse, u) - r)[asked],
+        MEAN: (apart.fit.rates.mean() - r)[asked],
+        LINE: (slope * u + offset - r)[asked],
+    }
+    errors = {name: float(np.sqrt(np.mean(miss**2))) for name, miss in misses.items()}
+    own = errors.pop(BLOCK)
+    if curve is not None and (driven := np.abs(u) <= curve.full).any():
+        errors[ALONE] = float(np.sqrt(np.mean((r - np.sign(u) * curve(np.abs(u)))[driven] ** 2)))
+    row = Row(
+        judged_signal(forward.rate), own, float(np.ptp(forward.rates)), errors,
+        errors=further(r[asked], misses[BLOCK]),
+        stretches={name: rms_of([miss]) for name, miss in misses.items()},
+    )  # fmt: skip
+    held = {"points": int(asked.sum()), "which": apart.words}
+    good = f"At {held['points']} {apart.words}, RMS error of {row.said()}."
+    return carded([row], Words(notes=_noise(forward)), [held], [good])
+
+
+def _noise(forward: Characteristic) -> list[str]:
+    """How far one point is known."""
+    return [f"One point is known to {shown(forward.sigma, forward.rate.unit)}."] if forward.sigma > 0 else []
+
+
+def _expected(inverse: LearnedBlock, commands: np.ndarray) -> np.ndarray:
+    """The rates (n,) [SI] for which an inverse gives ``commands`` (n,); its ends beyond its reach."""
+    rates = np.linspace(inverse.domain.lower[0], inverse.domain.upper[0], GRID)
+    given = np.maximum.accumulate(static_answer(inverse, rates))
+    return np.interp(commands, given, rates)

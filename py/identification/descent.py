@@ -202,7 +202,7 @@ def _settled(
         if found.converged:
             break
         task.report(f"{stage}, along the valley", 0, found.cost)
-        best = _best_from(task, shooting, found, _along_valley(found), 3)
+        best = _best_from(task, shooting, found, along_valleys(found), 3)
         if best.cost > found.cost - 1.0:
             break
         found = minimise(shooting, best.q, best.z, **WINDOW_STAGE, on_step=on_step)
@@ -222,14 +222,16 @@ def _best_from(task: Task, shooting: Shooting, found: Minimum, points: Sequence[
     return best if best is found else dataclasses.replace(best, converged=False)
 
 
-def _along_valley(found: Minimum) -> list[np.ndarray]:
-    """Points along the direction that the windows say least about."""
+def along_valleys(found: Minimum, lengths: Sequence[float] = SLIDE_LENGTHS, directions: int = 1) -> list[np.ndarray]:
+    """Points beside a minimum along the ``directions`` that the recordings say least about.
+
+    lengths : how far, in q of the parameter that moves most.
+    """
     information = found.information()
     size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
     _, vectors = np.linalg.eigh(information / np.outer(size, size))
-    weakest = vectors[:, 0] / size
-    weakest = weakest / np.abs(weakest).max()
-    return [found.q + length * weakest for length in SLIDE_LENGTHS]
+    weak = (vectors[:, k] / size for k in range(min(directions, len(size))))
+    return [found.q + length * one / np.abs(one).max() for one in weak for length in lengths]
 
 
 def _scattered(task: Task, found: Minimum) -> list[np.ndarray]:

@@ -54,7 +54,7 @@ def fit(job: Job) -> Fitted | str:
         task, found, left = _fitted(job.beginning())
     except SolveError as error:
         return str(error)
-    return dataclasses.replace(_answer(task, found, left), seconds=time.perf_counter() - began)
+    return dataclasses.replace(concluded(task, found, left), seconds=time.perf_counter() - began)
 
 
 def led(job: Job) -> Fitted | str:
@@ -73,13 +73,13 @@ def glance(job: Job) -> Look | str:
     """
     began, few = time.perf_counter(), min(FEW, job.iterations)
     try:
-        task, found = _first(dataclasses.replace(job.beginning(), iterations=few), ROUGHLY, few_runs=True)
+        task, found = first(dataclasses.replace(job.beginning(), iterations=few), ROUGHLY, few_runs=True)
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
     known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
     return dataclasses.replace(
-        as_look(_answer(task, found, runs)), sigmas=known_to, seconds=time.perf_counter() - began
+        as_look(concluded(task, found, runs)), sigmas=known_to, seconds=time.perf_counter() - began
     )
 
 
@@ -91,10 +91,10 @@ def as_look(fitted: Fitted) -> Look:
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
-    return settled(*_first(job), job.iterations, job.seconds)
+    return settled(*first(job), job.iterations, job.seconds)
 
 
-def _first(job: Job, rules: Mapping[str, float] = FIRST, few_runs: bool = False) -> tuple[Task, Minimum]:
+def first(job: Job, rules: Mapping[str, float] = FIRST, few_runs: bool = False) -> tuple[Task, Minimum]:
     """The task and its first minimum from the cheapest start."""
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
@@ -180,7 +180,8 @@ def given(shooting: Shooting, z: np.ndarray, states: Sequence[Mapping[str, float
     return shooting.clip(z)
 
 
-def _answer(task: Task, found: Minimum, left: Sequence[np.ndarray]) -> Fitted:
+def concluded(task: Task, found: Minimum, left: Sequence[np.ndarray]) -> Fitted:
+    """The answer of a fit that ended so; left: residuals (n, ny), SI."""
     free, start = task.free, whole_runs(task)[0].start
     values = free.values(found.q)
     near = 1e-6 * np.minimum(np.abs(free.upper - free.lower), np.abs(free.unit))
@@ -230,7 +231,7 @@ def _conclude(job: Job) -> Concluded:
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     one = answer(task, [found], (), settings, began)
     judged = tuple(residuals_of(_judging(task, job), found, q.select)) if q.select else ()
-    return Concluded(one, _answer(task, found, left), tuple(left), judged)
+    return Concluded(one, concluded(task, found, left), tuple(left), judged)
 
 
 def _judging(task: Task, job: Job) -> Task:

@@ -21,6 +21,7 @@ from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Job, Look, Question
+from ..fits.slides import slide
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
@@ -167,7 +168,9 @@ class Search:
     def _fit_base(self, base: Entry) -> None:
         """Fit the base from where its windows ended, or where that leaves more than they did from all it came by.
 
-        It may be so stiff there that a step takes seconds: each start has a little time, the best goes on.
+        Where they show nothing missing it has to explain all, or each of these is tried to its end: all of a search may
+        be spent on a base that came to rest beside its minimum. It may be so stiff there that a step takes seconds:
+        each start has a little time, the best goes on.
         """
         starts = different(self.jobs.whole(base).starts if base.look else ({},))
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
@@ -175,11 +178,15 @@ class Search:
             settings = {"size": size, "states": states, "seconds": self.effort.look}
             for found in self._ran([self.jobs.of(base, [start], **settings) for start in some]):
                 self.table.keep_better(base, found)
-            if base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT:
+            near = base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT
+            if near and (self.first or self.table.explained([base])):
                 break
         base.failed = "" if base.fitted else base.failed
         if not self.first:  # else it leaves far too much, wherever it would come to rest
             self._fit_base_further(base)
+            if near and not self.table.explained([base]):
+                (found,) = self._ran([self.jobs.further(base)], slide)
+                self.table.keep_better(base, found)
 
     def _fit_base_further(self, base: Entry) -> None:
         if base.fitted and not base.fitted.converged:

@@ -70,7 +70,8 @@ class Judged:
     samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
     output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
-    a mean rests on, in words; "" where they are alike.
+    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
+    earlier comparison that it is held against, in sentences.
     """
 
     criterion: Criterion
@@ -83,6 +84,7 @@ class Judged:
     lacking: tuple[str, ...] = ()
     doubt: str = ""
     uneven: str = ""
+    otherwise: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -110,6 +112,7 @@ class Judged:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         if self.uneven:
             told.append(self.uneven)
+        told += [sentence.rstrip(".") for sentence in self.otherwise]
         if self.doubt:
             of_band = METRICS[one.metric].of_band
             told.append("judged on a band that cannot be trusted" if of_band else "its band cannot be trusted")

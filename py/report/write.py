@@ -8,6 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
+from hydrotwin.comparison.as_read import as_read
 from hydrotwin.records.between import between
 
 from .acceptance import acceptance_data, acceptance_sections, verdict
@@ -255,6 +256,7 @@ def _recording(record, role: str) -> dict:
         "seconds": record.duration,
         "samples": len(record.time),
         "period": record.period,
+        "signals": as_read(record),
     }
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import compatible, convert
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
 from .criteria import NUMBER
@@ -102,7 +103,7 @@ def _bare(path: Path) -> str:
     name = path.name
     for suffix in (".gz", *SUFFIXES):
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
-    return name
+    return printable(name)
 
 
 def groups(records: Sequence[Record]) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from .metric import ERRORS, METRICS, PLAIN, SHARE, TIME
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
-_WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
+_WHERE = r"\s*(?:(?P<group>\S(?:[\s\S]*\S)?)\s*:\s*)?"  # up to the last colon: a name or a tag may be a time, 10:12
 _BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
 _RANGE = re.compile(
     rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*(?P<each>[^\s,\]][^,\]]*?)?\s*,\s*(?P<high>{NUMBER})\s*"

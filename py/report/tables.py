@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from .format import NONE, difference_to_shown, number_text, number_texts, pretty_unit, to_shown
+
+_MARKS = re.compile(r"\*|<(?=[A-Za-z/!?])")  # what Markdown would take for itself and leave out
 
 
 @dataclass(frozen=True)
@@ -166,5 +169,14 @@ def _linked(cell: Cell, text: str) -> str:
     return f"[{text}]({cell.link})" if cell.link else text
 
 
+def markdown_text(text: str) -> str:
+    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, a star nothing bold, a line end a space.
+
+    >>> markdown_text("load<2: <old> d*.rmse < 3 mm")
+    'load<2: \\\\<old> d\\\\*.rmse < 3 mm'
+    """
+    return _MARKS.sub(r"\\\g<0>", text).replace("\n", " ")
+
+
 def _escaped(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    return markdown_text(text).replace("|", "\\|")

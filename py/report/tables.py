@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 from .format import NONE, difference_to_shown, number_text, number_texts, pretty_unit, to_shown
 
-_MARKS = re.compile(r"\*|<(?=[A-Za-z/!?])")  # what Markdown would take for itself and leave out
+_TAG = re.compile(r"<(?=[A-Za-z/!?])")  # what Markdown would take for itself and leave out
+_MARKS = re.compile(rf"\*|{_TAG.pattern}")
 
 
 @dataclass(frozen=True)
@@ -170,12 +171,14 @@ def _linked(cell: Cell, text: str) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, a star nothing bold, a line end a space.
+    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, two stars are not bold, a line end is a
+    space. A star alone stays as it is: a command can be copied.
 
     >>> markdown_text("load<2: <old> d*.rmse < 3 mm")
-    'load<2: \\\\<old> d\\\\*.rmse < 3 mm'
+    'load<2: \\\\<old> d*.rmse < 3 mm'
     """
-    return _MARKS.sub(r"\\\g<0>", text).replace("\n", " ")
+    marks = _MARKS if text.count("*") > 1 else _TAG
+    return marks.sub(r"\\\g<0>", text).replace("\n", " ")
 
 
 def _escaped(text: str) -> str:

@@ -1,6 +1,7 @@
 """Files are written beside and then renamed: a failed write leaves the old file whole and no debris.
 
-Also what values become on their way into TOML and JSON, which know neither arrays nor, JSON, NaN.
+Also what values become on their way into TOML and JSON, which know neither arrays nor, JSON, NaN; and names of files,
+which may be no text.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import math
 import os
 import stat
 import tempfile
+import unicodedata
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
@@ -66,9 +68,36 @@ def target(path: Path | str) -> Path:
 
 
 def write_whole(path: Path | str, content: str | bytes) -> None:
-    """Write text (UTF-8, line ends as they are) or bytes as a whole file."""
+    """Write text (UTF-8, line ends as they are) or bytes as a whole file.
+
+    A sentence with the path of a file whose name is no UTF-8 is written as `printable` has it.
+    """
     with replacing(path) as beside:
-        beside.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
+        beside.write_bytes(_encoded(content) if isinstance(content, str) else content)
+
+
+def _encoded(text: str) -> bytes:
+    try:
+        return text.encode("utf-8")
+    except UnicodeEncodeError:
+        return "".join(_printable(s) if unicodedata.category(s) == "Cs" else s for s in text).encode("utf-8")
+
+
+def printable(text: str) -> str:
+    """Text that every file and screen can hold, for names of files: control signs as spaces, letters of names that are
+    no UTF-8 as the old code page of Western Europe has them.
+
+    >>> printable("rig_\\udcd6l\\n2")
+    'rig_Öl 2'
+    """
+    return "".join(_printable(sign) for sign in text)
+
+
+def _printable(sign: str) -> str:
+    if "\udc80" <= sign <= "\udcff":  # how Python keeps a byte that is no UTF-8
+        sign = bytes([ord(sign) - 0xDC00]).decode("cp1252", errors="replace")
+    kind = unicodedata.category(sign)
+    return " " if kind == "Cc" else "\ufffd" if kind == "Cs" else sign
 
 
 def json_values(value):

@@ -2,6 +2,7 @@
 
 from .acceptance import Acceptance, Wanted, acceptance
 from .again import Again, replay
+from .changes import Change
 from .comparison import (
     FREE_RUN,
     MEAN,
@@ -20,7 +21,7 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, criterion, judge
 from .domain import domain_shares
-from .earlier import FORMAT, Change
+from .earlier import FORMAT
 from .evidence import asked_by, record_comparison
 from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix

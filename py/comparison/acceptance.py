@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from .asked import SUFFIX, Asked, check_criterion, judged_model
+from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, criterion, judge, over_recordings
-from .earlier import Change, earlier
+from .earlier import earlier
 from .metric import METRICS, SCORED
 from .tags import of_group
 from .uneven import uneven
@@ -85,6 +86,8 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
         check_criterion(one, asked, model)
         judged.append(judge(one, _Values(comparison, model, one, wanted.folder(text), variant)))
     judged = tuple(_told(one, comparison, model) for one in judged)
+    if not variant:  # a variant is held against its own, and what is otherwise is told of the scenario as it stands
+        judged = tuple(_held_against(one, comparison, wanted) for one in judged)
     if not wanted.against:
         return Acceptance(model, comparison.modes[0], judged)
     before = _earlier(wanted.against, variant)
@@ -118,6 +121,15 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         why = _reason(comparison, about.than, about, holding)
         return dataclasses.replace(one, reason=f"{about.than} is no measure, {why}" if why else "")
     return one
+
+
+def _held_against(one: Judged, comparison: Comparison, wanted: Wanted) -> Judged:
+    """The same with what else was otherwise in the earlier comparison that it names."""
+    about = one.criterion
+    if not about.than.endswith(SUFFIX):
+        return one
+    before = earlier(wanted.folder(about.text) / about.than)
+    return dataclasses.replace(one, otherwise=before.otherwise(comparison))
 
 
 def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> str:

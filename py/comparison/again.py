@@ -101,13 +101,15 @@ def _compared(one: Evidence, model, search: _Search) -> Comparison:
     if not isinstance(asked, Mapping):
         raise DataError("it does not say how it was asked. Record it again with this version")
     reading = import_from(asked.get("import", {}), "record")
+    contender = as_contender(model, str(one.facts["model"]))
+    outputs, inputs = ({s.name for s in side} for side in (contender.outputs, contender.inputs))
     return compare(
-        [as_contender(model, str(one.facts["model"]))],
+        [contender],
         [search.record(row, reading) for row in one.recordings],
-        modes=list(asked["modes"]),
-        outputs=list(asked["outputs"]),
-        rates=list(asked.get("rates", ())),
-        interpolation=dict(asked.get("interpolation", {})),
+        modes=list(asked["modes"]),  # of what was asked that which is not of the models beside it
+        outputs=[name for name in asked["outputs"] if name in outputs],
+        rates=[name for name in asked.get("rates", ()) if name in outputs],
+        interpolation={name: how for name, how in asked.get("interpolation", {}).items() if name in inputs},
         initial_states=str(asked.get("initial_states", MEASURED)),
         repeats=0,
     )

@@ -25,7 +25,7 @@ from .metric import ERRORS, METRICS, PLAIN, SHARE, TIME
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
-_WHERE = r"\s*(?:(?P<group>[^:]+?)\s*:\s*)?"
+_WHERE = r"\s*(?:(?P<group>\S(?:[\s\S]*\S)?)\s*:\s*)?"  # up to the last colon: a name or a tag may be a time, 10:12
 _BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
 _RANGE = re.compile(
     rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*(?P<each>[^\s,\]][^,\]]*?)?\s*,\s*(?P<high>{NUMBER})\s*"
@@ -70,7 +70,8 @@ class Judged:
     samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
     output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
-    a mean rests on, in words; "" where they are alike.
+    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
+    earlier comparison that it is held against, in sentences.
     """
 
     criterion: Criterion
@@ -83,6 +84,7 @@ class Judged:
     lacking: tuple[str, ...] = ()
     doubt: str = ""
     uneven: str = ""
+    otherwise: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -110,6 +112,7 @@ class Judged:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         if self.uneven:
             told.append(self.uneven)
+        told += [sentence.rstrip(".") for sentence in self.otherwise]
         if self.doubt:
             of_band = METRICS[one.metric].of_band
             told.append("judged on a band that cannot be trusted" if of_band else "its band cannot be trusted")

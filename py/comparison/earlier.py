@@ -3,41 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
+from .as_read import read_otherwise
+from .changes import Before, Change, Key
 from .comparison import Comparison
-from .criteria import over_recordings
+from .criteria import over_recordings, some_of
 from .metric import METRICS, SCORED
 
 VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
-SAME = 0.02  # of an error: a smaller change against an earlier comparison is none
 FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
-Key = tuple[str, str, str]  # model, output, mode
-
-
-@dataclass(frozen=True)
-class Change:
-    """The mean RMSE of a model in one output and mode, SI, before and now."""
-
-    model: str
-    output: str
-    mode: str
-    before: float
-    now: float
-    unit: str
-
-    @property
-    def better(self) -> bool:
-        return self.now < (1 - SAME) * self.before
-
-    @property
-    def worse(self) -> bool:
-        return self.now > (1 + SAME) * self.before
 
 
 @dataclass(frozen=True)
@@ -45,7 +25,8 @@ class Earlier:
     """An earlier comparison: mean scores, and those of each recording, by (model, output, mode).
 
     recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
-    started : models whose start was estimated. samples : of each recording by name.
+    started : models whose start was estimated. read : of each recording by name how many samples it had, and what was
+    read of its signals. between : what inputs did between their samples, by model and input.
     """
 
     path: Path
@@ -53,7 +34,8 @@ class Earlier:
     recordings: Mapping[str, str] = field(default_factory=dict)
     scores: Mapping[Key, Mapping[str, Mapping]] = field(default_factory=dict)
     started: frozenset[str] = frozenset()
-    samples: Mapping[str, int] = field(default_factory=dict)
+    read: Mapping[str, Mapping] = field(default_factory=dict)
+    between: Mapping[tuple[str, str], str] = field(default_factory=dict)
 
     def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
         """What else than the models is not as it was, in sentences: a change may come from that."""
@@ -63,10 +45,39 @@ class Earlier:
         for words, models in (("now, and not then", now - self.started), ("then, and not now", self.started - now)):
             if some := sorted(models & both):
                 found.append(f"The start of {', '.join(some)} was estimated {words}: errors may differ by that alone.")
-        other = [r.name for r in comparison.records if self.samples.get(r.name, len(r)) != len(r)]
-        if other:
-            found.append(f"{', '.join(other[:3])} had another number of samples then: it was read otherwise.")
-        return tuple(found)
+        return (*found, *self._held_otherwise(comparison), *self._read_otherwise(comparison))
+
+    def _held_otherwise(self, comparison: Comparison) -> Iterator[str]:
+        """Inputs that were taken otherwise between their samples."""
+        models: dict[tuple[str, str, str], list[str]] = {}
+        for one, s in [(e, s) for e in comparison.entrants for s in e.inputs]:
+            then = self.between.get((one.name, s.name), s.interpolation)
+            if then != s.interpolation:
+                models.setdefault((s.name, then, s.interpolation), []).append(one.name)
+        for (name, then, now), some in models.items():
+            told = f"{name} of {some_of(some)} was taken as {then} then, and as {now} now"
+            yield f"Between its samples {told}: errors may differ by that alone."
+
+    def _read_otherwise(self, comparison: Comparison) -> Iterator[str]:
+        """Recordings that are the same files, and not the same samples."""
+        if not self.recordings:
+            yield f"{self.path.name} does not say of which recordings it is: nobody knows whether of these."
+        names = dict.fromkeys(s.name for e in comparison.entrants for s in (*e.inputs, *e.outputs))
+        fewer, signals = [], {}
+        for r in comparison.records:
+            then = self.read.get(self.recordings.get(r.digest or "", r.name), {})
+            if then.get("samples", len(r)) != len(r):
+                fewer.append(r.name)
+            elif apart := read_otherwise(r, then.get("signals", {}), names):
+                signals[r.name] = apart
+        if fewer:
+            yield f"{some_of(fewer)} had another number of samples then: it was read otherwise."
+        if signals:
+            which = some_of(list(dict.fromkeys(n for apart in signals.values() for n in apart)))
+            yield (
+                f"{which} of {some_of(list(signals))} had other values then: the file was read in another unit, scale, "
+                "column or clock, and errors may differ by that alone."
+            )
 
     def check_recordings(self, records: Sequence[Record]) -> None:
         """Raises DeclarationError where it was made on other recordings: means over those say nothing of these."""
@@ -107,11 +118,7 @@ class Earlier:
     def against(self, comparison: Comparison) -> tuple[tuple[Change, ...], tuple[str, ...], tuple[str, ...]]:
         """Changes of what both have, models that are new, and models that are gone."""
         before = {model for model, *_ in self.means}
-        changes = tuple(
-            Change(s.model, s.output, s.mode, self.means[s.model, s.output, s.mode]["rmse"], s.rmse, s.unit)
-            for s in comparison.means
-            if (s.model, s.output, s.mode) in self.means
-        )
+        changes = tuple(Before(self.means, self.scores, self.recordings).changes(comparison))
         new = tuple(m for m in comparison.models if m not in before)
         return changes, new, tuple(sorted(before - set(comparison.models)))
 
@@ -136,7 +143,9 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
             raise ValueError("a mean without rmse")
         scores = _scores(told.get("scores", ()) if not variant else ())
         started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
-        samples = {r["name"]: r["samples"] for r in judged if "samples" in r}
+        read = {r["name"]: dict(r) for r in judged}
+        between = {(m["name"], name): row["interpolation"] for m in told.get("models", ())
+                   for name, row in m.get("between_samples", {}).items() if "interpolation" in row}  # fmt: skip
     except OSError as error:
         raise DataError(
             f"{path}: cannot be read ({error.strerror}). Name the compare.json of an earlier run."
@@ -149,8 +158,8 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
     if variant and means and folder and own.is_file():
         scores = _of_the_same(means, earlier(own))
     if variant:  # the file tells these of the base
-        started, samples = frozenset(), {}
-    return Earlier(path, means, recordings, scores, started, samples)
+        started, read, between = frozenset(), {}, {}
+    return Earlier(path, means, recordings, scores, started, read, between)
 
 
 def _of_the_same(means: Mapping[Key, Mapping], own: Earlier) -> Mapping[Key, Mapping[str, Mapping]]:

@@ -11,6 +11,7 @@ import numpy as np
 from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, Credibility, Evidence, now, versions
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 from hydrotwin.records.reading import reading_told
 
@@ -117,7 +118,7 @@ def _recording(record: Record, role: str, file: ModelFile) -> dict:
     """A row of ``recordings``, with where the file was, from the folder of the model file."""
     row = {"name": record.name, "sha256": record.digest or "", "role": role}
     if record.source and Path(record.source).is_file():
-        row["file"] = _way(Path(record.source).resolve(), Path(file.path).resolve().parent)
+        row["file"] = printable(_way(Path(record.source).resolve(), Path(file.path).resolve().parent))
     return row | ({"tags": dict(record.tags)} if record.tags else {})
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree
 
+from hydrotwin.models.language.writing import printable
+
 from .acceptance import Acceptance
 from .criteria import Judged
 
@@ -12,21 +14,24 @@ from .criteria import Judged
 def junit(found: Acceptance, title: str, notices: Sequence[str] = ()) -> str:
     """The criteria, a test case each; values in the unit that each criterion was written in.
 
+    XML has no control signs: they are spaces here, wherever a name or a sentence of a vendor's FMU has them.
+
     notices : what a reader must not miss, for the whole of it.
     """
     failed = [one for one in found.judged if not one.passed]
-    suite = ElementTree.Element("testsuite", name=title, tests=str(len(found.judged)), failures=str(len(failed)))
-    suite.attrib |= {"errors": "0", "skipped": "0"}
+    count = {"tests": str(len(found.judged)), "failures": str(len(failed))}
+    suite = ElementTree.Element("testsuite", name=printable(title), **count, errors="0", skipped="0")
+    model = printable(found.model)
     for one in found.judged:
-        case = ElementTree.SubElement(suite, "testcase", classname=found.model, name=one.criterion.text)
+        case = ElementTree.SubElement(suite, "testcase", classname=model, name=printable(one.criterion.text))
         if not one.passed:
-            words = _words(one)
+            words = printable(_words(one))
             ElementTree.SubElement(case, "failure", message=words, type="criterion").text = words
         if one.caution:
-            ElementTree.SubElement(case, "system-out").text = _told(one)
+            ElementTree.SubElement(case, "system-out").text = printable(_told(one))
     if notices:
-        ElementTree.SubElement(suite, "system-out").text = "\n".join(notices)
-    root = ElementTree.Element("testsuites", tests=suite.get("tests"), failures=suite.get("failures"))
+        ElementTree.SubElement(suite, "system-out").text = "\n".join(map(printable, notices))
+    root = ElementTree.Element("testsuites", **count)
     root.append(suite)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"

@@ -18,10 +18,10 @@ from hydrotwin.work.executor import executor_for
 
 from .acceptance import Acceptance, Wanted, acceptance
 from .asked import check_criterion, judged_model
+from .changes import Change
 from .comparison import Comparison, Failure
 from .contender import Contender
 from .criteria import criterion
-from .earlier import Change
 from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
 from .scenario import Scenario
 from .travel import Carried, travels

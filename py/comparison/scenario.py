@@ -11,6 +11,7 @@ from pathlib import Path
 
 from hydrotwin.identification.beginning import MEASURED, check_initial_states
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Reading, import_from, reading_of
 
 from .acceptance import Wanted
@@ -47,7 +48,7 @@ class ModelEntry:
         if self.name or ".py:" in self.model:
             return self.name
         base, at, values = self.model.partition("@")
-        return f"{Path(base).name}{at}{Path(values).name}"
+        return printable(f"{Path(base).name}{at}{Path(values).name}")
 
 
 @dataclass(frozen=True)
@@ -137,7 +138,7 @@ def read_scenario(path: str | Path) -> Scenario:
             raise DeclarationError(f"{where}: no mode '{mode}'. {nearest(mode, MODES)}")
     files, tags = _tagged(table, path)
     return Scenario(
-        title=str(table.get("title", path.stem)),
+        title=str(table.get("title", printable(path.stem))),
         models=tuple(_entry(e, path) for e in _list(table, "models", where)),
         validate=_paths(files, path),
         train=_paths(_strings(table, "train", where), path),

@@ -12,6 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.models.language.units import compatible, convert
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
 from .criteria import NUMBER
@@ -37,14 +38,19 @@ class Tags:
     columns: Mapping[str, str] = field(default_factory=dict)
 
     def put(self, record: Record, path: Path) -> Record:
-        """The recording with its tags.
+        """The recording with its tags; what is said of a file counts before a column, and a column before its name.
 
-        Raises DeclarationError where the pattern does not fit its name, DataError and UnitError where a column tells
-        no tag.
+        Raises DeclarationError where the pattern does not fit its name or a tag is empty, DataError and UnitError where
+        a column tells no tag.
         """
-        said = {str(tag): str(value) for tag, value in self.by_file.get(path, {}).items()}
+        said = {printable(str(tag)).strip(): value for tag, value in self.by_file.get(path, {}).items()}
         told = {tag: _from_column(record, tag, what) for tag, what in self.columns.items() if tag not in said}
-        return replace(record, tags={**record.tags, **self._from_name(path), **told, **said})
+        found = {tag: _plain(value) for tag, value in {**self._from_name(path), **told, **said}.items()}
+        for tag in (t for t, value in found.items() if not value):
+            raise DeclarationError(
+                f"tags: {tag} of {record.name} is empty, and no criterion can name it. Say what it is."
+            )
+        return replace(record, tags={**record.tags, **found})
 
     def _from_name(self, path: Path) -> dict[str, str]:
         if not self.pattern:
@@ -97,12 +103,18 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     return f"{number + 0.0:.6g}" + (f" {unit}" if unit != "1" else "")
 
 
+def _plain(value: object) -> str:
+    """A value of a tag as criteria name it: without blanks around it and line ends; 2.0 of a scenario is 2."""
+    whole = isinstance(value, float) and value.is_integer()
+    return printable(str(int(value) if whole else value)).strip()
+
+
 def _bare(path: Path) -> str:
     """The name of a file without the suffixes of its format; a point before them may be a decimal one."""
     name = path.name
     for suffix in (".gz", *SUFFIXES):
         name = name[: -len(suffix)] if name.lower().endswith(suffix) else name
-    return name
+    return printable(name)
 
 
 def groups(records: Sequence[Record]) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ MOST_RUNS = 20_000  # models x variants x recordings: some hours on two cores
 AXES = ("parameters", "effects_off", "effects_on", "step", "method", "period", "initial_states")
 KEYS = (*AXES, "models")
 _NAME = re.compile(r"[^:*?\[\]/\\\n]*[^:*?\[\]/\\\s]")  # stands in criteria, and names a folder
+_FILES = (".html", ".md", ".json")  # of the overview, which lies beside the folders of variants
 
 
 @dataclass(frozen=True)
@@ -50,8 +51,9 @@ class Variant:
 
     @property
     def folder(self) -> str:
-        """A name of a folder that every file system takes."""
-        return re.sub(r"[^0-9A-Za-z._=+-]+", "_", self.name)
+        """A name of a folder that every file system takes, below that of the overview and none of its own files."""
+        found = re.sub(r"[^0-9A-Za-z._=+-]+", "_", self.name)
+        return f"_{found}" if found.startswith(".") or found.lower().endswith(_FILES) else found
 
     def __str__(self) -> str:
         """In words."""
@@ -82,7 +84,7 @@ def read_variants(named: object, product: object, where: str) -> tuple[Variant, 
     if named is None and product is None:
         return ()
     found = [Variant(BASE), *_named(named, where), *_product(product, where)]
-    for names in ([v.name for v in found], [v.folder for v in found]):
+    for names in ([v.name for v in found], [v.folder.casefold() for v in found]):
         twice = next((n for k, n in enumerate(names) if n in names[:k]), None)
         if twice:
             raise DeclarationError(f"{where}: two variants are called '{twice}'. Give one of them another name.")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hydrotwin.models.language.errors import DataError, nearest
 from hydrotwin.models.language.units import convert
-from hydrotwin.models.language.writing import replacing
+from hydrotwin.models.language.writing import printable, replacing
 
 from .binary_files import read_arrow, read_parquet, write_parquet
 from .columns import Table
@@ -92,7 +92,7 @@ def _reader(path: Path):
 
 
 def _stem(path: Path) -> str:
-    return Path(path.stem).stem if path.suffix.lower() == _PACKED else path.stem
+    return printable(Path(path.stem).stem if path.suffix.lower() == _PACKED else path.stem)
 
 
 def write_record(

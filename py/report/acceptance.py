@@ -10,7 +10,7 @@ from hydrotwin.comparison import Acceptance, Change, Judged
 from hydrotwin.comparison.metric import METRICS
 
 from .format import NONE, difference_to_shown, number_text, with_unit
-from .page import Section
+from .page import Note, Section
 from .tables import Cell, Column, Table, numbers, table, texts
 
 DIGITS = 3  # of what was found
@@ -55,14 +55,16 @@ def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tup
     for one in accepted.judged:
         word = "PASS" if one.passed else "FAIL"
         lines.append((one.passed, f"  {word} {one.criterion.text}: {found_told(one)}, {margin_told(one)}"))
-    lines += [(False, f"  {sentence}") for sentence in accepted.otherwise]
+    lines += [(False, f"  {sentence}") for sentence in against_told(accepted)]
+    if accepted.changes and not any(one.better or one.worse for one in accepted.changes):
+        lines.append((True, "  As before: no mean RMSE changed by 2\u00a0% or more."))
     for one in accepted.changes:
         if one.better or one.worse:
             now, before = (_size(value, one, shown).text for value in (one.now, one.before))
-            word = "better" if one.better else "worse"
-            lines.append(
-                (one.better, f"  {word} than before: {one.model}, {one.output}, {one.mode}: {now} from {before}")
-            )
+            word, what = "better" if one.better else "worse", f"{one.model}, {one.output}, {one.mode}"
+            told = f"{now} from {before}" if math.isfinite(one.before) else ""
+            told = "; elsewhere ".join(filter(None, [one.scored, told]))
+            lines.append((one.better, f"  {word} than before: {what}: {told}"))
     return lines
 
 
@@ -73,14 +75,23 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
         "bias, lag and steady by their size."
     )
     judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged),) if accepted.judged else (), lead)
-    if not accepted.changes and not accepted.new and not accepted.gone:
+    told = against_told(accepted)
+    if not accepted.changes and not told:
         return (judged,)
-    lead = "Mean RMSE, and what it was in the earlier comparison. Changes of less than 2\u00a0% are none."
-    lead += f" New: {', '.join(accepted.new)}." if accepted.new else ""
-    lead += f" No longer compared: {', '.join(accepted.gone)}." if accepted.gone else ""
-    lead += "".join(f" {sentence}" for sentence in accepted.otherwise)
-    parts = (_changes(accepted.changes, shown),) if accepted.changes else ()
+    lead = (
+        "Mean RMSE, and what it was in the earlier comparison, over the recordings that both have scored. Changes of "
+        "less than 2\u00a0% are none."
+    )
+    parts = (*((Note(told),) if told else ()), *((_changes(accepted.changes, shown),) if accepted.changes else ()))
     return judged, Section("changes", "Against the earlier comparison", parts, lead)
+
+
+def against_told(accepted: Acceptance) -> tuple[str, ...]:
+    """Of an earlier comparison what else was otherwise, and which models only one of the two has, in sentences."""
+    told = [*accepted.otherwise]
+    told += [f"New against the earlier comparison: {', '.join(accepted.new)}."] if accepted.new else []
+    told += [f"No longer compared: {', '.join(accepted.gone)}."] if accepted.gone else []
+    return tuple(told)
 
 
 def acceptance_data(accepted: Acceptance | None) -> dict:
@@ -153,19 +164,27 @@ def _criteria(judged: Sequence[Judged]) -> Table:
 
 
 def _changes(changes: Sequence[Change], shown: Mapping[str, str]) -> Table:
-    rows = sorted(changes, key=lambda c: -(c.now / c.before) if c.before else 0.0)
+    ratios = {c: c.now / c.before for c in changes if c.before and math.isfinite(c.before)}
+    rows = sorted(changes, key=lambda c: (not c.lost, -ratios.get(c, 0.0)))
     words = ["worse" if c.worse else "better" if c.better else "as before" for c in rows]
+    told = [f"{word}: {c.scored}" if c.scored else word for word, c in zip(words, rows, strict=True)]
     columns = [
         texts("model", "Model", [c.model for c in rows]),
         texts("output", "Output", [f"{c.output}, {c.mode}" for c in rows]),
         Column("before", "Before", tuple(_size(c.before, c, shown) for c in rows)),
         Column("now", "Now", tuple(_size(c.now, c, shown) for c in rows)),
-        numbers("ratio", "Now over before", [c.now / c.before if c.before else None for c in rows], common=False),
-        Column("change", "", tuple(Cell(w, w, tone="warning" if w == "worse" else "") for w in words)),
+        numbers("ratio", "Now over before", [ratios.get(c) for c in rows], common=False),
+        Column(
+            "change",
+            "",
+            tuple(Cell(w, t, tone="warning" if w == "worse" else "") for w, t in zip(words, told, strict=True)),
+        ),
     ]
     return table("changes", "", columns)
 
 
 def _size(value: float, change: Change, shown: Mapping[str, str]) -> Cell:
     unit = shown.get(change.output, change.unit)
+    if not math.isfinite(value):
+        return Cell(None, NONE)
     return Cell(value, with_unit(number_text(float(difference_to_shown(value, change.unit, unit)), 3), unit))

@@ -16,7 +16,7 @@ from markupsafe import Markup
 from hydrotwin.models.language.writing import json_values, write_whole
 
 from .figure import Figure, FigureGroup
-from .tables import Table
+from .tables import Table, markdown_text
 from .thumbnail import thumbnail
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -88,18 +88,19 @@ def as_html(page: Page) -> str:
 
 def as_markdown(page: Page) -> str:
     """The page as Markdown: the same sentences and tables, without the figures."""
-    lines = [f"# {page.title}", "", page.eyebrow, "", f"**{page.answer}**", ""]
-    lines += [line for fact in (*page.results, *page.facts) for line in (fact, "")]
-    lines += [line for notice in page.notices for line in (f"> {notice}", "")]
+    text = markdown_text
+    lines = [f"# {text(page.title)}", "", text(page.eyebrow), "", f"**{text(page.answer)}**", ""]
+    lines += [line for fact in (*page.results, *page.facts) for line in (text(fact), "")]
+    lines += [line for notice in page.notices for line in (f"> {text(notice)}", "")]
     lines += _table_lines(page.headline)
     for section in page.sections:
-        lines += [f"## {section.title}", ""]
-        lines += [section.lead, ""] if section.lead else []
+        lines += [f"## {text(section.title)}", ""]
+        lines += [text(section.lead), ""] if section.lead else []
         for part in section.parts:
             if isinstance(part, Table):
                 lines += _table_lines(part)
             elif isinstance(part, Note):
-                lines += [line for text in part.paragraphs for line in (text, "")]
+                lines += [line for paragraph in part.paragraphs for line in (text(paragraph), "")]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -113,8 +114,8 @@ def as_json(page: Page) -> str:
 
 
 def _table_lines(table: Table) -> list[str]:
-    title = [f"### {table.title}", ""] if table.title else []
-    note = [table.note, ""] if table.note else []
+    title = [f"### {markdown_text(table.title)}", ""] if table.title else []
+    note = [markdown_text(table.note), ""] if table.note else []
     return [*title, table.as_markdown(), "", *note]
 
 

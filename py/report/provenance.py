@@ -10,6 +10,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 
 from .format import number_text
@@ -35,7 +36,8 @@ def command_line() -> str:
     if not sys.argv or not sys.argv[0]:
         return ""
     program = Path(sys.argv[0])
-    return shlex.join([program.parent.name if program.name == "__main__.py" else program.name, *sys.argv[1:]])
+    name = program.parent.name if program.name == "__main__.py" else program.name
+    return printable(shlex.join([name, *sys.argv[1:]]))
 
 
 def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Table:
@@ -45,7 +47,7 @@ def recording_table(validate: Sequence[Record], train: Sequence[Record]) -> Tabl
     columns = [
         texts("record", "Recording", [r.name for r, _ in rows]),
         texts("role", "Used for", [role for _, role in rows]),
-        texts("file", "File", [Path(str(r.source)).name if r.source else "in memory" for r, _ in rows]),
+        texts("file", "File", [printable(Path(str(r.source)).name) if r.source else "in memory" for r, _ in rows]),
         numbers("duration", "Duration", [r.duration for r, _ in rows], "s", common=False, digits=4),
         counts("samples", "Samples", [len(r.time) for r, _ in rows]),
         numbers("period", "Period", [r.period for r, _ in rows], "s", "ms", common=False),

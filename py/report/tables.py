@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from .format import NONE, difference_to_shown, number_text, number_texts, pretty_unit, to_shown
+
+_TAG = re.compile(r"<(?=[A-Za-z/!?])")  # what Markdown would take for itself and leave out
+_MARKS = re.compile(rf"\*|{_TAG.pattern}")
 
 
 @dataclass(frozen=True)
@@ -167,5 +171,16 @@ def _linked(cell: Cell, text: str) -> str:
     return f"[{text}]({cell.link})" if cell.link else text
 
 
+def markdown_text(text: str) -> str:
+    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, two stars are not bold, a line end is a
+    space. A star alone stays as it is: a command can be copied.
+
+    >>> markdown_text("load<2: <old> d*.rmse < 3 mm")
+    'load<2: \\\\<old> d*.rmse < 3 mm'
+    """
+    marks = _MARKS if text.count("*") > 1 else _TAG
+    return marks.sub(r"\\\g<0>", text).replace("\n", " ")
+
+
 def _escaped(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    return markdown_text(text).replace("|", "\\|")

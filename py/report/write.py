@@ -8,6 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
+from hydrotwin.comparison.as_read import as_read
+from hydrotwin.models.language.writing import printable
 from hydrotwin.records.between import between
 
 from .acceptance import acceptance_data, acceptance_sections, verdict
@@ -250,11 +252,12 @@ def _recording(record, role: str) -> dict:
         "name": record.name,
         "role": role,
         "tags": dict(record.tags),
-        "file": Path(str(record.source)).name if record.source else None,
+        "file": printable(Path(str(record.source)).name) if record.source else None,
         "sha256": record.digest,
         "seconds": record.duration,
         "samples": len(record.time),
         "period": record.period,
+        "signals": as_read(record),
     }
 
 

@@ -53,6 +53,22 @@ def test_groups_and_other_models_are_read():
     assert understood("pump.p.mae not worse than last/compare.json").than == "last/compare.json"
 
 
+@pytest.mark.parametrize("group", ["start=10:12:33", "run 10:12", "rig=rig: B", "at=2026-11-28T10:12"])
+@pytest.mark.parametrize(
+    ("what", "than"),
+    [
+        ("arm_angle.rmse < 1 deg", ""),
+        ("arm_angle.coverage in [0.9, 0.99]", ""),
+        ("arm_angle not worse than cehA:third_order by 5 %", "cehA:third_order"),
+        ("arm_angle not worse than C:/last/compare.json", "C:/last/compare.json"),
+    ],
+)
+def test_a_time_of_day_may_be_a_group(group, what, than):
+    one = understood(f"{group}: {what}")
+    assert (one.group, one.output, one.than) == (group, "arm_angle", than)
+    assert (understood(what).group, understood(what).than) == ("", than)
+
+
 @pytest.mark.parametrize(
     ("text", "low", "high"),
     [

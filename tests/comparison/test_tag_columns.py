@@ -67,3 +67,26 @@ def test_a_scenario_says_columns_and_what_it_says_of_a_file_stands(recording, tm
     )
     tags = read_scenario(tmp_path / "scenario.toml").tags
     assert tags.put(recording[0], tmp_path / "run.csv").tags == {"rig": "B", "load": "20.5 kg"}
+
+
+def test_the_same_condition_is_one_however_it_is_written(recording):
+    """A number of a scenario, a file name, a text with blanks: else a criterion would leave some of them out."""
+    record, path = recording
+    said = [Tags(by_file={path: {"load": value}}) for value in (2, 2.0, " 2 ", "2")] + [Tags("run{load}")]
+    named = path.with_name("run2.csv")
+    found = {one.put(record, named if one.pattern else path).tags["load"] for one in said}
+    assert found == {"2"} and Tags(by_file={path: {"load": 2.5}}).put(record, path).tags == {"load": "2.5"}
+    assert Tags(by_file={path: {"oil": "very\ncold"}}).put(record, path).tags == {"oil": "very cold"}
+
+
+def test_what_is_said_of_a_file_counts_before_a_column_and_a_column_before_its_name(recording):
+    record, path = recording
+    columns, named = {"rig": "rig"}, path.with_name("run2.csv")
+    assert Tags("run{rig}", columns=columns).put(record, named).tags == {"rig": "A 1"}
+    assert Tags("run{rig}", {named: {"rig": "B"}}, columns).put(record, named).tags == {"rig": "B"}
+
+
+@pytest.mark.parametrize("value", ["", "  ", "\n"])
+def test_an_empty_tag_is_refused(recording, value):
+    with pytest.raises(DeclarationError, match="oil of run is empty"):
+        Tags(by_file={recording[1]: {"oil": value}}).put(*recording)

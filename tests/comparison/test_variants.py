@@ -88,6 +88,7 @@ def test_every_combination_of_a_matrix_is_a_variant_named_by_its_values():
         ("[variants.base]\nstep = 0.1", "'base' is the scenario as it stands"),
         ("[variants.'a:b']\nstep = 0.1", "a name of a variant is a word or two"),
         ("[variants.'a b']\nstep = 0.1\n[variants.a_b]\nstep = 0.2", "two variants are called 'a_b'"),
+        ("[variants.Base]\nstep = 0.1", "two variants are called 'base'"),  # one folder, on many machines
         ("[variants]", r"\[variants\] is empty"),
         ("variants = 3", "'variants' is no table"),
         ("[variants]\ncold = 3", r"\[variants.cold\] is no table"),
@@ -112,3 +113,11 @@ def test_more_than_can_be_meant_is_refused_with_how_many_before_any_is_made():
     with pytest.raises(DeclarationError, match=f"5 models x 101 variants x 100 .* 50500 runs, more than {MOST_RUNS}"):
         check_many(101, 5, 100, "scenario.toml")
     check_many(40, 5, 100, "scenario.toml")
+
+
+@pytest.mark.parametrize("name", ["..", ".", ".runs", ".written.json", "report.html", "Compare.JSON", "../a", "/a"])
+def test_no_name_of_a_variant_leads_out_of_the_folder_or_onto_a_file_of_the_overview(name, tmp_path):
+    folder = Variant(name).folder
+    inside = (tmp_path / folder).resolve()
+    assert inside.parent == tmp_path.resolve() and not folder.startswith(".")
+    assert folder.lower() not in ("report.html", "report.md", "compare.json")

@@ -7,6 +7,10 @@ import shutil
 
 import pytest
 
+from hydrotwin.comparison import Wanted, acceptance, compare
+from hydrotwin.report import write_report
+from tests.comparison.toys import Toy, recording
+
 webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
 
 BROWSER = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
@@ -143,3 +147,18 @@ def test_no_script_error_and_no_request_leaves_the_page(opened):
     urls = [r["request"]["url"] for r in requests if r["documentURL"].startswith("file:")]
     assert urls
     assert [url for url in urls if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def test_long_names_do_not_make_a_narrow_screen_scroll_sideways(browser, tmp_path):  # last: it leaves the page
+    long = "EHA_rig3_load250kg_stroke120mm_oil45degC_2026-11-28_run07_second_shift"
+    records = [recording(k, duration=1.0, name=f"{long}_{k}") for k in (1, 2)]
+    found = compare([Toy(f"{long}_model"), Toy(f"{long}_old", gain=130.0)], records, repeats=0, modes=("free run",))
+    accepted = acceptance(found, Wanted((f"{long}_1: arm_angle.rmse < 900 deg",)))
+    metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        browser.get(write_report(found, tmp_path, accepted=accepted)["html"].as_uri())
+        wait_until(browser, f"{DRAWN} > 0 || document.querySelectorAll('.thumb').length > 0")
+        assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
+    finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import html
 import json
 import re
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 
-from hydrotwin.comparison import compare
+from hydrotwin.comparison import Wanted, acceptance, compare
 from hydrotwin.identification.fit import Finding
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.report import Note, comparison_page, display_units, styles, write_report
@@ -167,6 +168,19 @@ def test_a_title_with_markup_cannot_break_the_page(report):
     text = report["html"].read_text(encoding="utf-8")
     assert "<h1>Toys &lt;/script&gt; &amp; more</h1>" in text
     assert "Toys </script>" not in text
+
+
+def test_names_with_markup_stand_in_the_markdown_letter_by_letter(tmp_path):
+    """What a pull request shows leaves out tags that it does not know, and stars in pairs."""
+    record = recording(1, name="<script>a*b*</script>")
+    found = compare([Toy("<i>x</i>\ny"), Toy("<old>", gain=130.0)], [record], repeats=0, modes=("free run",))
+    wanted = Wanted(("<script>a*b*</script>: arm_angle.rmse < 900 deg",))
+    found = dataclasses.replace(found, title="<b>Press</b>\nline 2")
+    text = write_report(found, tmp_path, accepted=acceptance(found, wanted))["markdown"].read_text(encoding="utf-8")
+    assert text.startswith("# \\<b>Press\\</b> line 2\n")
+    assert "| \\<script>a\\*b\\*\\</script>: arm_angle.rmse < 900 deg | PASS |" in text
+    assert "| \\<i>x\\</i> y |" in text and "better than" not in text
+    assert not re.search(r"(?<!\\)<[A-Za-z/!?]", text)
 
 
 def test_the_same_comparison_gives_the_same_files(comparison, fit, report, tmp_path):

@@ -162,7 +162,12 @@ def _experiments(thing, records, method: str, step: float | None) -> list:
 
 def check(
     fmu: Annotated[
-        Path, typer.Argument(metavar="X.fmu", help="the FMU to check, anybody's; or a model file, to tell its record")
+        Path,
+        typer.Argument(
+            metavar="X.fmu",
+            help="the FMU to check, anybody's; or a model file, to tell its record (file.py:factory@model.toml to run "
+            "your own code again)",
+        ),
     ],
     reference: Annotated[Path | None, typer.Option(metavar="REC", help="recording its outputs must meet")] = None,
     interpolation: InterpolationOption = None,
@@ -186,7 +191,7 @@ def check(
     if fmu.suffix == ".toml":
         if reference or interpolation:
             raise DeclarationError(f"check: {fmu} is a model file, whose record is told. Leave the other options out.")
-        if not tell_evidence(fmu, as_json, again=tuple(recordings or ()) if replay else None):
+        if not tell_evidence(str(fmu), as_json, again=tuple(recordings or ()) if replay else None):
             sys.exit(1)
         return
     if recordings:

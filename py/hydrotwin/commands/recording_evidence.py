@@ -81,14 +81,17 @@ def known_of(model: str):
     return file.credibility.of(file.contents)
 
 
-def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None) -> bool:
+def tell_evidence(model: str, as_json: bool, again: Sequence[Path] | None = None) -> bool:
     """What a model file says of where it was fitted and judged; False where that is of other values, or not passed.
 
+    model : the file, or what else is loaded with its values: ``rig.py:axis@model.toml``, which runs code that a file
+    may not start.
     again : folders of recordings, to make its comparisons again; None for not. Then False too where a number is
     another, or a comparison could not be made.
     """
+    path = _file_of(model)
     file = _model_file(path)
-    made = None if again is None else _made_again(path, again)
+    made = None if again is None else _made_again(path, model, again)
     evidence = file.credibility.evidence
     rows = [{"holds": one.contents == file.contents, "passed": one.passed, "told": one.told} for one in evidence]
     good = all(row["holds"] and row["passed"] is not False for row in rows)
@@ -118,13 +121,19 @@ def tell_evidence(path: Path, as_json: bool, again: Sequence[Path] | None = None
     return good and _all_same(made)
 
 
-def _made_again(path: Path, folders: Sequence[Path]):
+def _file_of(model: str) -> Path:
+    """The model file that ``model`` takes its values from, whether it is there or not."""
+    values = model.partition("@")[2]
+    return Path(values) if values and not Path(model).is_file() else Path(model)
+
+
+def _made_again(path: Path, model: str, folders: Sequence[Path]):
     from hydrotwin.comparison import replay
 
     for folder in folders:
         if not folder.is_dir():
             raise DataError(f"check: --recordings {folder}: no such folder. Name one that holds recordings.")
-    return replay(path, load(str(path)), folders)
+    return replay(path, load(model), folders)
 
 
 def _all_same(made) -> bool:

@@ -1,0 +1,91 @@
+"""`check rig.py:axis@model.toml --replay`: the record of one's own model, compared beside models of other outputs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydrotwin.records import Record, write_record
+from tests.face.command_line import hydrotwin
+
+CODE = '''
+from hydrotwin.models.components import ForceSource, LinearLoad
+from hydrotwin.models.language import Component, Input, Model, Output, connect
+from hydrotwin.models.laws import Viscous
+
+
+class Slide(Component):
+    """A mass on a slide."""
+
+    force = Input("N", nominal=50.0)
+    position = Output("m")
+    motor = ForceSource()
+    load = LinearLoad(mass=95.0, friction=Viscous(viscous=200.0), load_force=0.0)
+
+    def equations(self):
+        yield connect(self.force, self.motor.force)
+        yield connect(self.motor.flange, self.load.flange)
+        yield self.position == self.load.position
+
+
+class Watched(Component):
+    """The same with a second force and its speed as an output."""
+
+    force, wind = Input("N", nominal=50.0), Input("N", nominal=50.0)
+    position, speed = Output("m"), Output("m/s")
+    motor, air = ForceSource(), ForceSource()
+    load = LinearLoad(mass=95.0, friction=Viscous(viscous=200.0), load_force=0.0)
+
+    def equations(self):
+        yield connect(self.force, self.motor.force)
+        yield connect(self.wind, self.air.force)
+        yield connect(self.motor.flange, self.load.flange)
+        yield connect(self.air.flange, self.load.flange)
+        yield self.position == self.load.position
+        yield self.speed == self.load.velocity
+
+
+def slide():
+    return Model(Slide(), "slide")
+
+
+def watched():
+    return Model(Watched(), "watched")
+'''
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A model of one's own, identified, and a recording with an output and an input that only another model has."""
+    found = tmp_path_factory.mktemp("slide")
+    (found / "rig.py").write_text(CODE, encoding="utf-8")
+    time, random = np.arange(0.0, 2.0, 0.01), np.random.default_rng(1)
+    force = 50.0 * np.sign(np.sin(4.0 * time))
+    speed = np.r_[0.0, np.cumsum(force[:-1]) * 0.01 / 95.0]
+    position = np.r_[0.0, np.cumsum(speed[:-1]) * 0.01] + 1e-5 * random.standard_normal(len(time))
+    signals = {"force": force, "wind": 0.0 * time, "position": position, "speed": speed}
+    units = {"force": "N", "wind": "N", "position": "m", "speed": "m/s"}
+    write_record(Record(time, signals, units), found / "run.csv")
+    words = ("--free", "load.mass", "--starts", 1, "--out", found / "m.toml")
+    answer = hydrotwin("identify", f"{found}/rig.py:slide", found / "run.csv", *words)
+    assert answer.code == 0, answer.said
+    return found
+
+
+def test_the_record_of_ones_own_model_is_made_again_where_its_code_is_named(folder):
+    own = f"{folder}/rig.py:slide@{folder}/m.toml"
+    words = ("--validate", folder / "run.csv", "--mode", "free run", "--slope", "position", "--slope", "speed")
+    words += ("--interpolation", "wind=linear", "--accept", "position.rmse < 10 m", "--record", folder / "m.toml")
+    other = ("--model", f"{folder}/rig.py:watched")  # its speed, and its wind, are of what was asked
+    answer = hydrotwin("compare", "--model", own, *other, *words, "--out", folder / "report")
+    assert answer.code == 0, answer.said
+    answer = hydrotwin("check", folder / "m.toml", "--replay")
+    assert answer.code == 2 and "Name the code yourself" in answer.said
+    assert hydrotwin("check", own).code == 0
+    answer = hydrotwin("check", own, "--replay")
+    assert answer.code == 0 and "14 of 14 numbers are the same." in answer.said, answer.said
+
+
+def test_values_that_are_nowhere_are_refused(folder):
+    answer = hydrotwin("check", f"{folder}/rig.py:slide@{folder}/n.toml", "--replay")
+    assert answer.code == 2 and "Did you mean 'm.toml'" in answer.said

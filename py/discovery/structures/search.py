@@ -21,7 +21,7 @@ from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Job, Look, Question
-from ..fits.slides import slide
+from ..fits.nearby import lowest_nearby
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
@@ -185,7 +185,7 @@ class Search:
         if not self.first:  # else it leaves far too much, wherever it would come to rest
             self._fit_base_further(base)
             if near and not self.table.explained([base]):
-                (found,) = self._ran([self.jobs.further(base)], slide)
+                (found,) = self._ran([self.jobs.further(base)], lowest_nearby)
                 self.table.keep_better(base, found)
 
     def _fit_base_further(self, base: Entry) -> None:

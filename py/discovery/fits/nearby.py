@@ -1,4 +1,4 @@
-"""Slides: whole recordings may have several minima close to each other along what they say least about.
+"""Minima nearby: whole recordings may have several, close to each other along what they say least about.
 
 A lightly damped mode that rings through a whole recording makes them. Where windows explain all, and a fit to whole
 recordings does not, it came to rest in one of the wrong ones: points along its weakest directions lead to the others.
@@ -19,21 +19,21 @@ from hydrotwin.models.language.errors import SolveError
 from .job import Fitted, Job
 from .whole import FIRST, TOLERANCE, concluded, first, settled
 
-LENGTHS = (-0.2, -0.1, 0.1, 0.2)  # of a slide, in q of the parameter that moves most
+LENGTHS = (-0.2, -0.1, 0.1, 0.2)  # how far, in q of the parameter that moves most
 DIRECTIONS = 3  # in which the recordings say least
-STEPS = 8  # from the end of a slide, which show where it leads
-SLIDES = 4  # one after the other, at most
+STEPS = 8  # from there, which show where it leads
+MOVES = 4  # from minimum to minimum, at most
 
 
-def slide(job: Job) -> Fitted | str:
-    """Fit a structure to whole recordings and slide from there to minima beside it, while that leads to lower ones.
+def lowest_nearby(job: Job) -> Fitted | str:
+    """Fit a structure to whole recordings, and go on to lower minima beside that one until there is none.
 
     Pure and picklable. A sentence when it diverges.
     """
     began, job = time.perf_counter(), job.beginning()
     try:
         task, found = first(job)
-        for _ in range(SLIDES):
+        for _ in range(MOVES):
             best = _beside(task, found, job.seconds)
             if best.cost > found.cost - 1.0:
                 break
@@ -45,7 +45,7 @@ def slide(job: Job) -> Fitted | str:
 
 
 def _beside(task: Task, found: Minimum, until: float) -> Minimum:
-    """The lowest of a minimum and of a few steps from each end of a slide."""
+    """The lowest of a minimum and of a few steps from each point beside it."""
     shooting, free, best = whole_runs(task)[0], task.free, found
     lower, upper = free.scaled(free.lower), free.scaled(free.upper)
     for point in along_valleys(found, LENGTHS, DIRECTIONS):

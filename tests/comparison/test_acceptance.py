@@ -228,6 +228,7 @@ def test_a_scenario_file_holds_tags_and_criteria(folder):
         ('tags = 3\nvalidate = ["load1_stroke1.csv"]', "is no text"),
         ('validate = [{file = "load1_stroke1.csv", tag = {a = 1}}]', "unknown key 'tag'"),
         ("validate = [{tags = {a = 1}}]", "a recording with tags is"),
+        ('validate = ["a.csv"]\ntags = {a = 1}', "'tags' is a pattern of file names"),
         ("validate = [3]", "holds no text"),
     ],
 )

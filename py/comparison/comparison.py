@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 
 from .band import Band
 from .field import FieldMetrics
+from .metric import AT_TIMES
 from .residual import Residual
 from .starts import Started
 
@@ -264,7 +265,7 @@ class Comparison:
 def mean_scores(scores: tuple[Score, ...]) -> tuple[Score, ...]:
     """Mean over the recordings of each metric, per model, output and mode; the maximum and the range are the widest.
 
-    ``steady`` is the mean over those recordings in which something rests.
+    ``steady`` and ``settling`` are means over those recordings in which something rests.
 
     ``relative`` compares only models scored on as many recordings as the most complete one (NaN for the others).
     """
@@ -304,8 +305,8 @@ def _mean(group: list[Score]) -> Score:
         coverage=average("coverage"),
         nlpd=average("nlpd"),
         crps=average("crps"),
-        **{f.name: average(f.name) for f in dataclasses.fields(FieldMetrics) if f.name != "steady"},
-        steady=mean_known([s.steady for s in group]),
+        **{f.name: average(f.name) for f in dataclasses.fields(FieldMetrics) if f.name not in AT_TIMES},
+        **{name: mean_known([getattr(s, name) for s in group]) for name in AT_TIMES},
         model=first.model,
         record=MEAN,
         output=first.output,

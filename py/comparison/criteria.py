@@ -149,11 +149,11 @@ def some_of(names: Sequence[str], most: int = 3) -> str:
 
 def over_recordings(metric: str, values: Sequence[float]) -> float:
     """What a criterion takes of the scores of several recordings: the largest maximum, of those that are
-    sized the mean size (of errors at rest where something rests), else the mean; what is in percent as a share.
+    sized the mean size (of what is defined at times where it is), else the mean; what is in percent as a share.
     """
     if metric == "max":
         return float(max(values))
-    if metric == "steady":
+    if METRICS[metric].at_times:
         return mean_known(np.abs(values))
     value = float(np.mean(np.abs(values) if METRICS[metric].sized else values))
     return value / 100 if metric == "fit" else value

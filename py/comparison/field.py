@@ -6,17 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from hydrotwin.records import NoiseFloor, Record
 
 from .rating import LONGEST, SHIFT, rating
 from .residual import uniform
+from .rest import inputs_rest, rests, settling
 from .shift import lag
 
 NAN = float("nan")
-REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
-STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +24,7 @@ class FieldMetrics:
     r2        1 - sum((y - p)^2) / sum((y - mean y)^2)
     theil     Theil's inequality coefficient rms(y - p) / (rms y + rms p), 0 to 1
     lag       s that p comes after y, where they correlate most
+    settling  s that p takes longer than y to settle after the inputs have moved
     steady    mean(p - y) where inputs and y rest, in the unit of the signal
     u_val     rms of the standard deviation of the model's band, in the unit of the signal (ASME V&V 20)
     vv20      rmse over u_val
@@ -36,6 +35,7 @@ class FieldMetrics:
     r2: float = NAN
     theil: float = NAN
     lag: float = NAN
+    settling: float = NAN
     steady: float = NAN
     u_val: float = NAN
     vv20: float = NAN
@@ -58,19 +58,23 @@ class Predicted:
 def field_metrics(
     record: Record, found: Predicted, inputs: Sequence[str], noise: Mapping[str, NoiseFloor], *, rated: bool = True
 ) -> FieldMetrics:
-    """Metrics of what was predicted; inputs : names of what must rest for ``steady``; rated : with ISO/TS 18571.
+    """Metrics of what was predicted.
+
+    inputs : names of what must rest for ``steady`` and ``settling``; rated : with ISO/TS 18571.
 
     Samples that were not measured are left out; lag and rating see a uniform grid with lines between the samples.
     """
     measured = record[found.output]
     known = np.isfinite(measured) & np.isfinite(found.values)
     time, y, p = record.time[known], measured[known], found.values[known]
-    resting = rests(record, [found.output, *(n for n in inputs if n in record.signals)], noise)[known]
+    inputs = [n for n in inputs if n in record.signals]
+    resting = (rests(record, [found.output], noise) & inputs_rest(record, inputs, noise))[known]
     u_val, rmse = _validation_uncertainty(found.deviation, known), _rms(p - y)
     return FieldMetrics(
         r2=r_squared(y, p),
         theil=theil(y, p),
         lag=_lag(time, y, p),
+        settling=settling(record, found.output, found.values, inputs, noise) if inputs else NAN,
         steady=float(np.mean((p - y)[resting])) if resting.any() else NAN,
         u_val=u_val,
         vv20=rmse / u_val if u_val > 0 else NAN,
@@ -101,28 +105,6 @@ def theil(measured: np.ndarray, predicted: np.ndarray) -> float:
     """
     size = _rms(measured) + _rms(predicted)
     return _rms(measured - predicted) / size if size > 0 and np.ptp(measured) else NAN
-
-
-def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
-    """Where (n,) all named signals rest: about a sample each moves less than STILL of its range or than its noise."""
-    width = max(REST_SAMPLES, int(REST * len(record.time))) | 1
-    still = np.ones(len(record.time), bool)
-    if len(still) < width:
-        return ~still
-    for name in names:
-        values = record[name]
-        known = np.isfinite(values)
-        if not known.any():
-            return np.zeros_like(still)
-        sigma = noise[name].sigma if name in noise else 0.0
-        room = max(STILL * float(np.ptp(values[known])), NOISE_WIDTH * sigma)
-        swing = maximum_filter1d(np.where(known, values, np.inf), width) - minimum_filter1d(
-            np.where(known, values, -np.inf), width
-        )
-        still &= swing <= room
-    half = width // 2
-    still[:half] = still[-half:] = False
-    return still
 
 
 def _lag(time: np.ndarray, y: np.ndarray, p: np.ndarray) -> float:

@@ -17,7 +17,8 @@ class Metric:
 
     of : what it is measured in. field : of a `Score`; "" where it is made from one. least, most : what it can be, in SI
     or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
-    without a band has none. percent : people read this share in percent. undefined : why a recording has no number of
+    without a band has none. at_times : over recordings it is the mean of those in which it is defined: not all rest.
+    percent : people read this share in percent. undefined : why a recording has no number of
     it, with ``{output}``.
     """
 
@@ -29,6 +30,7 @@ class Metric:
     best: bool = False
     sized: bool = False
     of_band: bool = False
+    at_times: bool = False
     percent: bool = False
 
     @property
@@ -59,10 +61,14 @@ METRICS: Mapping[str, Metric] = {
         "{output} or its prediction does not move, or they do not correlate best within a fifth of the recording",
         sized=True,
     ),
+    "settling": Metric(  # how much longer or shorter it takes to settle
+        TIME, "settling", "{output} never comes to rest after the inputs moved, and rest", sized=True, at_times=True
+    ),
     "steady": Metric(  # the mean error where inputs and measurement rest
-        OF_OUTPUT, "steady", "the inputs and {output} never rest together", sized=True
+        OF_OUTPUT, "steady", "the inputs and {output} never rest together", sized=True, at_times=True
     ),
     "vv20": Metric(PLAIN, "vv20", _NO_BAND, of_band=True),  # RMSE over the validation uncertainty of ASME V&V 20
 }  # fmt: skip
 SCORED: Mapping[str, str] = {name: one.field for name, one in METRICS.items() if one.field}  # -> field of a `Score`
+AT_TIMES = tuple(one.field for one in METRICS.values() if one.at_times)  # not defined in every recording
 ERRORS = tuple(name for name, one in METRICS.items() if not one.best)  # the smaller the better

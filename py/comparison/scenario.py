@@ -214,8 +214,8 @@ def _tagged(table: Mapping, path: Path) -> tuple[list[str], Tags]:
     columns = _texts(table, "tag_columns", path.name, "load = 'load_mass'")
     if isinstance(table.get("tags"), dict):
         raise DeclarationError(
-            f"{path.name}: 'tags' is a pattern of file names, such as 'load{{load}}_*'. What one recording is tagged with "
-            "stands beside it: validate = [{file = 'a.csv', tags = {load = 2}}]."
+            f"{path.name}: 'tags' is a pattern of file names, such as 'load{{load}}_*'. Tags of one recording stand "
+            "beside it: validate = [{file = 'a.csv', tags = {load = 2}}]."
         )
     return files, Tags(_text(table, "tags", path.name), by_file, columns)
 

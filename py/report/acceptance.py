@@ -72,7 +72,7 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
     """The criteria one by one, and what changed against an earlier comparison."""
     lead = (
         f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest; "
-        "bias, lag and steady by their size."
+        "bias, lag, settling and steady by their size."
     )
     judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged),) if accepted.judged else (), lead)
     told = against_told(accepted)

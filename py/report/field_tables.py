@@ -40,6 +40,13 @@ DEFINITIONS = (
         "ISO/TS 18571:2014",
     ),
     (
+        "Settling",
+        "settling",
+        "how much longer p takes to settle than y: from where the inputs, after a move, rest, to where it stays within "
+        "5 % of its largest distance from its final value, or the noise; mean over the moves after which y rests",
+        "Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4",
+    ),
+    (
         "At rest",
         "steady",
         "mean(p − y) where inputs and measurement rest: each within 0.5 % of its range, or its noise, for 2 % of the "
@@ -89,6 +96,7 @@ def _scores(rows: Sequence[Score], shown: Mapping[str, str], look: Mapping[str, 
         numbers("phase", "Phase EP", [s.phase for s in rows], decimals=3),
         numbers("magnitude", "Magnitude EM", [s.magnitude for s in rows], decimals=3),
         numbers("slope", "Slope ES", [s.slope for s in rows], decimals=3),
+        numbers("settling", "Settling", [s.settling for s in rows], "s", "ms", common=False),
         Column("steady", "At rest", tuple(_size(s.steady, s, shown) for s in rows)),
     ]
     if any(math.isfinite(s.u_val) for s in rows):

@@ -37,6 +37,47 @@ def test_at_rest_counts_what_rests_and_not_the_motion_between():
     assert np.isnan(metrics_of(np.sin(2 * np.pi * TIME), STEPS).steady)
 
 
+def answers(*time_constants, moves=(1.0, 4.0, 7.0)):
+    """Of first order to a step at each of these times, up and down in turn; one recording of the input, then each."""
+    held = sum(np.where(moves[k] <= TIME, (-1.0) ** k, 0.0) for k in range(len(moves)))
+
+    def answer(T):
+        y = np.zeros(len(TIME))
+        for k in range(1, len(TIME)):
+            y[k] = held[k - 1] + (y[k - 1] - held[k - 1]) * np.exp(-(TIME[k] - TIME[k - 1]) / T)
+        return y
+
+    return held, *(answer(T) for T in time_constants)
+
+
+def settling_of(u, y, p):
+    record = Record(TIME, {"u": u, "y": y}, {"u": "V", "y": "rad"}, "steps")
+    return field_metrics(record, Predicted("y", p), ["u"], noise_floor(record), rated=False).settling
+
+
+def test_settling_is_the_difference_of_the_settling_times():
+    """A lag of first order stays within 5 % after T ln 20."""
+    u, y, slower, faster = answers(0.2, 0.35, 0.1)
+    assert settling_of(u, y, y) == 0.0
+    assert settling_of(u, y, slower) == pytest.approx(0.15 * np.log(20), abs=0.015)
+    assert settling_of(u, y, faster) == pytest.approx(-0.1 * np.log(20), abs=0.015)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(len(TIME))
+    assert settling_of(u, y + noise, slower) == pytest.approx(0.15 * np.log(20), abs=0.06)
+
+
+def test_a_prediction_that_does_not_settle_takes_as_long_as_the_inputs_rest():
+    u, y = answers(0.1)
+    rings = y + 0.5 * np.sin(2 * np.pi * 0.7 * TIME)
+    assert settling_of(u, y, rings) == pytest.approx(3.0 - 0.1 * np.log(20), abs=0.2)
+
+
+def test_settling_needs_moves_after_which_the_measurement_rests():
+    u, y = answers(0.1)
+    assert np.isnan(settling_of(np.sin(TIME), y, y)), "the input never rests"
+    assert np.isnan(settling_of(u, y + 0.3 * np.sin(3 * TIME), y)), "the measurement never does"
+    assert np.isnan(settling_of(np.zeros(len(TIME)), y, y)), "nothing was moved"
+
+
 def test_what_is_not_defined_is_nan():
     found = metrics_of(np.ones(len(TIME)), STEPS)
     assert np.isnan([found.r2, found.theil, found.lag, found.iso18571, found.vv20, found.u_val]).all()
@@ -56,6 +97,7 @@ def test_samples_that_were_not_measured_are_left_out():
         ("arm_angle.iso18571 > 0.9", 0.9, np.inf),
         ("arm_angle.theil < 5 %", -np.inf, 0.05),
         ("arm_angle.lag < 20 ms", -np.inf, 0.02),
+        ("arm_angle.settling < 200 ms", -np.inf, 0.2),
         ("arm_angle.steady < 1 deg", -np.inf, np.deg2rad(1)),
         ("arm_angle.vv20 < 2", -np.inf, 2.0),
     ],

@@ -180,8 +180,9 @@ def _field(scores: list[dict], yardsticks: set[str]) -> list[dict]:
     for (output, model), of in groups.items():
         mean = {k: float(np.mean([s[k] for s in of])) for k in keys}
         whole = 0.4 * mean["corridor"] + 0.2 * (mean["phase"] + mean["magnitude"] + mean["slope"])
-        rested = [s["steady"] for s in of if s["steady"] is not None]
-        mean["steady"] = float(np.mean(rested)) if rested else None
+        for key in ("settling", "steady"):
+            known = [s[key] for s in of if s[key] is not None]
+            mean[key] = float(np.mean(known)) if known else None
         rows.append({"output": output, "model": model, "iso18571": whole, **mean})
     return rows
 

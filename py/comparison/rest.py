@@ -1,0 +1,97 @@
+"""Where signals of a recording rest, and how long they take to come to rest after the inputs have moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+from hydrotwin.records import NoiseFloor, Record
+
+REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
+STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
+LEVELS = 0.2  # of the range of an input: a recorded step from there on is a level of the command, and no rounding
+SETTLED, SETTLED_NOISE = 0.05, 3.0  # of the largest distance from the final value, or sigmas: nearer is settled
+
+
+def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
+    """Where (n,) all named signals rest: about a sample each moves less than STILL of its range or than its noise."""
+    width = _width(record)
+    still = np.ones(len(record.time), bool)
+    if len(still) < width:
+        return ~still
+    for name in names:
+        values = record[name]
+        known = np.isfinite(values)
+        if not known.any():
+            return np.zeros_like(still)
+        room = _room(values, _sigma(name, noise))
+        swing = maximum_filter1d(np.where(known, values, np.inf), width) - minimum_filter1d(
+            np.where(known, values, -np.inf), width
+        )
+        still &= swing <= room
+    half = width // 2
+    still[:half] = still[-half:] = False
+    return still
+
+
+def inputs_rest(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
+    """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves."""
+    rounded = {n: noise[n] for n in names if n in noise and noise[n].quantum < LEVELS * np.ptp(record[n])}
+    return rests(record, names, rounded)
+
+
+def settling(
+    record: Record, output: str, predicted: np.ndarray, inputs: Sequence[str], noise: Mapping[str, NoiseFloor]
+) -> float:
+    """Mean time [s] that a prediction (n,) of an output takes longer than the measurement to settle.
+
+    Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
+    from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
+    measurement, or within the noise. A prediction that does not settle takes as long as the inputs rest. NaN where the
+    measurement never settles after a move.
+    Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
+    """
+    width, measured, found = _width(record), record[output], []
+    settled, sigma = rests(record, [output], noise), _sigma(output, noise)
+    room = _room(measured, sigma)
+    for part in _after_moves(inputs_rest(record, inputs, noise), width):
+        known = np.isfinite(measured[part]) & np.isfinite(predicted[part])
+        time, y, p = (values[part][known] for values in (record.time, measured, predicted))
+        if len(y) <= width or not settled[part.stop - 1 - width // 2]:
+            continue
+        move = float(np.abs(y - y[-width:].mean()).max())
+        if move > room:
+            band = max(SETTLED * move, SETTLED_NOISE * sigma)
+            found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
+    return float(np.mean(found)) if found else float("nan")
+
+
+def _after_moves(still: np.ndarray, width: int) -> Iterator[slice]:
+    """Samples from where something that had moved rests to where it moves again; still : (n,), as of `rests`."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        if first > width // 2:  # else it rests from the beginning of the recording
+            yield slice(first - width // 2, end + width // 2)
+
+
+def _settles(time: np.ndarray, values: np.ndarray, band: float, width: int) -> float:
+    """Seconds until values (n,) stay within a band about their last ones."""
+    outside = np.flatnonzero(np.abs(values - values[-width:].mean()) > band)
+    return float(time[min(outside[-1] + 1, len(time) - 1)] - time[0]) if len(outside) else 0.0
+
+
+def _width(record: Record) -> int:
+    """How many samples must rest, odd."""
+    return max(REST_SAMPLES, int(REST * len(record.time))) | 1
+
+
+def _room(values: np.ndarray, sigma: float) -> float:
+    """Within what (n,) values move that rest."""
+    known = values[np.isfinite(values)]
+    return max(STILL * float(np.ptp(known)) if len(known) else 0.0, NOISE_WIDTH * sigma)
+
+
+def _sigma(name: str, noise: Mapping[str, NoiseFloor]) -> float:
+    return noise[name].sigma if name in noise else 0.0

@@ -220,6 +220,18 @@ def test_a_scenario_file_holds_tags_and_criteria(folder):
     assert acceptance(comparison, asked.wanted).passed
 
 
+@pytest.mark.parametrize("group", ["valve a=b=1", "valve a=b = 1", "at=x=3", "at = x=3"])
+def test_a_tag_may_have_a_sign_of_equality_in_its_name_and_its_value(folder, group):
+    path = folder / "equal.toml"
+    path.write_text(
+        'models = ["good"]\nvalidate = ["load1_stroke2.csv", {file = "load2_stroke1.csv", tags = {"valve a=b" = 1, '
+        f'at = "x=3"}}}}]\naccept = ["{group}: motor_speed.rmse < 3 rad/s"]\n'
+    )
+    asked = read_scenario(path)
+    (one,) = acceptance(run_scenario(asked, MODELS.__getitem__, repeats=0), asked.wanted).judged
+    assert one.passed and one.samples == len(recording(21).time)  # of the one recording alone
+
+
 @pytest.mark.parametrize(
     ("line", "says"),
     [

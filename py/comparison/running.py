@@ -7,7 +7,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Reading, Record, read_record, require_once
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
@@ -20,7 +22,7 @@ from .rates import rate_signal
 from .run import compare, entrant, wanted_of
 from .scenario import ModelEntry, Scenario
 from .variants import Variant
-from .varied import Thing, concerns, run_as, varied
+from .varied import Thing, concerns, run_as, varied, with_values
 
 HOLD_LAST = "hold_last"
 MANY = 8  # recordings that several processes read faster than one
@@ -135,11 +137,9 @@ def _with_settings(thing, entry: ModelEntry):
     """What an entry sets. DeclarationError for a model that has nothing to set, or not that."""
     if not entry.settings:
         return thing
-    if hasattr(thing, "with_values"):
-        return thing.with_values(entry.settings)
-    if not hasattr(thing, "with_settings"):
+    if not (hasattr(thing, "with_values") or isinstance(thing, Model | FlatModel)):
         raise DeclarationError(f"{entry.model}: a learned block has no parameters to set. Drop set = {{...}}.")
-    return thing.with_settings({name: {"value": value} for name, value in entry.settings.items()})
+    return with_values(thing, entry.settings)
 
 
 def _read(job: tuple[Path, Reading]) -> Record:

@@ -19,7 +19,7 @@ from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import in_loop
 from .rates import rate_signal
-from .run import compare, entrant, wanted_of
+from .run import compare, entrant, measured_in, wanted_of
 from .scenario import ModelEntry, Scenario
 from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
@@ -104,6 +104,7 @@ def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Se
 
 def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> Asked:
     """What criteria of a scenario can be about."""
+    records = measured_in(contenders, records)
     outputs = wanted_of(contenders, records, scenario.outputs)
     sloped = wanted_of(contenders, records, scenario.rates) if scenario.rates else []
     entrants = tuple(entrant(c) for c in contenders)

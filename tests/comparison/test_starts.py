@@ -72,6 +72,19 @@ def test_a_start_that_is_right_is_not_freed_without_a_reason():
     assert set(estimate_start(drive(), rest, "auto").values) == {"piston.position"}
 
 
+@pytest.mark.parametrize("how", ["auto", "free"])
+def test_a_start_far_from_what_the_model_thinks_is_found_where_the_machine_rests(how):
+    """The first samples of its sensor are unknown; beside noise alone, a run from elsewhere is a thousand sigma off."""
+    time = np.arange(0.0, 10.0, 0.02)
+    x = POSITION + NOISE * np.random.default_rng(3).standard_normal(len(time))
+    x[:10] = np.nan
+    rest = Record(time, {"command": 0 * time, "position": x}, {"command": "V", "position": "m"}, "rest")
+    found = estimate_start(drive(), rest, how)
+    (start,) = (s for s in found.states if s.name == "piston.position")
+    assert start.assumed == 0.0 and start.value == pytest.approx(POSITION, abs=3.5 * start.sigma)
+    assert 0 < start.sigma < 0.01 * POSITION
+
+
 def test_a_start_that_is_given_stays():
     known = estimate_start(drive(), moved(), "free", {"motor.speed": SPEED})
     assert set(known.values) == {"piston.position"}

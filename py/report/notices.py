@@ -72,8 +72,8 @@ def seen_before(comparison: Comparison) -> list[str]:
     trained = {r.digest for r in comparison.train_records if r.digest}
     if both := [r.name for r in comparison.records if r.digest in trained]:
         found.append(
-            f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other recordings. "
-            "Judge on ones that no model has seen."
+            f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other "
+            "recordings. Judge on ones that no model has seen."
         )
     return found
 

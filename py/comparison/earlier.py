@@ -15,6 +15,7 @@ from .changes import Before, Change, Key
 from .comparison import Comparison
 from .criteria import over_recordings, some_of
 from .metric import METRICS, SCORED
+from .variants import BASE, Variant
 
 VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
 FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
@@ -26,7 +27,8 @@ class Earlier:
 
     recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
     started : models whose start was estimated. read : of each recording by name how many samples it had, and what was
-    read of its signals. between : what inputs did between their samples, by model and input.
+    read of its signals. between : what inputs did between their samples, by model and input. variants : what each
+    changed; none for a comparison without.
     """
 
     path: Path
@@ -36,6 +38,7 @@ class Earlier:
     started: frozenset[str] = frozenset()
     read: Mapping[str, Mapping] = field(default_factory=dict)
     between: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    variants: Mapping[str, Mapping] = field(default_factory=dict)
 
     def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
         """What else than the models is not as it was, in sentences: a change may come from that."""
@@ -46,6 +49,17 @@ class Earlier:
             if some := sorted(models & both):
                 found.append(f"The start of {', '.join(some)} was estimated {words}: errors may differ by that alone.")
         return (*found, *self._held_otherwise(comparison), *self._read_otherwise(comparison))
+
+    def varied_otherwise(self, variants: Sequence[Variant]) -> Iterator[str]:
+        """Variants that only one of the two has, and those of one name that changed something else then."""
+        now = {v.name: json.loads(json.dumps(v.changes)) for v in variants if v.name != BASE}
+        then = {name: changes for name, changes in self.variants.items() if name != BASE}
+        if new := [name for name in now if name not in then]:
+            yield f"Variants new against the earlier comparison: {some_of(new)}."
+        if gone := [name for name in then if name not in now]:
+            yield f"Variants no longer compared: {some_of(gone)}."
+        if other := [name for name in now if then.get(name, now[name]) != now[name]]:
+            yield f"{some_of(other)} changed something else then: errors may differ by that alone."
 
     def _held_otherwise(self, comparison: Comparison) -> Iterator[str]:
         """Inputs that were taken otherwise between their samples."""
@@ -144,6 +158,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         scores = _scores(told.get("scores", ()) if not variant else ())
         started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
         read = {r["name"]: dict(r) for r in judged}
+        variants = {v["name"]: dict(v["changes"]) for v in told.get("variants", ())}
         between = {(m["name"], name): row["interpolation"] for m in told.get("models", ())
                    for name, row in m.get("between_samples", {}).items() if "interpolation" in row}  # fmt: skip
     except OSError as error:
@@ -159,7 +174,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         scores = _of_the_same(means, earlier(own))
     if variant:  # the file tells these of the base
         started, read, between = frozenset(), {}, {}
-    return Earlier(path, means, recordings, scores, started, read, between)
+    return Earlier(path, means, recordings, scores, started, read, between, variants)
 
 
 def _of_the_same(means: Mapping[Key, Mapping], own: Earlier) -> Mapping[Key, Mapping[str, Mapping]]:

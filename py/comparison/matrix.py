@@ -22,6 +22,7 @@ from .changes import Change
 from .comparison import Comparison, Failure
 from .contender import Contender
 from .criteria import criterion
+from .earlier import earlier
 from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
 from .scenario import Scenario
 from .travel import Carried, travels
@@ -170,7 +171,7 @@ def run_matrix(
                 run = dataclasses.replace(run, as_base=as_base)
             else:
                 run = _again(runs[first[k]], one.variant, scenario.title)
-            run = dataclasses.replace(run, accepted=_accepted(run, wanted[run.name]))
+            run = dataclasses.replace(run, accepted=_accepted(run, wanted[run.name], variants))
             if on_variant and not run.same_as:
                 on_variant(run)
                 run = dataclasses.replace(run, comparison=dataclasses.replace(run.comparison, trajectories=()))
@@ -336,8 +337,15 @@ def _any_of(wanted: Sequence[Wanted]) -> Wanted:
     return dataclasses.replace(first, accept=tuple(folders), own=folders)
 
 
-def _accepted(run: VariantRun, wanted: Wanted) -> Acceptance | None:
-    return acceptance(run.comparison, wanted, "" if run.name == BASE else run.name)
+def _accepted(run: VariantRun, wanted: Wanted, variants: Sequence[Variant]) -> Acceptance | None:
+    """What is asked of a variant, judged; that of the base tells which variants are not those of the earlier one."""
+    if run.name != BASE:
+        return acceptance(run.comparison, wanted, run.name)
+    found = acceptance(run.comparison, wanted)
+    if found is None or wanted.against is None:
+        return found
+    otherwise = earlier(wanted.against).varied_otherwise(variants)
+    return dataclasses.replace(found, otherwise=(*found.otherwise, *otherwise))
 
 
 def _of(name: str, judged):

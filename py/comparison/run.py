@@ -12,7 +12,7 @@ import numpy as np
 from hydrotwin.identification.beginning import check_initial_states
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, as_needed, distinct, noise_floor
+from hydrotwin.records import Record, as_needed, distinct, noise_floor, without_unknown
 from hydrotwin.records.between import between, settled, told
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
@@ -81,7 +81,8 @@ def compare(
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known and for an executor that is not there, DataError when there is nothing to compare.
     """
-    contenders, records = [as_contender(c) for c in contenders], distinct(records)[0]
+    contenders = [as_contender(c) for c in contenders]
+    records = measured_in(contenders, distinct(records)[0])
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
     wanted = wanted_of(contenders, records, outputs)
@@ -118,6 +119,11 @@ def compare(
         starts=tuple(one.started for one in done if one.started),
         inaccurate=_inaccurate(jobs, done),
     )
+
+
+def measured_in(contenders: Sequence[Contender], records: Sequence[Record]) -> list[Record]:
+    """The recordings without outputs that none of their samples knows: they hold them no more than a file without."""
+    return [without_unknown(r, list(_signals(contenders))) for r in records]
 
 
 def _inaccurate(jobs: Sequence[Job], done: Sequence[Done]) -> tuple[Inaccurate, ...]:

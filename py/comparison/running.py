@@ -7,7 +7,9 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Reading, Record, read_record, require_once
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
@@ -17,10 +19,10 @@ from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import in_loop
 from .rates import rate_signal
-from .run import compare, entrant, wanted_of
+from .run import compare, entrant, measured_in, wanted_of
 from .scenario import ModelEntry, Scenario
 from .variants import Variant
-from .varied import Thing, concerns, run_as, varied
+from .varied import Thing, concerns, run_as, varied, with_values
 
 HOLD_LAST = "hold_last"
 MANY = 8  # recordings that several processes read faster than one
@@ -102,6 +104,7 @@ def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Se
 
 def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> Asked:
     """What criteria of a scenario can be about."""
+    records = measured_in(contenders, records)
     outputs = wanted_of(contenders, records, scenario.outputs)
     sloped = wanted_of(contenders, records, scenario.rates) if scenario.rates else []
     entrants = tuple(entrant(c) for c in contenders)
@@ -135,11 +138,9 @@ def _with_settings(thing, entry: ModelEntry):
     """What an entry sets. DeclarationError for a model that has nothing to set, or not that."""
     if not entry.settings:
         return thing
-    if hasattr(thing, "with_values"):
-        return thing.with_values(entry.settings)
-    if not hasattr(thing, "with_settings"):
+    if not (hasattr(thing, "with_values") or isinstance(thing, Model | FlatModel)):
         raise DeclarationError(f"{entry.model}: a learned block has no parameters to set. Drop set = {{...}}.")
-    return thing.with_settings({name: {"value": value} for name, value in entry.settings.items()})
+    return with_values(thing, entry.settings)
 
 
 def _read(job: tuple[Path, Reading]) -> Record:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -123,6 +123,17 @@ def groups(records: Sequence[Record]) -> tuple[str, ...]:
 
 
 def of_group(records: Sequence[Record], group: str) -> tuple[str, ...]:
-    """Names of the recordings of a group, ``tag=value``, or of one name; all for ""."""
-    tag, _, value = (part.strip() for part in group.partition("="))
-    return tuple(r.name for r in records if group in ("", r.name) or (value and r.tags.get(tag) == value))
+    """Names of the recordings of a group, ``tag=value``, or of one name; all for "".
+
+    A tag may have a sign of equality in its name, and a value in it, as `groups` writes them.
+    """
+    asked = set(_parted(group))
+    return tuple(r.name for r in records if group in ("", r.name) or asked & set(r.tags.items()))
+
+
+def _parted(group: str) -> Iterator[tuple[str, str]]:
+    """Every tag and value that a text ``tag=value`` may mean: one for each sign of equality in it."""
+    for sign in re.finditer("=", group):
+        tag, value = group[: sign.start()].strip(), group[sign.end() :].strip()
+        if value:
+            yield tag, value

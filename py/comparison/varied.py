@@ -43,15 +43,23 @@ def varied(one: Thing, variant: Variant) -> object:
     values = {
         path: value for path, value in variant.parameters.items() if path in known and not _has(made, path, value)
     }
-    if not values:
-        return made
-    if hasattr(made, "with_values"):
-        return made.with_values(values)
+    return with_values(made, values) if values else made
+
+
+def with_values(thing, values: Mapping[str, object]) -> object:
+    """The model with these values, in SI or as a text with a unit.
+
+    Raises DeclarationError for a text that is no number, and what the model raises for what it cannot take.
+    """
+    if hasattr(thing, "with_values"):
+        return thing.with_values(values)
     settings = {path: _setting(path, value) for path, value in values.items()}
-    if isinstance(made, Model):
-        return made.with_settings(settings)
-    units = {p.name: p.unit for p in made.parameters}
-    return made.with_parameters(
+    if isinstance(thing, Model):
+        return thing.with_settings(settings)
+    units = {p.name: p.unit for p in thing.parameters}
+    for path in (path for path in settings if path not in units):
+        raise DeclarationError(f"{thing.name}: no parameter '{path}'. {nearest(path, list(units))}")
+    return thing.with_parameters(
         {n: convert(s["value"], s.get("unit", units[n]), units[n]) for n, s in settings.items()}
     )
 
@@ -163,7 +171,7 @@ def _has(thing, path: str, value: float | str) -> bool:
     return math.isclose(number, own.value, rel_tol=SAME, abs_tol=0.0)
 
 
-def _setting(path: str, value: float | str) -> Mapping[str, object]:
+def _setting(path: str, value: object) -> Mapping[str, object]:
     if not isinstance(value, str):
         return {"value": value}
     found = _VALUE.fullmatch(value)

@@ -208,8 +208,9 @@ class _Search:
         start.bounds[~moves] = (x0[start.columns][~moves])[:, None]
         segments = tuple(cut([self.recording], np.inf))
         shooting = Shooting(
-            self.propagator, self.parameters, (self.recording,), segments, weight, start, z, Loss("linear", 1.0)
-        )
+            self.propagator, self.parameters, (self.recording,), segments, weight, start, z, Loss("linear", 1.0),
+            diverged=np.inf,  # a start that nobody measured may be far off, and the first part at rest
+        )  # fmt: skip
         return _Found(shooting, minimise(shooting, np.zeros(0), shooting.clip(z)), moves)
 
     def _sizes(self, found: _Found) -> np.ndarray:

@@ -81,9 +81,7 @@ def minimise(
     logarithmic = shooting.free.logarithmic
     at = at or shooting.linearise(q, z)
     if at.diverged.all():
-        raise SolveError(
-            f"identify: every run diverges at {_where(shooting, q)}. Start elsewhere or use shorter windows."
-        )
+        raise SolveError(f"identify: every run diverges{_where(shooting, q)}. Start elsewhere or use shorter windows.")
     damping, growth, size = 1e-3, 2.0, _diagonal(at)
     descending, costs, poor = True, [at.cost], 0
     for number in range(1, most + 1):
@@ -213,4 +211,5 @@ def _bounded(S: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) ->
 
 def _where(shooting: Shooting, q: np.ndarray) -> str:
     values = shooting.free.values(q)
-    return ", ".join(f"{n} = {v:.4g}" for n, v in zip(shooting.free.names, values, strict=True))
+    told = ", ".join(f"{n} = {v:.4g}" for n, v in zip(shooting.free.names, values, strict=True))
+    return f" at {told}" if told else ""

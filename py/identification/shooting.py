@@ -75,7 +75,8 @@ class Prior:
 class Shooting:
     """Segments of recordings with everything needed to run them; ``z`` is scaled by the states' nominals.
 
-    The cost counts residuals averaged over ``averaged`` samples, in units of the average's noise.
+    The cost counts residuals averaged over ``averaged`` samples, in units of the average's noise. diverged : from how
+    many times the cost of the mean on a run has diverged; inf for those alone that leave the finite numbers.
     """
 
     propagator: object
@@ -89,6 +90,7 @@ class Shooting:
     threads: int = 1
     averaged: int = 1
     prior: Prior | None = None
+    diverged: float = DIVERGED
 
     @property
     def locals(self) -> int:
@@ -235,7 +237,7 @@ class Shooting:
         for recording in self.recordings:
             seen = np.where(np.isfinite(recording.y) & (self.weights > 0), recording.y * self.weights, 0.0)
             spread.append(float((seen.var(axis=0) + 1.0).sum()))
-        return [DIVERGED * 0.5 * (s.last - s.first) * spread[s.recording] for s in self.segments]
+        return [self.diverged * 0.5 * (s.last - s.first) * spread[s.recording] for s in self.segments]
 
     @cached_property
     def _in_one_call(self) -> bool:

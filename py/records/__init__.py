@@ -5,7 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import Gap, Record, distinct
-from .require import as_needed, known_inputs, require, require_once, shares_samples
+from .require import as_needed, known_inputs, require, require_once, shares_samples, without_unknown
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 
@@ -32,5 +32,6 @@ __all__ = [
     "savitzky_golay",
     "shares_samples",
     "steps_over",
+    "without_unknown",
     "write_record",
 ]

@@ -44,6 +44,12 @@ def require(record: Record, signals: Sequence[Signal], model_name: str) -> Recor
     return record.select([s.name for s in signals])
 
 
+def without_unknown(record: Record, signals: Sequence[Signal]) -> Record:
+    """The record without the columns of ``signals`` that hold no value at all: it says nothing of these."""
+    unknown = {s.name for s in signals if s.name in record and not np.isfinite(record[s.name]).any()}
+    return record.select([name for name in record.names if name not in unknown]) if unknown else record
+
+
 def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
     """The record with what 1/min means for ``signals``: read as revolutions, it is a rate where no angle is needed.
 

@@ -246,7 +246,8 @@ def _usable(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     """The columns that hold numbers with a unit; why the others do not."""
     kept = [table.columns[0]]
     for column in table.columns[1:]:
-        why = column.unusable or _wrong_unit(table, column, reading)
+        unknown = _is_empty(column) and _keeps(table, reading)
+        why = ("" if unknown else column.unusable) or _wrong_unit(table, column, reading)
         if not why and np.isinf(column.values).any():
             why = _not_finite(table, column)
         if why:
@@ -295,15 +296,19 @@ def _not_finite(table: Table, column: Column) -> str:
     )
 
 
+def _keeps(table: Table, reading: Reading) -> bool:
+    """Whether missing values stay unknown."""
+    missing = reading.missing or "error"
+    return missing == "keep" or (missing == "error" and table.marks_unknown)
+
+
 def _without_missing(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     """What missing values mean: their column is refused, they stay unknown, or their rows are left out."""
-    missing = reading.missing or "error"
     absent = np.array([np.isnan(c.values) for c in table.columns])  # the first is time
     rows = absent.any(axis=0)
-    kept_unknown = missing == "keep" or (missing == "error" and table.marks_unknown)
-    if not rows.any() or (kept_unknown and not absent[0].any()):
+    if not rows.any() or (_keeps(table, reading) and not absent[0].any()):
         return table
-    if missing == "drop rows":
+    if reading.missing == "drop rows":
         return _without_rows(table, absent)
     if absent[0].any():
         raise DataError(_missing(table, absent, 0))

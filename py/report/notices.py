@@ -69,6 +69,12 @@ def seen_before(comparison: Comparison) -> list[str]:
                 f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
                 "Judge it on one that it has not seen."
             )
+    trained = {r.digest for r in comparison.train_records if r.digest}
+    if both := [r.name for r in comparison.records if r.digest in trained]:
+        found.append(
+            f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other "
+            "recordings. Judge on ones that no model has seen."
+        )
     return found
 
 

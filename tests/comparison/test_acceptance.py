@@ -15,7 +15,7 @@ from hydrotwin.comparison import Scenario, Tags, Wanted, acceptance, compare, ju
 from hydrotwin.comparison.band import Band
 from hydrotwin.comparison.scenario import ModelEntry
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
-from hydrotwin.records import write_record
+from hydrotwin.records import Reading, write_record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_data, acceptance_lines, verdict
 from hydrotwin.report.notices import notices
@@ -218,6 +218,35 @@ def test_a_scenario_file_holds_tags_and_criteria(folder):
     comparison = run_scenario(asked, MODELS.__getitem__, repeats=1)
     assert [r.tags for r in comparison.records] == [{"load": "1"}, {"load": "1"}, {"load": "20", "oil": "cold"}]
     assert acceptance(comparison, asked.wanted).passed
+
+
+def test_a_recording_that_knows_no_sample_of_an_output_is_left_out_and_cannot_test_it_alone(folder, tmp_path):
+    unknown = recording(3)
+    unknown = unknown.with_signals({"motor_speed": np.full(len(unknown), np.nan)}, {"motor_speed": "rad/s"})
+    write_record(unknown, tmp_path / "unknown.csv")
+    asked = dataclasses.replace(
+        scenario(folder, "good", wanted=Wanted(("motor_speed.rmse < 3 rad/s",))),
+        validate=(folder / "load1_stroke1.csv", tmp_path / "unknown.csv"),
+        tags=Tags(),
+        reading=Reading(missing="keep"),
+    )
+    (one,) = acceptance(run_scenario(asked, MODELS.__getitem__, repeats=0), asked.wanted).judged
+    assert one.passed and one.without == ("unknown",)
+    about = dataclasses.replace(asked, wanted=Wanted(("unknown: motor_speed.rmse < 3 rad/s",)))
+    with pytest.raises(DeclarationError, match="nothing can test it"):
+        run_scenario(about, MODELS.__getitem__, repeats=0)
+
+
+@pytest.mark.parametrize("group", ["valve a=b=1", "valve a=b = 1", "at=x=3", "at = x=3"])
+def test_a_tag_may_have_a_sign_of_equality_in_its_name_and_its_value(folder, group):
+    path = folder / "equal.toml"
+    path.write_text(
+        'models = ["good"]\nvalidate = ["load1_stroke2.csv", {file = "load2_stroke1.csv", tags = {"valve a=b" = 1, '
+        f'at = "x=3"}}}}]\naccept = ["{group}: motor_speed.rmse < 3 rad/s"]\n'
+    )
+    asked = read_scenario(path)
+    (one,) = acceptance(run_scenario(asked, MODELS.__getitem__, repeats=0), asked.wanted).judged
+    assert one.passed and one.samples == len(recording(21).time)  # of the one recording alone
 
 
 @pytest.mark.parametrize(

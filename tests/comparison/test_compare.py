@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
@@ -130,6 +131,21 @@ def test_outputs_that_were_not_recorded_are_listed_not_scored():
     comparison = run([TRUE], [recording(2), record])
     listed = {(u.record, u.output, u.reason) for u in comparison.unscored}
     assert listed == {("validation_1", n, "not recorded") for n in ("motor_speed", "pressure_cap")}
+
+
+def test_an_output_that_no_sample_knows_is_one_that_was_not_recorded():
+    record = recording(1)
+    unknown = record.with_signals({"pressure_cap": np.full(len(record), np.nan)}, {"pressure_cap": "Pa"})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of numpy, on slices without a number
+        comparison = run([TRUE], [recording(2), unknown])
+        alone = run([TRUE], [unknown])
+    assert not comparison.failures and not alone.failures
+    assert {(u.record, u.output, u.reason) for u in comparison.unscored} == {
+        ("validation_1", "pressure_cap", "not recorded")
+    }
+    assert {s.record for s in comparison.scores if s.output == "pressure_cap"} == {"validation_2"}
+    assert [s.name for s in alone.outputs] == ["arm_angle", "motor_speed"]
 
 
 def test_a_model_without_an_output_is_listed():

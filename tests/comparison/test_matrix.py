@@ -197,6 +197,24 @@ def test_a_variant_that_an_earlier_comparison_does_not_have_costs_only_itself(fo
     assert found.runs[1].accepted.judged[0].undefined == "last.json has no rmse to compare with"
 
 
+def test_variants_that_are_new_gone_or_others_than_in_the_earlier_comparison_are_told(folder, tmp_path):
+    from hydrotwin.report import write_matrix
+
+    def varied(tables):
+        return run_matrix(scenario(folder, f"against = '{tmp_path / 'then'}/compare.json'\n{MODELS}{tables}"), models)
+
+    now = "[variants.slow]\nperiod = 0.04\n[variants.weak]\nparameters = {'motor.gain' = 9}\n"
+    write_matrix(run_matrix(scenario(folder, MODELS + now), models), tmp_path / "then")
+    assert varied(now).accepted.otherwise == ()
+    told = varied("[variants.weak]\nparameters = {'motor.gain' = 8}\n[variants.fine]\nstep = 0.01\n").accepted.otherwise
+    assert told == (
+        "Variants new against the earlier comparison: fine.",
+        "Variants no longer compared: slow.",
+        "weak changed something else then: errors may differ by that alone.",
+    )
+    assert varied("").runs[0].accepted.otherwise == ("Variants no longer compared: slow, weak.",)
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hydrotwin.comparison import HoldLast, ModelEntry, Scenario, Wanted, load_contenders, read_scenario, run_scenario
-from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import write_record
 from tests.comparison.toys import Toy, recording
 
@@ -205,3 +205,28 @@ def test_a_built_in_model_has_one_name_in_scenario_criteria_and_tables():
     held = dataclasses.replace(wrong, models=(*models, ModelEntry("hold_last")))
     with pytest.raises(DeclarationError, match="Did you mean 'hold last sample'"):
         run_scenario(held, hydrotwin.load, repeats=0)
+
+
+@pytest.mark.parametrize("value", [130.0, "130", "130 rad/(s.V)", "0.13 rad/(s.mV)"])
+def test_an_entry_sets_values_of_a_physical_model_in_si_or_with_their_unit(value):
+    import hydrotwin
+
+    entry = ModelEntry("cehA", "set", {"motor.gain": value})
+    (contender,) = load_contenders(Scenario("", (entry,), (Path("none.csv"),)), hydrotwin.load)
+    assert {p.name: p.value for p in contender.flat.parameters}["motor.gain"] == pytest.approx(130.0, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "says"),
+    [
+        ("motor.gain", "130 bar", r"motor.gain: the value is in Pa"),
+        ("motor.gain", "much", "no number"),
+        ("motor.gian", "130", "Did you mean 'motor.gain'"),
+    ],
+)
+def test_an_entry_that_sets_what_does_not_fit_is_refused(path, value, says):
+    import hydrotwin
+
+    entry = ModelEntry("cehA", "set", {path: value})
+    with pytest.raises((DeclarationError, UnitError), match=says):
+        load_contenders(Scenario("", (entry,), (Path("none.csv"),)), hydrotwin.load)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
+import hydrotwin
 from hydrotwin.comparison import HoldLast, PhysicalContender, compare
 from hydrotwin.identification.bands import SPREAD
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, read_record
 from tests.comparison.toys import Toy, recording
 from tests.identification.drive import drive
 
+SHIPPED = Path(__file__).resolve().parents[2] / "examples"
 NOISE, SPEED, POSITION, GAIN, LAG, DISPLACEMENT = 0.002, 5.0, 1.5, 10.0, 0.1, 0.2
 
 
@@ -70,6 +73,15 @@ def test_a_start_that_is_right_is_not_freed_without_a_reason():
     x = POSITION + NOISE * np.random.default_rng(3).standard_normal(len(time))
     rest = Record(time, {"command": 0 * time, "position": x}, {"command": "V", "position": "m"}, "rest")
     assert set(estimate_start(drive(), rest, "auto").values) == {"piston.position"}
+
+
+@pytest.mark.parametrize("how", ["auto", "free"])
+def test_a_start_far_from_what_the_model_thinks_is_found_where_the_machine_rests(how):
+    """Nobody measured the arm: beside noise alone, a rod that starts where the model thinks is a thousand sigma off."""
+    whole = read_record(SHIPPED / "cehA" / "recordings" / "validate_1.csv").window(end=8.0)
+    record = whole.select([name for name in whole.names if name != "arm_angle"])
+    (start,) = (s for s in estimate_start(hydrotwin.load("cehA"), record, how).states if s.name == "arm.angle")
+    assert start.assumed == 0.0 and start.value == pytest.approx(whole["arm_angle"][:50].mean(), abs=2e-3)
 
 
 def test_a_start_that_is_given_stays():

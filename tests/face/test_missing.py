@@ -56,3 +56,15 @@ def test_learn_needs_every_sample_of_what_it_learns_and_of_nothing_else(slow):
     assert hydrotwin(*words, "--output", "rod_position").code == 0
     refused = hydrotwin(*words, "--output", "pressure_cap")
     assert refused.code == 2 and "column 'pressure_cap' has 360 values that are not numbers" in refused.said
+
+
+def test_simulate_tells_no_error_of_an_output_that_no_sample_knows(slow):
+    head, *rows = (slow / "slow.csv").read_text(encoding="utf-8").splitlines()
+    k = [name.split(" ")[0] for name in head.split(",")].index("pressure_cap")
+    cells = [["" if j == k else cell for j, cell in enumerate(row.split(","))] for row in rows]
+    (slow / "empty.csv").write_text("\n".join([head, *map(",".join, cells)]) + "\n", encoding="utf-8")
+    words = ("simulate", "cehA", "--input", "empty.csv", "--missing", "keep")
+    answer = hydrotwin(*words, "--out", "simulated.csv", "--json")
+    rmse = {one["output"]: one["rmse"] for one in json.loads(answer.out)["outputs"]}
+    assert answer.code == 0 and (slow / "simulated.csv").exists()
+    assert rmse["pressure_cap"] == "-" and rmse["pressure_rod"] > 0

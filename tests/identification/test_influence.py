@@ -236,6 +236,13 @@ def test_total_indices_that_add_up_to_less_than_one_are_none():
     assert sobol.Indices(total, half, total, half, spread).vague.tolist() == [True, False]
 
 
+def test_a_total_index_beyond_one_is_known_no_better_than_that():
+    half, spread = np.full((1, 2), 0.05), np.ones(1)
+    for total, error in ((1.37, 0.37), (1.02, 0.05), (np.nan, 0.05)):
+        found = np.array([[total, 0.0]])
+        assert sobol.Indices(found, half, found, half, spread).error == pytest.approx(error)
+
+
 def test_nothing_is_said_to_drive_an_output_of_which_a_few_sets_make_the_variance(monkeypatch):
     """They are told to be accurate: as near a pole of the equations."""
 

@@ -140,6 +140,16 @@ def test_what_a_slower_sensor_lacks_may_stay_unknown_but_time_may_not(tmp_path):
         whole(path, missing="keep")
 
 
+@pytest.mark.parametrize("cell", ["", "nan"])
+def test_a_column_that_is_empty_throughout_may_stay_unknown_too(tmp_path, cell):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],fast [1],slow [mm]\n0,1,{cell}\n0.01,2,{cell}\n0.02,3,{cell}\n")
+    record = whole(path, missing="keep")
+    assert np.isnan(record["slow"]).all() and record.units["slow"] == "m"
+    with pytest.raises(DataError, match="'slow'"):
+        whole(path)
+
+
 def test_infinity_is_refused_even_when_rows_may_be_dropped(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text(changed("10.5", "inf"))

@@ -42,6 +42,13 @@ def test_runs_that_miss_their_accuracy_are_told_once_for_every_model(compared, t
     assert told[0] in json.loads((tmp_path / "compare.json").read_text(encoding="utf-8"))["notices"]
 
 
+def test_a_recording_that_is_named_as_one_of_the_training_too_is_told(compared):
+    judge = compared.records[0]
+    for train, count in ((judge, 1), (dataclasses.replace(judge, digest="0" * 64), 0)):
+        told = [n for n in notices(dataclasses.replace(compared, train_records=(train,))) if "Named as what" in n]
+        assert len(told) == count and all("made from, too: validate_1." in n for n in told)
+
+
 def test_a_model_that_was_made_from_what_judges_it_is_told_first(compared):
     own = [{"role": "train", "sha256": r.digest} for r in compared.records if r.digest]
     seen = dataclasses.replace(compared.entrants[0], provenance={"recordings": own})

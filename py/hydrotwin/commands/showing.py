@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError
@@ -117,7 +118,8 @@ def simulate(
     for signal in contender.outputs:
         values = result[signal.name]
         row = [signal.name, signal.unit, float(values.min()), float(values.max())]
-        comparable = signal.name in record and compatible(record.units[signal.name], signal.unit)
+        measured = signal.name in record and np.isfinite(record[signal.name]).any()
+        comparable = measured and compatible(record.units[signal.name], signal.unit)
         row.append(float(errors_of(record[signal.name], values).rmse) if comparable else "-")
         rows.append(row)
     if output:

@@ -84,6 +84,12 @@ class Indices:
         most = np.nansum(self.total + self.total_half, axis=1)
         return moved & ((np.nan_to_num(self.total_half).max(axis=1) > VAGUE) | (most < 1.0))
 
+    @property
+    def error(self) -> float:
+        """How well the total indices are known: the largest half width, or how far one lies beyond one, its most."""
+        beyond = np.fmax(self.total_half, self.total - 1.0)
+        return float(np.nanmax(beyond, initial=0.0))
+
 
 @dataclass(frozen=True, eq=False)
 class Global:

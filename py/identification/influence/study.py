@@ -192,9 +192,9 @@ def _of_indices(runs: Runs, far: Global | None, near: Local) -> list[Finding]:
             "these make most of the variance. Take narrower intervals, so that no run comes near a singularity or a "
             f"stop, or more samples ({4 * far.sampling.samples}). The local sensitivities hold near the model's values."
         )))  # fmt: skip
-    widest = np.nanmax(far.whole.total_half, initial=0.0) if np.isfinite(far.whole.total_half).any() else 0.0
-    if widest > UNSURE:
+    if far.whole.error > UNSURE:
         found.append(Finding("unsure", (), (
-            f"sensitivity: indices are known to ±{widest:.2g} only. Take more samples ({4 * far.sampling.samples})."
+            f"sensitivity: indices are known to ±{far.whole.error:.2g} only. Take more samples "
+            f"({4 * far.sampling.samples})."
         )))  # fmt: skip
     return found

@@ -122,6 +122,7 @@ def test_one_recording_of_an_fmu_is_enough_though_it_starts_at_its_beginning_onl
     assert answer.steps[0].parameters[0].value == pytest.approx(0.8, rel=0.03)
 
 
+@pytest.mark.proof
 def test_a_disturbance_inside_gets_no_name_from_outside(two_sensors):
     def disturbed(u):
         return u + 0.8 * np.sin(2 * np.pi * 0.7 * PERIOD * np.arange(len(u)))

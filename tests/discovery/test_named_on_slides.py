@@ -110,6 +110,7 @@ def test_a_delay_that_two_sensors_show_is_no_fault_of_one():
 
 
 # -- refinements -------------------------------------------------------------------------------------------------------
+@pytest.mark.proof
 def test_the_simple_effect_is_named_where_a_refinement_explains_no_more():
     finer = ("stribeck_friction", "asymmetric_friction", "position_dependent_friction")
     answer = found(records(3, dry=30.0), ("coulomb_friction", *finer), max_effects=1)

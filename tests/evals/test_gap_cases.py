@@ -22,7 +22,6 @@ HIDDEN = [  # machine, effect, gap over noise, share of the gap that must be clo
     # the truth sticks, the catalogue's smooth sign does not: some gap stays
     pytest.param("cehA", "coulomb_friction", 5.0, 0.7, None, marks=pytest.mark.proof),
     pytest.param("spool_valve", "valve_overlap", 30.0, 0.99, None, marks=pytest.mark.proof),
-    ("spool_valve", "valve_overlap", 30.0, 0.99, ("valve_overlap", "asymmetric_overlap", "dead_time", "payload_error")),
 ]
 
 

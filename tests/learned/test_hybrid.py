@@ -87,6 +87,7 @@ def test_what_the_model_does_not_know_costs_the_hybrid_a_third_of_what_it_costs_
     assert rmse(hybrid, validation, "arm_angle") < 0.33 * model
 
 
+@pytest.mark.proof
 def test_hidden_friction_is_learned_from_the_force_it_leaves(actuator):
     hidden = [("coulomb_friction", {})]
     train, (validation,) = recordings("train", 2, hidden), recordings("validate", 1, hidden)

@@ -19,6 +19,7 @@ def bench():
     return Bench(make(Case("spool_valve", "single", ("valve_overlap",), 30.0, "position", "drive", 101, 8.0)))
 
 
+@pytest.mark.proof
 def test_the_true_structure_refitted_reaches_the_noise_and_the_base_does_not(bench):
     best, base = (times_noise(rmse, bench.made.noise) for rmse in (oracle(bench), bench.rmse(bench.base)))
     assert best == pytest.approx(1.0, abs=0.06)

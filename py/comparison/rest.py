@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
@@ -11,7 +12,6 @@ from hydrotwin.records import NoiseFloor, Record
 
 REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
 STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
-LEVELS = 0.2  # of the range of an input: a recorded step from there on is a level of the command, and no rounding
 SETTLED, SETTLED_NOISE = 0.05, 3.0  # of the largest distance from the final value, or sigmas: nearer is settled
 
 
@@ -37,9 +37,8 @@ def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor])
 
 
 def inputs_rest(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
-    """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves."""
-    rounded = {n: noise[n] for n in names if n in noise and noise[n].quantum < LEVELS * np.ptp(record[n])}
-    return rests(record, names, rounded)
+    """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves: levels are no rounding."""
+    return rests(record, names, {n: dataclasses.replace(noise[n], sigma=noise[n].white) for n in names if n in noise})
 
 
 def settling(

@@ -37,17 +37,18 @@ def test_at_rest_counts_what_rests_and_not_the_motion_between():
     assert np.isnan(metrics_of(np.sin(2 * np.pi * TIME), STEPS).steady)
 
 
-def answers(*time_constants, moves=(1.0, 4.0, 7.0)):
-    """Of first order to a step at each of these times, up and down in turn; one recording of the input, then each."""
-    held = sum(np.where(moves[k] <= TIME, (-1.0) ** k, 0.0) for k in range(len(moves)))
+def answer(held, T):
+    """Of first order to an input that is held over every sample."""
+    y, kept = np.zeros(len(TIME)), np.exp(-np.diff(TIME) / T)
+    for k in range(1, len(TIME)):
+        y[k] = held[k - 1] + (y[k - 1] - held[k - 1]) * kept[k - 1]
+    return y
 
-    def answer(T):
-        y = np.zeros(len(TIME))
-        for k in range(1, len(TIME)):
-            y[k] = held[k - 1] + (y[k - 1] - held[k - 1]) * np.exp(-(TIME[k] - TIME[k - 1]) / T)
-        return y
 
-    return held, *(answer(T) for T in time_constants)
+def answers(*time_constants):
+    """An input that steps up, down, and up again, and answers to it."""
+    held = sum(np.where(at <= TIME, sign, 0.0) for at, sign in ((1.0, 1.0), (4.0, -1.0), (7.0, 1.0)))
+    return held, *(answer(held, T) for T in time_constants)
 
 
 def settling_of(u, y, p):
@@ -63,6 +64,13 @@ def test_settling_is_the_difference_of_the_settling_times():
     assert settling_of(u, y, faster) == pytest.approx(-0.1 * np.log(20), abs=0.015)
     noise = 0.01 * np.random.default_rng(1).standard_normal(len(TIME))
     assert settling_of(u, y + noise, slower) == pytest.approx(0.15 * np.log(20), abs=0.06)
+
+
+def test_every_step_of_a_staircase_is_a_move():
+    """Levels of a command are no rounding, however small beside its range."""
+    stairs = np.floor(TIME) / 10
+    found = settling_of(stairs, answer(stairs, 0.1), answer(stairs, 0.15))
+    assert found == pytest.approx(0.05 * np.log(20), abs=0.015)
 
 
 def test_a_prediction_that_does_not_settle_takes_as_long_as_the_inputs_rest():

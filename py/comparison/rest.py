@@ -12,11 +12,12 @@ from hydrotwin.records import NoiseFloor, Record
 
 REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
 STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
-SETTLED, SETTLED_NOISE = 0.05, 3.0  # of the largest distance from the final value, or sigmas: nearer is settled
+HELD = 0.001  # the same of an input: at the crest of a slow motion it is not held
+SETTLED = 0.05  # of the largest distance from the final value: what stays nearer, or rests, has settled
 
 
-def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
-    """Where (n,) all named signals rest: about a sample each moves less than STILL of its range or than its noise."""
+def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor], share: float = STILL) -> np.ndarray:
+    """Where (n,) all named signals rest: about a sample each moves less than a share of its range or than its noise."""
     width = _width(record)
     still = np.ones(len(record.time), bool)
     if len(still) < width:
@@ -26,7 +27,7 @@ def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor])
         known = np.isfinite(values)
         if not known.any():
             return np.zeros_like(still)
-        room = _room(values, _sigma(name, noise))
+        room = _room(values, _sigma(name, noise), share)
         swing = maximum_filter1d(np.where(known, values, np.inf), width) - minimum_filter1d(
             np.where(known, values, -np.inf), width
         )
@@ -38,7 +39,8 @@ def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor])
 
 def inputs_rest(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
     """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves: levels are no rounding."""
-    return rests(record, names, {n: dataclasses.replace(noise[n], sigma=noise[n].white) for n in names if n in noise})
+    white = {n: dataclasses.replace(noise[n], sigma=noise[n].white) for n in names if n in noise}
+    return rests(record, names, white, HELD)
 
 
 def settling(
@@ -48,22 +50,19 @@ def settling(
 
     Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
     from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
-    measurement, or within the noise. A prediction that does not settle takes as long as the inputs rest. NaN where the
-    measurement never settles after a move.
+    measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
+    NaN where the measurement never settles after a move.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
     width, measured, found = _width(record), record[output], []
-    settled, sigma = rests(record, [output], noise), _sigma(output, noise)
-    room = _room(measured, sigma)
+    settled, room = rests(record, [output], noise), _room(measured, _sigma(output, noise))
     for part in _after_moves(inputs_rest(record, inputs, noise), width):
         known = np.isfinite(measured[part]) & np.isfinite(predicted[part])
         time, y, p = (values[part][known] for values in (record.time, measured, predicted))
         if len(y) <= width or not settled[part.stop - 1 - width // 2]:
             continue
-        move = float(np.abs(y - y[-width:].mean()).max())
-        if move > room:
-            band = max(SETTLED * move, SETTLED_NOISE * sigma)
-            found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
+        band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2)
+        found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
     return float(np.mean(found)) if found else float("nan")
 
 
@@ -86,10 +85,10 @@ def _width(record: Record) -> int:
     return max(REST_SAMPLES, int(REST * len(record.time))) | 1
 
 
-def _room(values: np.ndarray, sigma: float) -> float:
+def _room(values: np.ndarray, sigma: float, share: float = STILL) -> float:
     """Within what (n,) values move that rest."""
     known = values[np.isfinite(values)]
-    return max(STILL * float(np.ptp(known)) if len(known) else 0.0, NOISE_WIDTH * sigma)
+    return max(share * float(np.ptp(known)) if len(known) else 0.0, NOISE_WIDTH * sigma)
 
 
 def _sigma(name: str, noise: Mapping[str, NoiseFloor]) -> float:

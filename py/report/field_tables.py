@@ -43,7 +43,7 @@ DEFINITIONS = (
         "Settling",
         "settling",
         "how much longer p takes to settle than y: from where the inputs, after a move, rest, to where it stays within "
-        "5 % of its largest distance from its final value, or the noise; mean over the moves after which y rests",
+        "5 % of its largest distance from its final value, or rests; mean over the moves after which y rests",
         "Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4",
     ),
     (

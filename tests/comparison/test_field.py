@@ -79,6 +79,12 @@ def test_a_prediction_that_does_not_settle_takes_as_long_as_the_inputs_rest():
     assert settling_of(u, y, rings) == pytest.approx(3.0 - 0.1 * np.log(20), abs=0.2)
 
 
+def test_what_rests_with_the_inputs_settles_at_once_and_a_prediction_that_goes_on_does_not():
+    ramp = np.clip(TIME - 1, 0, 3)
+    assert settling_of(ramp, ramp, ramp) == pytest.approx(0.0, abs=0.3)
+    assert settling_of(ramp, ramp, answer(ramp, 0.3)) > 0.3
+
+
 def test_settling_needs_moves_after_which_the_measurement_rests():
     u, y = answers(0.1)
     assert np.isnan(settling_of(np.sin(TIME), y, y)), "the input never rests"

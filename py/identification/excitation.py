@@ -59,7 +59,7 @@ def excitation(
     train = recordings(flat, records, None, "record")
     noise = output_noise(flat, train, None)
     states = [s.name for s in flat.states]
-    propagator = prepare(flat, free_parameters=parameters.names, free_states=states, few_runs=True)
+    propagator = prepare(flat, free_parameters=parameters.names, free_states=states)
     loss = Loss("linear", 1.0)
     task = Task(flat, parameters, propagator, train, by_noise(noise), loss, "auto", 1, _silent, noise)
     shooting, z = whole_runs(task)

@@ -22,7 +22,7 @@ import platformdirs
 from hydrotwin.models.language.errors import SolveError
 
 # Contraction off: one rounding per operation, as in the CasADi virtual machine.
-# No -march=native for single runs: measured equal without, and a cache folder may be shared by different machines.
+# No -march=native for models: measured equal without, and a cache folder may be shared by different machines.
 FLAGS = ("-fvisibility=hidden", "-fno-math-errno", "-ffp-contract=off", "-fPIC", "-shared", "-w")
 NATIVE = "-march=native"
 SUFFIX = {"Windows": ".dll", "Darwin": ".dylib"}.get(platform.system(), ".so")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import threading
 import warnings
@@ -15,22 +16,25 @@ from . import equations
 from .compiler import compile_library
 from .library import LanesLibrary, Library
 from .machine import VirtualMachine
-from .source import c_source, lanes_source
+from .source import driver_source, functions_of, lanes_source, model_source
+from .tables import Tables
 
+MODEL = ("-O3",)
+# The driver, which is compiled once, may use whatever this processor has: sensitivities gain a tenth.
 # Below -O2 gcc leaves the upper halves of registers dirty, and libm becomes six times slower behind them.
-SIDE_BY_SIDE = ("-O2", "-ftree-vectorize", "-fopenmp-simd")
+DRIVER = ("-O2", "-ftree-vectorize", "-fopenmp-simd")
 
 _kept: OrderedDict = OrderedDict()
 _kept_lock = threading.Lock()
 
 
-def engine_of(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool, few_runs: bool):
+def engine_of(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool):
     """The engine of a model, kept for the next `prepare` of the same equations (parameter values may differ)."""
 
     def make():
-        return VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit, few_runs)
+        return VirtualMachine(flat, to, implicit) if interpreted else _compiled(flat, to, implicit)
 
-    return _kept_for(flat, (to, implicit, interpreted, few_runs), make)
+    return _kept_for(flat, (to, implicit, interpreted), make)
 
 
 def lanes_of(flat: FlatModel) -> LanesLibrary | None:
@@ -42,7 +46,7 @@ def lanes_of(flat: FlatModel) -> LanesLibrary | None:
 
 
 def _kept_for(flat: FlatModel, asked: tuple, make: Callable):
-    scales = tuple(s.nominal for s in flat.states)
+    scales = tuple(s.nominal for s in (*flat.states, *flat.parameters))
     key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), *asked)
     with _kept_lock:
         if key in _kept:
@@ -56,36 +60,50 @@ def _kept_for(flat: FlatModel, asked: tuple, make: Callable):
     return made
 
 
-def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool, few_runs: bool):
-    optimise = ("-O2",) if implicit else ("-O3",)  # the integrator is long: -O3 compiles longer and runs no faster
-    optimise = ("-O1", "-ftree-vectorize") if few_runs else optimise
-    library = _loaded(flat, Library, c_source(flat, to, implicit), optimise)
-    if library is not None:
-        return library
-    warnings.warn(
-        f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, ten times slower. "
-        "Install ziglang (pip install ziglang) or set CC.",
-        stacklevel=2,
-    )
-    return VirtualMachine(flat, to, implicit)
+def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
+    functions = functions_of(flat, to, implicit)
+    model = _library(model_source(functions), _c_name(flat), MODEL)
+    if model is None:
+        warnings.warn(
+            f"{flat.name}: no C compiler found, CasADi's interpreter runs the model, ten times slower. "
+            "Install ziglang (pip install ziglang) or set CC.",
+            stacklevel=2,
+        )
+        return VirtualMachine(flat, to, implicit)
+    tables = Tables(flat, to, implicit, functions, model)
+    return Library(_driver(), tables, len(flat.outputs))
 
 
 def _compiled_lanes(flat: FlatModel) -> LanesLibrary | None:
-    source = lanes_source(flat) if os.name != "nt" else None  # gcc does not align vectors on the stack there
+    to = equations.directions(flat, (), ())
+    functions = functions_of(flat, to, implicit=False)
+    source = lanes_source(functions) if os.name != "nt" else None  # gcc does not align vectors on the stack there
     try:
-        return source and _loaded(flat, LanesLibrary, source, SIDE_BY_SIDE, for_this_processor=True)
+        model = source and _library(source, _c_name(flat), DRIVER, for_this_processor=True)
+        driver = model and _driver(side_by_side=True)
     except SolveError:  # a compiler without vectors: single runs do
         return None
+    if not model:
+        return None
+    side_by_side = ctypes.addressof(ctypes.c_char.in_dll(model, "hydrotwin_lanes"))
+    return LanesLibrary(driver, Tables(flat, to, False, functions, model), len(flat.outputs), side_by_side)
 
 
-def _loaded(flat: FlatModel, kind: Callable, source: str, optimise: tuple[str, ...], for_this_processor: bool = False):
-    """The library of a source, compiled again where the cache holds a damaged one; None without a compiler."""
-    name = "".join(c if c.isalnum() else "_" for c in flat.name)
+def _driver(side_by_side: bool = False) -> ctypes.CDLL:
+    return _library(driver_source(side_by_side), "driver", DRIVER, for_this_processor=True)
+
+
+def _c_name(flat: FlatModel) -> str:
+    return "".join(c if c.isalnum() else "_" for c in flat.name)
+
+
+def _library(source: str, name: str, optimise: tuple[str, ...], for_this_processor: bool = False) -> ctypes.CDLL | None:
+    """Compiled again where the cache holds a damaged one; None without a compiler."""
     path = compile_library(source, name, optimise, for_this_processor)
     if path is None:
         return None
     try:
-        return kind(path, len(flat.outputs))
+        return ctypes.CDLL(str(path))
     except OSError:
         path.unlink(missing_ok=True)
-        return kind(compile_library(source, name, optimise, for_this_processor), len(flat.outputs))
+        return ctypes.CDLL(str(compile_library(source, name, optimise, for_this_processor)))

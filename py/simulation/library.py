@@ -1,43 +1,50 @@
-"""The compiled driver of one model, called through ctypes: the GIL is released while it runs."""
+"""The compiled driver with one model, called through ctypes: the GIL is released while it runs."""
 
 from __future__ import annotations
 
 import ctypes
-from pathlib import Path
 
 import numpy as np
+
+from .tables import Tables
 
 _ARRAY, _COUNT = ctypes.c_void_p, ctypes.c_longlong
 
 
-class _Control(ctypes.Structure):
-    """`Control` as the driver takes it."""
+class _Task(ctypes.Structure):
+    """`Task` as the driver takes it."""
 
-    _fields_ = tuple((name, ctypes.c_double) for name in ("step", "tolerance", "trials"))
+    _fields_ = (
+        *((name, _ARRAY) for name in ("model", "time", "u", "p")),
+        *((name, ctypes.c_double) for name in ("step", "tolerance", "trials")),
+    )
 
 
-class Library:
-    """The runs of one shared library; safe to call from several threads."""
+class _Loaded:
+    """The driver and a model."""
 
-    def __init__(self, path: Path, outputs: int):
-        self._outputs = outputs
-        loaded = ctypes.CDLL(str(path))
-        self._propagate = loaded.propagate
-        self._propagate.argtypes = [_COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 5]
-        self._tangent = getattr(loaded, "propagate_tangent", None)
-        if self._tangent is not None:
-            self._tangent.argtypes = [_COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
-            self._expansions = loaded.propagate_expansions
-            self._expansions.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 7]
-        self._costs = loaded.propagate_costs
-        self._costs.argtypes = [_COUNT, *[_ARRAY] * 4, _Control, *[_ARRAY] * 5]
+    def __init__(self, driver: ctypes.CDLL, tables: Tables, outputs: int):
+        self._driver, self._tables, self._outputs = driver, tables, outputs
+
+    def _task(self, time, u, p, control):
+        return ctypes.byref(_Task(self._tables.address, *map(_address, (time, u, p)), *control))
+
+
+class Library(_Loaded):
+    """The runs of one model; safe to call from several threads."""
+
+    def __init__(self, driver: ctypes.CDLL, tables: Tables, outputs: int):
+        super().__init__(driver, tables, outputs)
+        arrays = {"propagate": 5, "propagate_tangent": 7, "propagate_costs": 6, "propagate_expansions": 8}
+        for name, many in arrays.items():
+            getattr(driver, name).argtypes = [_ARRAY, _COUNT, *[_ARRAY] * many]
 
     def propagate(self, time, u, p, control, x0, restart=None):
         """``(status, where, y, x)``; status as in ``driver.c``, where: time and last finite state of a stop."""
         n, nx = len(time), len(x0)
         y, x, where = np.empty((n, self._outputs)), np.full((n, nx), np.nan), np.empty(nx + 1)
         arrays = (x0, restart, y, x, where)
-        status = self._propagate(n, *map(_address, (time, u, p)), _Control(*control), *map(_address, arrays))
+        status = self._driver.propagate(self._task(time, u, p, control), n, *map(_address, arrays))
         return status, where, y, x
 
     def propagate_tangent(self, time, u, p, control, x0, dx0, with_states=True):
@@ -46,14 +53,14 @@ class Library:
         y, dy, x = np.empty((n, self._outputs)), np.empty((n, self._outputs, nt)), np.empty((n, nx))
         dx, where = np.empty((n, nx, nt)) if with_states else None, np.empty(nx + 1)
         arrays = (x0, dx0, y, dy, x, dx, where)
-        status = self._tangent(n, *map(_address, (time, u, p)), _Control(*control), *map(_address, arrays))
+        status = self._driver.propagate_tangent(self._task(time, u, p, control), n, *map(_address, arrays))
         return status, where, y, dy, x, dx
 
     def costs(self, cuts, time, u, p, control, x0, measured, weights, limits=None):
         """What runs over segments cost, (segments,): nan where one stopped or passed its limit, inf where dear."""
         cost = np.empty(len(cuts))
-        arrays = (x0, measured, weights, limits, cost)
-        self._costs(len(cuts), *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
+        arrays = (cuts, x0, measured, weights, limits, cost)
+        self._driver.propagate_costs(self._task(time, u, p, control), len(cuts), *map(_address, arrays))
         return cost
 
     def expansions(self, cuts, time, u, p, control, x0, dx0, measured, limits=None):
@@ -63,18 +70,19 @@ class Library:
         """
         (n, _, nt), ny = dx0.shape, self._outputs
         squares, gradient, hessian = np.zeros((n, ny)), np.zeros((n, ny, nt)), np.zeros((n, ny, nt, nt))
-        arrays = (x0, dx0, measured, limits, squares, gradient, hessian)
-        self._expansions(n, *map(_address, (cuts, time, u, p)), _Control(*control), *map(_address, arrays))
+        arrays = (cuts, x0, dx0, measured, limits, squares, gradient, hessian)
+        self._driver.propagate_expansions(self._task(time, u, p, control), n, *map(_address, arrays))
         return squares, gradient, hessian
 
 
-class LanesLibrary:
-    """Explicit runs of many parameter sets side by side, by one shared library; safe to call from several threads."""
+class LanesLibrary(_Loaded):
+    """Explicit runs of many parameter sets of one model side by side; safe to call from several threads."""
 
-    def __init__(self, path: Path, outputs: int):
-        self._outputs = outputs
-        self._propagate = ctypes.CDLL(str(path)).propagate_lanes
-        self._propagate.argtypes = [_COUNT, _COUNT, *[_ARRAY] * 3, _Control, *[_ARRAY] * 7]
+    def __init__(self, driver: ctypes.CDLL, tables: Tables, outputs: int, side_by_side: int):
+        """side_by_side : address of its functions for lanes."""
+        super().__init__(driver, tables, outputs)
+        self._side_by_side = side_by_side
+        driver.propagate_lanes.argtypes = [_ARRAY, _ARRAY, _COUNT, _COUNT, *[_ARRAY] * 7]
 
     def propagate(self, time, u, p, control, x0, with_states=True):
         """``(status (sets,), where (sets, nx + 1), y (sets, n, ny), x (sets, n, nx) or None)``; p (sets, np).
@@ -97,8 +105,8 @@ class LanesLibrary:
     def _walk(self, time, u, p, control, arrays):
         sets, nx = arrays[0].shape
         status, where = np.empty(sets, dtype=np.int32), np.empty((sets, nx + 1))
-        given = map(_address, (time, u, p))
-        self._propagate(sets, len(time), *given, _Control(*control), *map(_address, (*arrays, where, status)))
+        task, functions = self._task(time, u, p, control), self._side_by_side
+        self._driver.propagate_lanes(task, functions, sets, len(time), *map(_address, (*arrays, where, status)))
         return status, where
 
 

@@ -32,7 +32,6 @@ def prepare(
     free_states: Sequence[str] = (),
     step: float | None = None,
     method: str = "auto",
-    few_runs: bool = False,
     zero: Sequence[str] = (),
     tolerance: float = TOLERANCE,
 ) -> Propagator:
@@ -43,7 +42,6 @@ def prepare(
         compiler), or "auto": explicit, with every step refined in which a contact or another kink asks for it, and all
         of them halved if the eigenvalues along the first run do, down to an eighth, of a model of more than eight
         states to one part in so many; else, and where refined steps become dearer, implicit.
-    few_runs : it will run a few times only: compiled in about half of the time, to the same bits a little slower.
     tolerance : error of a step that "auto" refines, in units of nominal + |x|; infinite: none is.
     zero : parameters that are 0 wherever sensitivities are asked for, free ones among them: states that reach no output
         while they are have none, which makes a model of many parts at rest several times faster.
@@ -57,9 +55,9 @@ def prepare(
     if not longest > 0:
         raise DeclarationError(f"{flat.name}: the step must be positive (got {longest} s). Give seconds, such as 1e-3.")
     if flat.black_box:
-        return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method, few_runs, tuple(zero))
+        return flat.prepared(tuple(free_parameters), tuple(free_states), longest, method, tuple(zero))
     to = tuple(free_parameters), tuple(free_states), tuple(zero)
-    return Propagator(flat, to, longest, method, few_runs, tolerance)
+    return Propagator(flat, to, longest, method, tolerance)
 
 
 class Propagator:
@@ -69,12 +67,12 @@ class Propagator:
     ``engine`` is "c" or "vm" (CasADi's interpreter).
     """
 
-    def __init__(self, flat: FlatModel, to, step: float, method: str, few_runs: bool, tolerance: float):
+    def __init__(self, flat: FlatModel, to, step: float, method: str, tolerance: float):
         """``to`` : free parameters, free states, parameters at zero; the rest as in `prepare`."""
         free_parameters, free_states, zero = to
         self.flat, self._asked = flat, (step, "explicit" if method == "vm" else method)
         self.free_parameters, self.free_states = free_parameters, free_states
-        self._interpreted, self._few_runs = method == "vm", few_runs
+        self._interpreted = method == "vm"
         self._to = equations.directions(flat, free_parameters, free_states, zero)
         self._nominal = np.array([q.nominal for q in flat.parameters])
         self._tolerance = tolerance
@@ -348,7 +346,7 @@ class Propagator:
         found = self._engines.get(implicit)
         if found is None:
             with self._building:
-                found = engine_of(self.flat, self._to, implicit, self._interpreted, self._few_runs)
+                found = engine_of(self.flat, self._to, implicit, self._interpreted)
                 self._engines[implicit] = found
         return found
 

@@ -12,9 +12,10 @@ import pytest
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import compiler, prepare
 from hydrotwin.simulation.compiler import compile_library
+from hydrotwin.simulation.engines import DRIVER
 from hydrotwin.simulation.equations import directions
-from hydrotwin.simulation.source import TANH, c_source
-from tests.simulation.small_models import lag
+from hydrotwin.simulation.source import TANH, driver_source, functions_of, model_source
+from tests.simulation.small_models import explosion, lag
 
 TIME = np.linspace(0, 0.3, 31)
 COMMAND = np.sin(20 * TIME)[:, None]
@@ -35,7 +36,7 @@ def run(model, **options):
 def test_a_model_is_compiled_once_and_found_again(empty_cache, monkeypatch):
     _, first = run(lag())
     files = sorted(empty_cache.iterdir())
-    assert len(files) == 1 and files[0].name.startswith("lag-")  # nothing half-built is left
+    assert [f.name.partition("-")[0] for f in files] == ["driver", "lag"]  # nothing half-built is left
     monkeypatch.setattr(subprocess, "run", lambda *a, **k: pytest.fail("compiled again"))
     _, second = run(lag())  # a model of its own: only the file on disk is shared
     assert (first == second).all() and sorted(empty_cache.iterdir()) == files
@@ -43,8 +44,9 @@ def test_a_model_is_compiled_once_and_found_again(empty_cache, monkeypatch):
 
 def test_other_equations_are_another_library(empty_cache):
     run(lag())
-    run(lag("linear"))
-    assert len(list(empty_cache.iterdir())) == 2
+    run(lag("linear"))  # inputs are told to the driver
+    prepare(explosion())
+    assert [f.name.partition("-")[0] for f in sorted(empty_cache.iterdir())] == ["driver", "explosion", "lag"]
 
 
 def test_a_chosen_compiler_that_fails_is_quoted(empty_cache, monkeypatch, tmp_path):
@@ -93,14 +95,18 @@ def test_without_any_compiler_the_interpreter_runs_and_says_so(empty_cache, monk
     assert y == pytest.approx(run(lag())[1], rel=1e-14)
 
 
-def test_a_damaged_library_is_compiled_again(empty_cache):
+@pytest.mark.parametrize("which", ["lag", "driver"])
+def test_a_damaged_library_is_compiled_again(empty_cache, which):
     model = lag()
-    source = c_source(model, directions(model, (), ()), implicit=False)
-    library = compiler.compile_library(source, "lag")  # built, not loaded
-    library.write_bytes(b"not a library")
+    if which == "lag":
+        source = model_source(functions_of(model, directions(model, (), ()), implicit=False))
+        damaged = compile_library(source, "lag")  # built, not loaded
+    else:
+        damaged = compile_library(driver_source(), "driver", DRIVER, for_this_processor=True)
+    damaged.write_bytes(b"not a library")
     _, y = run(model)
     assert y == pytest.approx(run(lag(), method="vm")[1], rel=1e-14)
-    assert [f.name for f in empty_cache.iterdir()] == [library.name] and library.stat().st_size > 1000
+    assert len(list(empty_cache.iterdir())) == 2 and damaged.stat().st_size > 1000
 
 
 def test_a_cache_that_cannot_be_written_is_not_needed(tmp_path, monkeypatch):

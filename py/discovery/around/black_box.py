@@ -55,23 +55,23 @@ class BlackBox(FlatModel):
         changed_parts = {name: part.with_inputs(changes) for name, part in parts.items() if part is not None}
         return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name), **changed_parts)
 
-    def prepared(self, free_parameters, free_states, step: float, method: str, few_runs=False, zero=()) -> Chain:
+    def prepared(self, free_parameters, free_states, step: float, method: str, zero=()) -> Chain:
         """What runs it; see `hydrotwin.simulation.prepare`.
 
         An FMU does not tell its accuracy, and sensor noise shakes what follows it at every sample: steps around it are
         as long as their eigenvalues allow, and none is refined.
         """
-        return Chain(self, free_parameters, free_states, step, method, few_runs, zero)
+        return Chain(self, free_parameters, free_states, step, method, zero)
 
 
 class Chain:
     """Front, FMU and back, one after the other; runs and sensitivities as those of a `Propagator`."""
 
-    def __init__(self, flat: BlackBox, free_parameters, free_states, step: float, method: str, few_runs, zero):
+    def __init__(self, flat: BlackBox, free_parameters, free_states, step: float, method: str, zero):
         self.flat, self.step = flat, step
         self.method = "explicit" if method == "auto" else method
         self.free_parameters, self.free_states = tuple(free_parameters), tuple(free_states)
-        options = {"step": step, "method": method, "few_runs": few_runs, "tolerance": np.inf}
+        options = {"step": step, "method": method, "tolerance": np.inf}
         self._front = prepare(flat.front, **options) if flat.front else None
         options |= {"free_parameters": free_parameters, "free_states": free_states, "zero": zero}
         self._back = prepare(flat.back, **options)

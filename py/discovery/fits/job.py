@@ -136,14 +136,14 @@ class Fitted:
         return self.left.rmse
 
 
-def task_of(
-    job: Job, start: Mapping[str, float], size: np.ndarray, states: Sequence[str], few_runs: bool = False
-) -> Task:
+def task_of(job: Job, start: Mapping[str, float], size: np.ndarray, states: Sequence[str], rough: bool = False) -> Task:
     """The task of a fit from one start, where a residual of ``size`` (ny,), SI, costs as much as noise does."""
     q = job.question
     free = free_parameters(job.flat, job.free, inside(job.flat, start))
-    settings = {"few_runs": True, "tolerance": ROUGH * TOLERANCE} if few_runs else {}
-    propagator = prepare(job.flat, free_parameters=free.names, free_states=list(states), step=q.step, **settings)
+    tolerance = ROUGH * TOLERANCE if rough else TOLERANCE
+    propagator = prepare(
+        job.flat, free_parameters=free.names, free_states=list(states), step=q.step, tolerance=tolerance
+    )
     return Task(
         job.flat, free, propagator, q.fit, weights(size), Loss("linear", 1.0), q.initial_states, job.threads,
         _silent, q.noise, prior=prior_of(free, q),

@@ -73,7 +73,7 @@ def glance(job: Job) -> Look | str:
     """
     began, few = time.perf_counter(), min(FEW, job.iterations)
     try:
-        task, found = first(dataclasses.replace(job.beginning(), iterations=few), ROUGHLY, few_runs=True)
+        task, found = first(dataclasses.replace(job.beginning(), iterations=few), ROUGHLY, rough=True)
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
@@ -94,11 +94,11 @@ def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
     return settled(*first(job), job.iterations, job.seconds)
 
 
-def first(job: Job, rules: Mapping[str, float] = FIRST, few_runs: bool = False) -> tuple[Task, Minimum]:
+def first(job: Job, rules: Mapping[str, float] = FIRST, rough: bool = False) -> tuple[Task, Minimum]:
     """The task and its first minimum from the cheapest start."""
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
-    task = task_of(job, job.starts[0], size, moving_starts(job), few_runs)
+    task = task_of(job, job.starts[0], size, moving_starts(job), rough)
     shooting, z = whole_runs(task)
     z = given(shooting, z, job.states)
     start, at = _cheapest(task, job, shooting, z)
@@ -245,7 +245,7 @@ def _judging(task: Task, job: Job) -> Task:
 
 def trajectories(flat, question, fitted: Fitted) -> list[np.ndarray]:
     """State trajectories (n, nx), SI, of every recording along a fit. Raises SolveError where a run diverges."""
-    propagator, p = prepare(flat, step=question.step, few_runs=True), flat.parameter_vector(dict(fitted.values))
+    propagator, p = prepare(flat, step=question.step), flat.parameter_vector(dict(fitted.values))
     found = []
     for recording, states in zip(question.fit, fitted.states, strict=True):
         names = tuple(s.name for s in flat.states if s.name in states)

@@ -41,7 +41,7 @@ def _led(job: Job) -> Look:
     again = max(begin - 1, 0)  # shorter windows tell the states where longer ones begin
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
-    task = task_of(job, job.starts[0], size, names, few_runs=True)
+    task = task_of(job, job.starts[0], size, names, rough=True)
     point, states = _cheapest(task, job)
     squares, counts, trail = [], [], []
     for seconds in q.lengths[again:end]:

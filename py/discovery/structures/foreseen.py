@@ -50,7 +50,7 @@ def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapp
     """Responses where most is left; a residual counts in units of what is left of its output there."""
     question, p, size = table.question, flat.parameter_vector(dict(values)), known.fitted.rmse
     lengths = (jobs.windows or question).lengths
-    propagator = prepare(flat, step=question.step, few_runs=True)
+    propagator = prepare(flat, step=question.step)
     T, most, stretches = lengths[-1] if lengths else 0.0, SAMPLES // len(question.fit), []
     for recording in question.fit:
 

@@ -52,3 +52,17 @@ def test_a_fit_from_its_own_start_goes_through_the_windows_that_looks_left_out(s
     job = search.jobs.anew(friction(search))
     assert lengths and job.question.lengths == lengths and not search.table.question.lengths
     assert all("mass.mass" not in start for start in job.starts)
+
+
+def test_a_look_at_whole_recordings_begins_where_a_part_of_the_structure_ended_too(search):
+    search._to_whole_recordings()
+    part = friction(search)
+    (part.fitted,) = search._ran([search.jobs.anew(part)])
+    both = search.table.entry(search.table.candidates)
+    job = search.jobs.next(both, 0)
+    bias = next(n for n in search.table.names(both) if n not in part.fitted.values)
+    there = [start[bias] for start in job.starts if part.fitted.values.items() <= start.items()]
+    assert len(there) == 2 and 0 < abs(there[0]) < abs(there[1])  # at a tenth of its usual size, and at it
+    assert job.states == part.fitted.states
+    alone = search.jobs.next(search.table.entry([c for c in both.members if c not in part.members]), 0)
+    assert all(start["mass.mass"] == search.table.entry().fitted.values["mass.mass"] for start in alone.starts)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.evidence.score import Spectrum
+from hydrotwin.discovery.structures.foreseen import foreseen
 from hydrotwin.discovery.structures.jobs import EFFORTS
 from hydrotwin.discovery.structures.starts import compatible
 from tests.discovery.slides import NOISE, begun, found, records, searched, slide
@@ -254,3 +255,18 @@ def test_what_promises_most_is_fitted_as_it_stands_once(monkeypatch):
     assert len(stood) == len(set(stood)) >= 1
     lowest = min(entries, key=lambda e: search.table.promise(e, search.first))
     assert lowest.key in stood
+
+
+def test_to_the_best_structure_everything_is_added_that_promises_much_beside_it():
+    """Alone a bias promises less than others do here: it does not belong to the pairs of what promises most alone."""
+    search = begun(records(3, dry=30.0, leaning=8.0), SOME)
+    search.identify()
+    search._to_whole_recordings()
+    search._looked(search._singles())
+    search.effort = dataclasses.replace(search.effort, pool=1)
+    rubbing = one(search, "coulomb_friction")
+    (rubbing.fitted,) = search._ran([search.jobs.anew(rubbing)])
+    shares = foreseen(search.table, search.jobs, rubbing)
+    wanted = min(shares, key=shares.get)
+    assert search._promising()[0] is rubbing.members[0]
+    assert {wanted, *rubbing.key} in [set(e.key) for e in search._larger(2)]

@@ -86,11 +86,18 @@ class Jobs:
         return self.of(base, [start], stages=stages)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them."""
+        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them.
+
+        Where a part of it was fitted, from where that ended, too: it is never to look worse than its part.
+        """
         base, starts = self.table.entry(), self.starts(entry)
         known = base.look if entry.members and base.look.left is not None else base.fitted
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
         starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
+        part = min((e for e in self.table.parts(entry) if e.members), key=self.table.score, default=None)
+        if part:
+            known = part.fitted
+            starts = [*({**start, **known.values} for start in (starts[-1], starts[0])), *starts]
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
 

@@ -37,6 +37,7 @@ SAME = 0.02  # of what the base leaves in windows: promises that differ by less 
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
+GROWN = 2  # structures, the best, to which effects are added
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -293,16 +294,24 @@ class Search:
             beyond += 0 if near else sum(not e.open for e in chosen)
 
     def _larger(self, size: int) -> list[Entry]:
-        """Structures of a size out of the most promising effects, and the best smaller ones with one effect more."""
-        table = self.table
-        pool = self._promising()[: self.effort.pool]
+        """The best structures of one effect less with one more each, and pairs of the most promising effects."""
+        table, pool = self.table, self._promising()[: self.effort.pool]
+        known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
+        groups = [(*e.members, c) for e in sorted(known, key=self._worth)[:GROWN] for c in self._beside(e, pool)]
         if size == 2:
-            groups = sorted(itertools.combinations(pool, 2), key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
-        else:
-            known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
-            smaller = sorted(known, key=self._worth)
-            groups = ((*e.members, c) for e in smaller[:2] for c in pool if c not in e.members)
-        return [table.entry(g) for g in groups if compatible(g)]
+            pairs = itertools.combinations(pool, 2)
+            groups += sorted(pairs, key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
+        return list({e.key: e for e in map(table.entry, filter(compatible, groups))}.values())
+
+    def _beside(self, entry: Entry, pool: Sequence[Candidate]) -> list[Candidate]:
+        """What may be missing beside a structure, the most promising first: to first order from where it was fitted.
+
+        Alone an effect may promise nothing: the base is bent by what the structure holds.
+        """
+        shares = foreseen(self.table, self.jobs, entry) if entry.fitted else {}
+        more = [c for c in self.table.candidates if c.label in shares] if shares else pool
+        more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[: self.effort.pool]
+        return [c for c in more if c not in entry.members]
 
     def _promising(self) -> list[Candidate]:
         """Single effects, the most promising first."""

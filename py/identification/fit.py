@@ -178,7 +178,8 @@ class Fit:
         lines = [f"{self.name}: {self.message} ({self.seconds:.2f} s)"]
         for p in self.parameters:
             mark = "  at bound" if p.at_bound else ""
-            lines.append(f"  {p.name:<36} {p.start:>12.5g} -> {p.value:>12.5g} ± {p.sigma:<9.2g} {p.unit}{mark}")
+            sure = f"± {p.sigma:<9.2g}" if np.isfinite(p.sigma) else "± unknown "
+            lines.append(f"  {p.name:<36} {p.start:>12.5g} -> {p.value:>12.5g} {sure} {p.unit}{mark}")
         for r in self.residuals:
             left = "noise only" if r.explained else f"{np.sqrt(r.chi2_per_sample):.2f} x noise, unexplained"
             lines.append(f"  {r.record} ({r.role}) {r.output}: RMSE {r.rmse:.4g} {r.unit} ({left})")

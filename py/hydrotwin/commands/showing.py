@@ -117,7 +117,10 @@ def simulate(
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
-        row = [signal.name, signal.unit, float(values.min()), float(values.max())]
+        given = values[np.isfinite(values)]
+        if lost := len(values) - len(given):
+            mark(err, "note", f"{signal.name}: the model gives no number in {lost} of {len(values)} samples.")
+        row = [signal.name, signal.unit, *([float(given.min()), float(given.max())] if len(given) else ["-", "-"])]
         measured = signal.name in record and np.isfinite(record[signal.name]).any()
         comparable = measured and compatible(record.units[signal.name], signal.unit)
         row.append(float(errors_of(record[signal.name], values).rmse) if comparable else "-")

@@ -235,10 +235,8 @@ def profile_table(profiles: Profiles) -> Table:
         column("value", "Value", [p.value for p in rows]),
         column("low", "95 % from", [p.low for p in rows]),
         column("high", "to", [p.high for p in rows]),
-        _none_told(
-            column("quadratic_low", "Quadratic from", [p.quadratic[0] if p.quadratic else np.nan for p in rows])
-        ),
-        _none_told(column("quadratic_high", "to", [p.quadratic[1] if p.quadratic else np.nan for p in rows])),
+        _none_told(column("quadratic_low", "Quadratic from", [low for low, _ in quadratic])),
+        _none_told(column("quadratic_high", "to", [high for _, high in quadratic])),
         warned(texts("verdict", "It is", said), [not p.identifiable for p in rows]),
     ]
     return table("profile_intervals", "", columns)

@@ -23,6 +23,7 @@ from .comparison import Comparison, Failure
 from .contender import Contender
 from .criteria import criterion
 from .earlier import earlier
+from .notices import notices_of_variants
 from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
 from .scenario import Scenario
 from .travel import Carried, travels
@@ -88,7 +89,8 @@ class Matrix:
         columns = ("variant", "model", f"RMSE [{signal.unit}]", f"maximum [{signal.unit}]", "fit [%]")
         told = "" if accepted is None else "All criteria hold." if accepted.passed else "Not all criteria hold."
         facts = {"models": len(self.base.models), "variants": len(self.runs), "recordings": len(self.base.records)}
-        return summary_html(self.title, told, facts, [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)])
+        tables = [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)]
+        return summary_html(self.title, told, facts, tables, notices_of_variants(self.runs))
 
     def __getitem__(self, name: str) -> VariantRun:
         for run in self.runs:

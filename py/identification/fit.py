@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
+from hydrotwin.records.between import sentences
 from hydrotwin.simulation.control import Accuracy
 
 SIZE = 1.1  # of the noise, squared: as much may be noise
@@ -194,7 +195,9 @@ class Fit:
             SmallTable("Errors, SI", ("recordings", "output", "RMSE", "unit"), errors),
         ]
         facts = {"chi2 per degree of freedom": self.chi2_per_dof, "ended": self.message}
-        return summary_html(f"Fit of {self.name}", self._verdict(), facts, tables, [str(f) for f in self.findings])
+        notes = [f"{said}." for said in sentences(self.flat.inputs)] + [str(f) for f in self.findings]
+        notes += [f"The runs are {self.accuracy}."] if self.accuracy else []
+        return summary_html(f"Fit of {self.name}", self._verdict(), facts, tables, notes)
 
     def _verdict(self) -> str:
         """Whether more than noise is left in training, in a sentence."""

@@ -11,12 +11,12 @@ import pytest
 
 from hydrotwin.comparison import FREE_RUN, BlockContender, as_contender, compare
 from hydrotwin.comparison.band import SEEN, Band, bands_of, held_here
+from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.travel import Carried
 from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.report import write_report
-from hydrotwin.report.notices import notices
 from tests.comparison.toys import OUTPUTS, Toy, recording
 from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, untrained_block
 

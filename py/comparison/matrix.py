@@ -17,11 +17,10 @@ from hydrotwin.records import Record
 from hydrotwin.work.executor import executor_for
 
 from .acceptance import Acceptance, Wanted, acceptance
-from .asked import check_criterion, judged_model
+from .asked import criteria_about, judged_model
 from .changes import Change
 from .comparison import Comparison, Failure
 from .contender import Contender
-from .criteria import criterion
 from .earlier import earlier
 from .notices import notices_of_variants
 from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
@@ -328,7 +327,7 @@ def _check_criteria(scenario: Scenario, one: _Prepared, wanted: Wanted, records:
     asked = dataclasses.replace(asked_of(scenario, one.contenders, records), changed=True)
     for text in wanted.accept:
         try:
-            check_criterion(criterion(text, asked.outputs), asked, judged_model(asked, wanted.model))
+            criteria_about(text, asked, judged_model(asked, wanted.model))
         except DeclarationError as error:
             raise DeclarationError(f"{scenario.title}: variant '{one.variant.name}': {error}") from None
 

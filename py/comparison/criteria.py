@@ -310,7 +310,10 @@ def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, st
     output, _, metric = what.rpartition(".")
     if what in METRICS and what not in signals:  # of an overall criterion, with its one output
         return next(iter(signals)), what
-    if what in signals or not output:
+    if what not in signals and not output:
+        known = nearest(what, [*METRICS, *signals])
+        raise DeclarationError(f"accept: '{text}': '{what}' is neither a metric nor an output. {known}")
+    if what in signals:
         raise DeclarationError(f"accept: '{text}' names no metric. Write {what}.rmse; known: {', '.join(METRICS)}.")
     if output not in signals:
         raise DeclarationError(f"accept: '{text}': no output '{output}'. {nearest(output, signals)}")

@@ -29,7 +29,7 @@ def verdict(accepted: Acceptance) -> tuple[str, ...]:
         return (told, *careful)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
-    words = [one.undefined.rstrip(".") or f"found {found_told(one)}" for one in missed[:3]]
+    words = [one.undefined.rstrip(".") or f"found {found_told(one)}, {margin_told(one, '')}" for one in missed[:3]]
     told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
     return (f"FAIL: {accepted.model} misses {many}: {told}.", *careful)
 

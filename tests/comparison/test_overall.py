@@ -9,15 +9,18 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import Wanted, acceptance, compare, criteria_of, junit
+import hydrotwin
+from hydrotwin.comparison import Wanted, acceptance, as_contender, compare, criteria_of, junit, record_comparison
 from hydrotwin.comparison.asked import Asked, check_wanted
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.model_file import write_model_file
 from hydrotwin.records import Record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_lines, verdict
 from tests.comparison.toys import ANGLE, PRESSURE, UNITS, Toy, recording
 
+SHIPPED = Path(__file__).resolve().parents[2] / "examples"
 GOOD, BAD, ARM = Toy("good", gain=121.0), Toy("bad", gain=135.0), Toy("arm", outputs=(ANGLE,), gain=135.0)
 FIRST, SECOND = recording(1), recording(2)
 
@@ -116,3 +119,13 @@ def test_page_screen_json_and_junit_name_the_worst(comparison, tmp_path):
     (row,) = json.loads((tmp_path / "compare.json").read_text())["acceptance"]["criteria"]
     assert (row["output"], row["overall"], len(row["among"])) == (worst, True, 3)
     assert all(says in Path(paths[kind]).read_text() for kind in ("html", "markdown"))
+
+
+def test_the_record_of_a_model_file_names_the_worst(tmp_path):
+    model = hydrotwin.load("cehA")
+    write_model_file(tmp_path / "model.toml", "cehA", model.flat, {})
+    record = hydrotwin.read_record(SHIPPED / "cehA" / "recordings" / "validate_1.csv").window(end=4.0)
+    found = compare([as_contender(model, "m")], [record], modes=["free run"], repeats=0)
+    told = record_comparison(tmp_path / "model.toml", found, acceptance(found, Wanted(("fit > 99.99 %",), "m")), "m")
+    (row,) = told.evidence[-1].criteria
+    assert row["worst"] in {s.name for s in model.flat.outputs} and f"({row['worst']}, " in told.evidence[-1].told

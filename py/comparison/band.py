@@ -21,7 +21,7 @@ from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
 SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SENSITIVITIES = "sensitivities"
 LEAST_INSIDE = 0.90  # of a 95 % band: what it should hold of a recording; less may be a draw of what is not known ...
-CHANCE = 1e-4  # ... unless that has a smaller chance: right models had 4e-3 at least (docs/validation.md)
+CHANCE = 1e-4  # ... unless that has a smaller chance: right ones had 0.026 at least where so little lay inside
 NO_CHANCE = "lies in it, fewer than chance explains. Something is missing in the model there"
 FEW_INSIDE = 0.75  # mean over recordings, of a band of which nobody knows what may be a draw
 MISSING = "its fit left more than noise. Something is missing in it, and elsewhere the machine may be further off."
@@ -84,7 +84,7 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
     if not low:
         return band
     worst = min(low, key=lambda one: one.inside)
-    return replace(band, trusted=False, why=f"only {100 * worst.inside:.2g} % of {worst.record} {NO_CHANCE}")
+    return replace(band, trusted=False, why=f"only {100 * worst.inside:.3g} % of {worst.record} {NO_CHANCE}")
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:

@@ -98,12 +98,12 @@ def criteria_about(text: str, asked: Asked, model: str) -> tuple[Criterion, ...]
     """
     given = asked.given_by(model)
     every = [s for s in asked.outputs if s.name in given and asked.recorded(given[s.name])]
-    if not every:
+    found = criteria_of(text, asked.outputs, every)
+    if not found:
         raise DeclarationError(
             f"accept: '{text}': {model} gives no output that a recording holds, so nothing can test it. It gives "
             f"{', '.join(given) or 'nothing scored'}."
         )
-    found = criteria_of(text, asked.outputs, every)
     if found[0].overall:
         found = tuple(one for one in found if asked.testable(one, given)) or found[:1]
     for one in found:

@@ -204,8 +204,10 @@ def _listed(value: object) -> list:
 
 
 def _margin(row: Mapping) -> str:
-    """How far inside or outside of its bound a criterion is; nothing where there is no number."""
-    return f" ({100 * row['margin']:+.2g} %)" if math.isfinite(row["margin"]) else ""
+    """How far inside or outside of its bound a criterion is, of an overall one which output; else nothing."""
+    told = [str(row["worst"])] if row.get("worst") else []
+    told += [f"{100 * row['margin']:+.2g} %"] if math.isfinite(row["margin"]) else []
+    return f" ({', '.join(told)})" if told else ""
 
 
 def _inline(value) -> str:

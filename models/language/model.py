@@ -365,4 +365,7 @@ class Model:
             SmallTable("Parameters, SI, free ones first", ("parameter", "value", "unit", "source"), values),
         ]
         facts = {"states": len(flat.states), "parameters": len(flat.parameters), "free": len(free)}
-        return summary_html(f"Model {self.name}", "", facts | {"step [s]": self.step}, tables)
+        facts |= {"step [s]": self.step} | (
+            {"added": ", ".join(a.name for a in self.additions)} if self.additions else {}
+        )
+        return summary_html(f"Model {self.name}", "", facts, tables)

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
-ROWS, NOTES = 12, 4  # of one table; sentences below
+ROWS, NOTES = 12, 12  # of one table; sentences below
 LONGEST, LONGEST_CELL = 400, 60  # characters of a sentence, of a cell
 _LEFT = "text-align:left"
 

@@ -19,7 +19,7 @@ from .comparison import (
     Unscored,
 )
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
-from .criteria import Criterion, Judged, criterion, judge
+from .criteria import Criterion, Judged, criteria_of, criterion, judge, worst
 from .domain import domain_shares
 from .earlier import FORMAT
 from .evidence import asked_by, record_comparison
@@ -73,6 +73,7 @@ __all__ = [
     "as_contender",
     "asked_by",
     "compare",
+    "criteria_of",
     "criterion",
     "domain_shares",
     "errors_of",
@@ -85,4 +86,5 @@ __all__ = [
     "replay",
     "run_matrix",
     "run_scenario",
+    "worst",
 ]

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .asked import SUFFIX, Asked, check_criterion, judged_model
+from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
-from .criteria import Criterion, Judged, criterion, judge, over_recordings
+from .criteria import Criterion, Judged, judge, over_recordings, worst
 from .earlier import earlier
 from .metric import METRICS, SCORED
 from .tags import of_group
@@ -82,17 +82,17 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
     model = judged_model(asked, wanted.model)
     judged = []
     for text in wanted.accept:
-        one = criterion(text, comparison.outputs)
-        check_criterion(one, asked, model)
-        judged.append(judge(one, _Values(comparison, model, one, wanted.folder(text), variant)))
-    judged = tuple(_told(one, comparison, model) for one in judged)
+        about = criteria_about(text, asked, model)
+        values = [_Values(comparison, model, one, wanted.folder(text), variant) for one in about]
+        each = [_told(judge(v.criterion, v), comparison, model) for v in values]
+        judged.append(worst([dataclasses.replace(one, left_out=left_out(about, asked, model)) for one in each]))
     if not variant:  # a variant is held against its own, and what is otherwise is told of the scenario as it stands
-        judged = tuple(_held_against(one, comparison, wanted) for one in judged)
+        judged = [_held_against(one, comparison, wanted) for one in judged]
     if not wanted.against:
-        return Acceptance(model, comparison.modes[0], judged)
+        return Acceptance(model, comparison.modes[0], tuple(judged))
     before = _earlier(wanted.against, variant)
     changes, otherwise = before.against(comparison), () if variant else before.otherwise(comparison)
-    return Acceptance(model, comparison.modes[0], judged, *changes, otherwise)
+    return Acceptance(model, comparison.modes[0], tuple(judged), *changes, otherwise)
 
 
 def _earlier(path: Path, variant: str):

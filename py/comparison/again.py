@@ -17,7 +17,7 @@ from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_recor
 from .acceptance import Wanted, acceptance
 from .comparison import Comparison
 from .contender import as_contender
-from .criteria import criterion
+from .criteria import criteria_of
 from .run import compare
 
 AGAIN = 1e-4  # relative: numbers of the same runs on another processor or compiler differ by less
@@ -84,7 +84,7 @@ def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Ag
 def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
     text = row["text"]
     try:
-        asked = criterion(text, found.outputs)
+        asked = criteria_of(text, found.outputs)[0]
         nothing = replace(nothing, unit=asked.unit, scale=asked.scale)
         if asked.than:
             why = "another model or file is not in the record"

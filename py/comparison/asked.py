@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from hydrotwin.records import Record
 
 from .band import SD
 from .comparison import FREE_RUN, Comparison, Entrant
-from .criteria import Criterion, criterion
+from .criteria import Criterion, criteria_of, some_of
 from .earlier import Earlier, earlier
 from .metric import METRICS, SCORED
 from .rates import rate_signal
@@ -52,6 +52,16 @@ class Asked:
         made = {name: name for name in own} | {rate_signal(s).name: name for name, s in own.items()}
         return {s.name: made[s.name] for s in self.outputs if s.name in made}
 
+    def recorded(self, name: str, group: str = "") -> bool:
+        """Whether a recording, of a group, holds a signal."""
+        chosen = of_group(self.records, group)
+        return any(name in r.signals for r in self.records if r.name in chosen)
+
+    def testable(self, one: Criterion, given: Mapping[str, str]) -> bool:
+        """Whether recordings of its group hold its output, and the model gives it that it is held against."""
+        other = self.given_by(one.than) if one.than in self.models else given
+        return self.recorded(given[one.output], one.group) and one.output in other
+
     def banded(self, model: str, output: str) -> bool:
         """Whether a model has a band of an output in the mode that is judged."""
         (one,) = (e for e in self.entrants if e.name == model)
@@ -73,12 +83,46 @@ def check_wanted(wanted: Wanted, asked: Asked) -> None:
     """
     model = judged_model(asked, wanted.model)
     for text in wanted.accept:
-        one = criterion(text, asked.outputs)
-        check_criterion(one, asked, model)
-        if one.than.endswith(SUFFIX):
-            _check_file(one, earlier(wanted.folder(text) / one.than), asked, model)
+        for one in criteria_about(text, asked, model):
+            if one.than.endswith(SUFFIX):
+                _check_file(one, earlier(wanted.folder(text) / one.than), asked, model)
     if wanted.against:
         earlier(wanted.against).check_recordings(asked.records)
+
+
+def criteria_about(text: str, asked: Asked, model: str) -> tuple[Criterion, ...]:
+    """What a sentence asks of a model: one criterion, or one for each output of an overall one.
+
+    Those are the scored outputs that the model gives, and the one that it is held against, and that a recording holds
+    which the sentence is about. Raises as `criteria_of` and `check_criterion`.
+    """
+    given = asked.given_by(model)
+    every = [s for s in asked.outputs if s.name in given and asked.recorded(given[s.name])]
+    found = criteria_of(text, asked.outputs, every)
+    if not found:
+        raise DeclarationError(
+            f"accept: '{text}': {model} gives no output that a recording holds, so nothing can test it. It gives "
+            f"{', '.join(given) or 'nothing scored'}."
+        )
+    if found[0].overall:
+        found = tuple(one for one in found if asked.testable(one, given)) or found[:1]
+    for one in found:
+        check_criterion(one, asked, model)
+    return found
+
+
+def left_out(found: Sequence[Criterion], asked: Asked, model: str) -> str:
+    """Scored outputs that an overall criterion is not about, and why, in words; empty where there is none."""
+    about = {one.output for one in found}
+    rest = [s.name for s in asked.outputs if s.name not in about]
+    if not found[0].overall or not rest:
+        return ""
+    given, other = asked.given_by(model), found[0].than
+    lacking = [n for n in rest if n not in given]
+    held = [n for n in rest if n in given and other in asked.models and n not in asked.given_by(other)]
+    told = [(lacking, f"{model} does not give"), (held, f"{other} does not give")]
+    told.append(([n for n in rest if n not in (*lacking, *held)], "no recording of it holds"))
+    return "; ".join(f"not judged on {some_of(names)}, which {why}" for names, why in told if names)
 
 
 def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
@@ -91,8 +135,7 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     if one.than and not one.than.endswith(SUFFIX):
         _check_model(one, asked, _known(one.than, asked.models))
     made_from = asked.given_by(model)[one.output]
-    chosen = of_group(asked.records, one.group)
-    if not any(made_from in r.signals for r in asked.records if r.name in chosen):
+    if not asked.recorded(made_from, one.group):
         raise DeclarationError(
             f"accept: '{one.text}': none of the recordings it is about holds {made_from}, so nothing can test it. "
             "Judge an output that was recorded, or other recordings."

@@ -20,7 +20,10 @@ from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
 
 SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SENSITIVITIES = "sensitivities"
-FEW_INSIDE = 0.75  # of a 95 % band, mean over recordings: right models had 79 % at least (docs/validation.md)
+LEAST_INSIDE = 0.90  # of a 95 % band: what it should hold of a recording; less may be a draw of what is not known ...
+CHANCE = 1e-4  # ... unless that has a smaller chance: right ones had 0.026 at least where so little lay inside
+NO_CHANCE = "lies in it, fewer than chance explains. Something is missing in the model there"
+FEW_INSIDE = 0.75  # mean over recordings, of a band of which nobody knows what may be a draw
 MISSING = "its fit left more than noise. Something is missing in it, and elsewhere the machine may be further off."
 SEEN = ", though its physics was identified on these recordings to their end"
 
@@ -51,18 +54,37 @@ def bands_of(contender) -> tuple[Band, ...]:
     return tuple(found)
 
 
-def held_here(bands: Sequence[Band], coverage: Mapping[str, float]) -> tuple[Band, ...]:
-    """The bands, those doubted that did not hold what was measured here; coverage : mean share inside, by output.
+@dataclass(frozen=True)
+class Held:
+    """What of one recording lay in a band: share inside; chance : of errors as far off, see `Moved.chance`, or NaN."""
 
-    Whatever a band was judged on before, one that misses the recordings at hand is wrong there.
+    record: str
+    inside: float
+    chance: float = float("nan")
+
+
+def held_here(bands: Sequence[Band], held: Mapping[str, Sequence[Held]]) -> tuple[Band, ...]:
+    """The bands, those doubted that did not hold what was measured here; held : of each recording, by output.
+
+    Whatever a band was judged on before, one that misses the recordings at hand is wrong there. Of a fit it is known
+    what may be a draw of parameters and start, and one recording that it misses by more than that is enough.
     """
-    return tuple(_held(band, coverage.get(band.output, np.nan)) for band in bands)
+    return tuple(_held(band, held.get(band.output, ())) for band in bands)
 
 
-def _held(band: Band, inside: float) -> Band:
-    if not inside < FEW_INSIDE or band.trusted is False:
+def _held(band: Band, held: Sequence[Held]) -> Band:
+    known = [one for one in held if not np.isnan(one.inside)]
+    if band.trusted is False or not known:
         return band
-    return replace(band, trusted=False, why=f"only {100 * inside:.2g} % of what was measured here lies in it")
+    mean = float(np.mean([one.inside for one in known]))
+    if any(np.isnan(one.chance) for one in known):
+        why = f"only {100 * mean:.2g} % of what was measured here lies in it"
+        return replace(band, trusted=False, why=why) if mean < FEW_INSIDE else band
+    low = [one for one in known if one.inside < LEAST_INSIDE and one.chance < CHANCE / len(known)]
+    if not low:
+        return band
+    worst = min(low, key=lambda one: one.inside)
+    return replace(band, trusted=False, why=f"only {100 * worst.inside:.3g} % of {worst.record} {NO_CHANCE}")
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:

@@ -36,7 +36,8 @@ class Score(FieldMetrics):
     ``record`` is MEAN for the mean over the recordings; ``recordings`` counts those that went in.
     ``noise`` is the white noise of the measurement by itself (see `noise_floor`; nan for means and slopes).
     ``coverage`` is the share of the samples inside the model's 95 % band, ``nlpd`` and ``crps`` score it (see
-    `hydrotwin.learned.bands`); nan for a model without a band.
+    `hydrotwin.learned.bands`); nan for a model without a band. ``chance`` : how likely errors are as far off where
+    nothing is missing, by what the fit knows of its parameters and the start, see `Moved.chance`; nan for other bands.
     ``relative`` is rmse over the smallest rmse of any model on the same recording, output and mode (1 = best).
     """
 
@@ -60,6 +61,7 @@ class Score(FieldMetrics):
     coverage: float = float("nan")
     nlpd: float = float("nan")
     crps: float = float("nan")
+    chance: float = float("nan")
 
     @property
     def too_good(self) -> bool:
@@ -193,11 +195,14 @@ class Comparison:
         return f"Comparison '{self.title}': {', '.join(self.models)} on {on}; {len(self.scores)} scores"
 
     def _repr_html_(self) -> str:
+        from .notices import notices
+
         return summary_html(
             self.title,
             self._best(),
             {"models": len(self.models), "recordings": len(self.records), "failures": len(self.failures)},
             [SmallTable(f"{self.modes[0]}, means over the recordings, SI", _SHOWN, self._shown())],
+            [*notices(self), *map(str, self.starts)],
         )
 
     def _best(self) -> str:

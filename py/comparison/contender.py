@@ -10,8 +10,9 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hydrotwin.identification.bands import SPREAD, Spread, deviations
+from hydrotwin.identification.bands import SPREAD, Spread, moves
 from hydrotwin.identification.beginning import StartEstimate, estimate_start
+from hydrotwin.identification.moved import Moved
 from hydrotwin.learned.bands import WIDE, known_bands
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
@@ -120,11 +121,15 @@ class PhysicalContender:
 
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
+        return {name: one.deviation for name, one in self.moves(record).items()}
+
+    def moves(self, record: Record) -> dict[str, Moved]:
+        """How far outputs of a free run may be moved by what the fit does not know, where it is known."""
         told = self.provenance.get(SPREAD)
         if not told:
             return {}
         estimated = self.estimated.get(record.name)
-        return deviations(self.flat, record, Spread.from_told(told), self._known_start(record), estimated)
+        return moves(self.flat, record, Spread.from_told(told), self._known_start(record), estimated)
 
     def _given(self) -> list[tuple[str, ...]]:
         """States that are given together in a run, beside those that a recording measures."""

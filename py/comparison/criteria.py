@@ -4,14 +4,15 @@
     [GROUP:] OUTPUT.METRIC in [LOW, HIGH] [UNIT]
     [GROUP:] OUTPUT[.METRIC] not worse than MODEL [by SHARE %]
 
-GROUP is the name of a recording, or ``tag=value``; without one a criterion is about all recordings together.
+GROUP is the name of a recording, or ``tag=value``; without one a criterion is about all recordings together. Without an
+OUTPUT, ``fit > 90 %``, it is about every compared output, and the worst of them counts: see `criteria_of` and `worst`.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible, convert, display_units
 
 from .comparison import mean_known
-from .metric import ERRORS, METRICS, PLAIN, SHARE, TIME
+from .metric import ERRORS, METRICS, OF_OUTPUT, PLAIN, SHARE, TIME
 
 SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
@@ -42,7 +43,7 @@ class Criterion:
 
     text : as written. group : "" for all recordings. low, high : SI, or a share of 1; both are allowed themselves.
     than : the model that must not be better, ``by`` : the share that it may be. unit : that it is written in, or else
-    read in; scale : one of it, in SI.
+    read in; scale : one of it, in SI. overall : the sentence names no output; this is what it says of one of them.
     """
 
     text: str
@@ -55,6 +56,7 @@ class Criterion:
     by: float = 0.0
     unit: str = ""
     scale: float = 1.0
+    overall: bool = False
 
     def as_written(self, value: float) -> float:
         """A number of it (SI, or a share of 1) in ``unit``."""
@@ -71,7 +73,8 @@ class Judged:
     output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
     a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
-    earlier comparison that it is held against, in sentences.
+    earlier comparison that it is held against, in sentences. among : of an overall criterion all outputs that it is
+    about, of which this is the worst; left_out : what it was not judged on, in words.
     """
 
     criterion: Criterion
@@ -85,6 +88,18 @@ class Judged:
     doubt: str = ""
     uneven: str = ""
     otherwise: tuple[str, ...] = ()
+    among: tuple[str, ...] = ()
+    left_out: str = ""
+
+    @property
+    def which(self) -> str:
+        """Of an overall criterion which output is the worst, in words; empty of any other.
+
+        >>> Judged(Criterion("fit > 90 %", "speed", "fit"), 0.8, 0.9, 1.0, among=("speed", "angle")).which
+        'speed, the worst of 2 outputs'
+        """
+        rest = f", the worst of {len(self.among)} outputs" if len(self.among) > 1 else ""
+        return f"{self.criterion.output}{rest}" if self.among else ""
 
     @property
     def passed(self) -> bool:
@@ -104,7 +119,7 @@ class Judged:
     @property
     def caution(self) -> str:
         """What to know before it is relied on; empty where there is nothing."""
-        one, told = self.criterion, []
+        one, told = self.criterion, [self.left_out] if self.left_out else []
         if self.without:
             holds = "holds" if len(self.without) == 1 else "hold"
             told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
@@ -159,17 +174,63 @@ def over_recordings(metric: str, values: Sequence[float]) -> float:
     return value / 100 if metric == "fit" else value
 
 
-def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
-    """The criterion that a sentence says.
+def criteria_of(text: str, outputs: Iterable[Signal], every: Iterable[Signal] | None = None) -> tuple[Criterion, ...]:
+    """What a sentence says: one criterion, or where it names no output the same for each of ``every``, by default all.
 
-    Raises `DeclarationError` for a sentence that is none, an output or a metric that does not exist, `UnitError` for a
-    unit that the metric of this output cannot be in.
+    Raises `DeclarationError` for a sentence that is none, an output or a metric that does not exist, and for one bound
+    on outputs in different units; `UnitError` for a unit that the metric of an output cannot be in.
     """
     signals = {s.name: s for s in outputs}
     for pattern, meant in ((_RANGE, _in_range), (_THAN, _not_worse), (_BOUND, _bounded)):
         if found := pattern.match(text):
-            return meant(text, found, signals)
+            what = found["what"]
+            if what not in METRICS or what in signals:
+                return (meant(text, found, signals),)
+            about = list(signals.values() if every is None else every)
+            if "than" not in found.groupdict():
+                _require_one_unit(text, what, about)
+            return tuple(replace(meant(text, found, {s.name: s}), overall=True) for s in about)
     raise DeclarationError(f"accept: '{text}' is no criterion. Write for example {EXAMPLES}.")
+
+
+def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
+    """The criterion that a sentence says of one output. Raises as `criteria_of`, and for one that names no output."""
+    signals = list(outputs)
+    first, *_ = criteria_of(text, signals)
+    if first.overall:
+        raise DeclarationError(
+            f"accept: '{text}' names no output. Write {first.output}.{first.metric}, and one for each output that "
+            f"counts: {', '.join(s.name for s in signals)}."
+        )
+    return first
+
+
+def _require_one_unit(text: str, metric: str, about: Sequence[Signal]) -> None:
+    """One bound for errors in bar and in degrees says nothing of which is the worst."""
+    if METRICS[metric].of != OF_OUTPUT or len({s.unit for s in about}) < 2:
+        return
+    shown = ", ".join(f"{s.name} in {display_units(s.unit)[0]}" for s in about)
+    raise DeclarationError(
+        f"accept: '{text}' names no output, and no one bound fits all: {metric} is in the unit of each ({shown}). "
+        f"Write {about[0].name}.{metric}, and one for each output that counts, or judge a share of all: nrmse, fit."
+    )
+
+
+def worst(judged: Sequence[Judged]) -> Judged:
+    """Of an overall criterion the output with the least margin, or without a number; any other as it is."""
+    first = judged[0]
+    if not first.criterion.overall:
+        return first
+    one = min(judged, key=lambda j: (j.passed, np.inf if np.isnan(j.margin) else j.margin))
+    apart = [j for j in judged if j is not one and j.without]
+    told = [f"{j.criterion.output} was not judged on {some_of(j.without)}, without it" for j in apart]
+    doubts = [j.doubt for j in (one, *judged) if j.doubt and (j is one or METRICS[one.criterion.metric].of_band)]
+    return replace(
+        one,
+        among=tuple(j.criterion.output for j in judged),
+        left_out="; ".join(filter(None, [one.left_out, *told])),
+        doubt=doubts[0] if doubts else "",
+    )
 
 
 def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judged:
@@ -247,13 +308,12 @@ def _written(unit: str | None, signal: Signal, metric: str, bare: bool = False) 
 
 def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, str]:
     output, _, metric = what.rpartition(".")
-    if what in METRICS and what not in signals:
-        first = next(iter(signals), "output")
-        raise DeclarationError(
-            f"accept: '{text}' names no output. Write {first}.{what}, and one for each output that counts: "
-            f"{', '.join(signals)}."
-        )
-    if what in signals or not output:
+    if what in METRICS and what not in signals:  # of an overall criterion, with its one output
+        return next(iter(signals)), what
+    if what not in signals and not output:
+        known = nearest(what, [*METRICS, *signals])
+        raise DeclarationError(f"accept: '{text}': '{what}' is neither a metric nor an output. {known}")
+    if what in signals:
         raise DeclarationError(f"accept: '{text}' names no metric. Write {what}.rmse; known: {', '.join(METRICS)}.")
     if output not in signals:
         raise DeclarationError(f"accept: '{text}': no output '{output}'. {nearest(output, signals)}")

@@ -157,4 +157,5 @@ def _metrics(score: Score, role: str) -> dict:
 
 def _criterion(one) -> dict:
     numbers = {key: float(getattr(one, key)) for key in ("value", "low", "high", "margin")}
-    return {"text": one.criterion.text, "passed": one.passed, **numbers}
+    worst = {"worst": one.criterion.output} if one.criterion.overall else {}
+    return {"text": one.criterion.text, "passed": one.passed, **numbers, **worst}

@@ -6,7 +6,7 @@ import dataclasses
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -71,7 +71,7 @@ class Job:
 @dataclass(frozen=True, eq=False)
 class Run:
     """One mode of a job: predicted ``signals`` (n,) at the times of the recording, their ``units``, standard deviations
-    by output, and wall ``seconds`` of each timed run."""
+    by output, and wall ``seconds`` of each timed run; chance : by output, see `Score`."""
 
     mode: str
     signals: Mapping[str, np.ndarray]
@@ -79,6 +79,7 @@ class Run:
     name: str
     deviation: Mapping[str, np.ndarray]
     seconds: tuple[float, ...]
+    chance: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,20 +144,29 @@ def _predict(contender, mode: str, job: Job, found: _Found) -> Run | None:
         return None
     if mode == FREE_RUN:
         prediction = with_rates(prediction, plan.sloped)
-    deviation = _deviation(contender, record, prediction, mode)
-    return Run(mode, dict(prediction.signals), dict(prediction.units), prediction.name, deviation, tuple(seconds))
+    deviation, chance = _band_of(contender, record, prediction, mode)
+    signals, units = dict(prediction.signals), dict(prediction.units)
+    return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)
 
 
-def _deviation(contender, record: Record, prediction: Record, mode: str) -> dict[str, np.ndarray]:
-    """Standard deviations by output where the contender has them for this mode; without them it is scored, too."""
+def _band_of(
+    contender, record: Record, prediction: Record, mode: str
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+    """Standard deviations by output where the contender has them for this mode, and the chance of what was measured
+    where it says what they are made of; without them it is scored, too."""
     own = {s.name for s in contender.outputs}
     known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
     if mode != FREE_RUN or not hasattr(contender, "deviations"):
-        return known
+        return known, {}
     try:
-        return contender.deviations(record) | known
+        if not hasattr(contender, "moves"):
+            return contender.deviations(record) | known, {}
+        moved = contender.moves(record)
     except HydrotwinError:
-        return known
+        return known, {}
+    both = [n for n in moved if n in record.signals and n in prediction.signals]
+    chance = {n: moved[n].chance(record[n] - prediction[n]) for n in both}
+    return {n: one.deviation for n, one in moved.items()} | known, chance
 
 
 def _lean(run: Run, contender, record: Record) -> Run:
@@ -182,8 +192,9 @@ def _score(contender, run: Run, job: Job, found: _Found) -> None:
             found.failures.append(Failure(contender.name, record.name, run.mode, f"{name}: {error}"))
             continue
         floor, deviation = job.noise.get(name), run.deviation.get(name)
-        field = field_metrics(record, Predicted(name, predicted, deviation), inputs, job.noise, rated=free)
-        told = dataclasses.asdict(errors) | dataclasses.asdict(field) | _band(record[name], predicted, deviation)
+        metrics = field_metrics(record, Predicted(name, predicted, deviation), inputs, job.noise, rated=free)
+        told = dataclasses.asdict(errors) | dataclasses.asdict(metrics) | _band(record[name], predicted, deviation)
+        told |= {"chance": run.chance[name]} if name in run.chance else {}
         white = floor.white if floor else np.nan
         found.scores.append(Score(contender.name, record.name, name, run.mode, unit=signal.unit, noise=white, **told))
         if free and floor:

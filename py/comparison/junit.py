@@ -50,4 +50,5 @@ def _words(one: Judged) -> str:
     value, low, high = (one.criterion.as_written(v) for v in (one.value, one.low, one.high))
     allowed = f"at least {low:.6g}" if high == float("inf") else f"{low:.6g} to {high:.6g}"
     allowed = f"at most {high:.6g}" if low == -float("inf") else allowed
-    return f"found {value:.6g}{unit}, allowed {allowed}{unit}"
+    which = f" of {one.which}" if one.which else ""
+    return f"found {value:.6g}{unit}{which}, allowed {allowed}{unit}"

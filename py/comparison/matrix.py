@@ -17,12 +17,12 @@ from hydrotwin.records import Record
 from hydrotwin.work.executor import executor_for
 
 from .acceptance import Acceptance, Wanted, acceptance
-from .asked import check_criterion, judged_model
+from .asked import criteria_about, judged_model
 from .changes import Change
 from .comparison import Comparison, Failure
 from .contender import Contender
-from .criteria import criterion
 from .earlier import earlier
+from .notices import notices_of_variants
 from .running import Where, asked_of, check_asked, compare_as, load_contenders, read_all, things_of
 from .scenario import Scenario
 from .travel import Carried, travels
@@ -88,7 +88,8 @@ class Matrix:
         columns = ("variant", "model", f"RMSE [{signal.unit}]", f"maximum [{signal.unit}]", "fit [%]")
         told = "" if accepted is None else "All criteria hold." if accepted.passed else "Not all criteria hold."
         facts = {"models": len(self.base.models), "variants": len(self.runs), "recordings": len(self.base.records)}
-        return summary_html(self.title, told, facts, [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)])
+        tables = [SmallTable(f"{signal.name}, {mode}, worst first", columns, rows)]
+        return summary_html(self.title, told, facts, tables, notices_of_variants(self.runs))
 
     def __getitem__(self, name: str) -> VariantRun:
         for run in self.runs:
@@ -326,7 +327,7 @@ def _check_criteria(scenario: Scenario, one: _Prepared, wanted: Wanted, records:
     asked = dataclasses.replace(asked_of(scenario, one.contenders, records), changed=True)
     for text in wanted.accept:
         try:
-            check_criterion(criterion(text, asked.outputs), asked, judged_model(asked, wanted.model))
+            criteria_about(text, asked, judged_model(asked, wanted.model))
         except DeclarationError as error:
             raise DeclarationError(f"{scenario.title}: variant '{one.variant.name}': {error}") from None
 

@@ -38,9 +38,20 @@ def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor],
 
 
 def inputs_rest(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor]) -> np.ndarray:
-    """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves: levels are no rounding."""
+    """Where (n,) all named inputs rest: as `rests`, but from level to level a command moves: levels are no rounding.
+
+    Samples that are unknown lie on the line between those beside them: a hole is a move only between two levels.
+    """
     white = {n: dataclasses.replace(noise[n], sigma=noise[n].white) for n in names if n in noise}
-    return rests(record, names, white, HELD)
+    return rests(_bridged(record, names), names, white, HELD)
+
+
+def _bridged(record: Record, names: Sequence[str]) -> Record:
+    """The recording with the unknown samples of signals on the line between the known ones; one never known stays."""
+    known = {n: np.isfinite(record[n]) for n in names}
+    holes = [n for n, here in known.items() if here.any() and not here.all()]
+    lines = {n: np.interp(record.time, record.time[known[n]], record[n][known[n]]) for n in holes}
+    return record.with_signals(lines) if lines else record
 
 
 def settling(
@@ -51,12 +62,16 @@ def settling(
     Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
     from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
     measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
-    NaN where the measurement never settles after a move.
+    A move that ends inside a hole of an input, nobody knows when, is left out. NaN where the measurement never settles
+    after a move.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
     width, measured, found = _width(record), record[output], []
     settled, room = rests(record, [output], noise), _room(measured, _sigma(output, noise))
+    told = np.all([np.isfinite(record[n]) for n in inputs], axis=0)
     for part in _after_moves(inputs_rest(record, inputs, noise), width):
+        if not np.all(told[part.start - 1 : part.start + 1]):  # the move ended in a hole
+            continue
         known = np.isfinite(measured[part]) & np.isfinite(predicted[part])
         time, y, p = (values[part][known] for values in (record.time, measured, predicted))
         if len(y) <= width or not settled[part.stop - 1 - width // 2]:

@@ -18,7 +18,7 @@ from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
 
-from .band import bands_of, held_here
+from .band import Held, bands_of, held_here
 from .comparison import (
     FREE_RUN,
     MODES,
@@ -28,7 +28,6 @@ from .comparison import (
     Score,
     Timing,
     Trajectory,
-    mean_known,
     mean_scores,
     relative_scores,
 )
@@ -231,8 +230,8 @@ def entrant(contender) -> Entrant:
 def _judged_here(one: Entrant, scores: Sequence[Score]) -> Entrant:
     """With its bands held against what was measured."""
     free = [s for s in scores if (s.model, s.mode) == (one.name, FREE_RUN)]
-    inside = {b.output: mean_known([s.coverage for s in free if s.output == b.output]) for b in one.bands}
-    return dataclasses.replace(one, bands=held_here(one.bands, inside))
+    held = {b.output: [Held(s.record, s.coverage, s.chance) for s in free if s.output == b.output] for b in one.bands}
+    return dataclasses.replace(one, bands=held_here(one.bands, held))
 
 
 def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:

@@ -26,6 +26,7 @@ from hydrotwin.simulation import prepare
 from hydrotwin.simulation.simulate import filled, inputs_of, since_start
 
 from .beginning import StartEstimate
+from .moved import Moved
 from .start_states import StartStates
 
 TRAIN = "train"
@@ -92,7 +93,18 @@ def deviations(
     start: Mapping[str, float] | None = None,
     estimated: StartEstimate | None = None,
 ) -> dict[str, np.ndarray]:
-    """Standard deviation (n,), SI, of what the sensor of every output reads in a free run as `simulate` makes it.
+    """Standard deviation (n,), SI, of what the sensor of every output reads in a free run; asked as `moves`."""
+    return {name: one.deviation for name, one in moves(model, record, spread, start, estimated).items()}
+
+
+def moves(
+    model,
+    record: Record,
+    spread: Spread,
+    start: Mapping[str, float] | None = None,
+    estimated: StartEstimate | None = None,
+) -> dict[str, Moved]:
+    """How far every output of a free run as `simulate` makes it may be moved by what the fit does not know.
 
     model : a Model or FlatModel, its inputs as it was fitted; start : start states by name that are known exactly;
     estimated : those that are not, with their covariance.
@@ -114,12 +126,16 @@ def deviations(
     noise = np.square([spread.noise.get(output, 0.0) for output in measured.values()])
     of_start = np.reshape(estimated.covariance if estimated else (), (len(doubted), len(doubted)))
     C = block_diag(spread.covariance[np.ix_(kept, kept)], np.diag(noise), of_start)
-    found = {}
-    for j, signal in enumerate(flat.outputs):
-        if signal.name in spread.left:
-            moved = np.einsum("ta,ab,tb->t", dy[:, j], C, dy[:, j])
-            found[signal.name] = np.sqrt(np.maximum(moved, 0.0) + spread.left[signal.name] ** 2)
-    return found
+    root, left = _root(C), spread.left
+    return {s.name: Moved(dy[:, j] @ root, left[s.name]) for j, s in enumerate(flat.outputs) if s.name in left}
+
+
+def _root(C: np.ndarray) -> np.ndarray:
+    """A square root of a covariance; by way of the correlation, for parameters in SI are of very different size."""
+    size = np.sqrt(np.maximum(np.diag(C), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(C / np.outer(scale, scale))
+    return size[:, None] * (vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def given_starts(

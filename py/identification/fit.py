@@ -10,6 +10,7 @@ from scipy.special import chdtri
 
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
+from hydrotwin.records.between import sentences
 from hydrotwin.simulation.control import Accuracy
 
 SIZE = 1.1  # of the noise, squared: as much may be noise
@@ -178,7 +179,8 @@ class Fit:
         lines = [f"{self.name}: {self.message} ({self.seconds:.2f} s)"]
         for p in self.parameters:
             mark = "  at bound" if p.at_bound else ""
-            lines.append(f"  {p.name:<36} {p.start:>12.5g} -> {p.value:>12.5g} ± {p.sigma:<9.2g} {p.unit}{mark}")
+            sure = f"± {p.sigma:<9.2g}" if np.isfinite(p.sigma) else "± unknown "
+            lines.append(f"  {p.name:<36} {p.start:>12.5g} -> {p.value:>12.5g} {sure} {p.unit}{mark}")
         for r in self.residuals:
             left = "noise only" if r.explained else f"{np.sqrt(r.chi2_per_sample):.2f} x noise, unexplained"
             lines.append(f"  {r.record} ({r.role}) {r.output}: RMSE {r.rmse:.4g} {r.unit} ({left})")
@@ -193,7 +195,9 @@ class Fit:
             SmallTable("Errors, SI", ("recordings", "output", "RMSE", "unit"), errors),
         ]
         facts = {"chi2 per degree of freedom": self.chi2_per_dof, "ended": self.message}
-        return summary_html(f"Fit of {self.name}", self._verdict(), facts, tables, [str(f) for f in self.findings])
+        notes = [f"{said}." for said in sentences(self.flat.inputs)] + [str(f) for f in self.findings]
+        notes += [f"The runs are {self.accuracy}."] if self.accuracy else []
+        return summary_html(f"Fit of {self.name}", self._verdict(), facts, tables, notes)
 
     def _verdict(self) -> str:
         """Whether more than noise is left in training, in a sentence."""

@@ -134,9 +134,20 @@ class Record:
     def _repr_html_(self) -> str:
         facts = {"samples": len(self), "duration [s]": self.duration, "period [s]": self.period, **self.tags}
         rows = [(n, self.units[n], *_extent(v), int(np.isnan(v).sum())) for n, v in self.signals.items()]
-        told = f"{len(self.gaps)} gaps in time, the first: {self.gaps[0]}." if self.gaps else ""
-        table = SmallTable("", ("signal", "unit", "smallest", "mean", "largest", "unknown"), rows)
-        return summary_html(f"Record '{self.name}'", told or self.understood, facts, [table])
+        tables = [
+            SmallTable("", ("signal", "unit", "smallest", "mean", "largest", "unknown"), rows),
+            SmallTable("Left out: no column of these can be used", ("column", "what it says"), self._left_out()),
+        ]
+        notes = [*(f"{hole}." for hole in self.holes), *(self._short(why) for why in self.refused.values())]
+        return summary_html(f"Record '{self.name}'", self.understood, facts, tables, notes)
+
+    def _left_out(self) -> list[tuple[str, str]]:
+        """Columns that cannot be used, and what those say that say the same in every row; why is told below."""
+        return [(name, self.words.get(name, "")) for name in self.refused]
+
+    def _short(self, sentence: str) -> str:
+        """A sentence without the path of the file that it begins with."""
+        return sentence.removeprefix(f"{self.source}: ")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -166,6 +177,13 @@ class Record:
             return ()
         at = np.flatnonzero(np.diff(self.time) > GAP_RATIO * self.period)
         return tuple(Gap(float(self.time[k]), float(self.time[k + 1]), int(k)) for k in at)
+
+    @property
+    def holes(self) -> tuple[str, ...]:
+        """What it lacks, in words: gaps in time, then signals without a value in some samples."""
+        lacks = {name: int(np.isnan(values).sum()) for name, values in self.signals.items()}
+        told = [f"{name} has no value in {count} of {len(self)} samples" for name, count in lacks.items() if count]
+        return (*map(str, self.gaps), *told)
 
     def array(self, names: Sequence[str]) -> np.ndarray:
         """The named signals as columns, (n, k), SI."""

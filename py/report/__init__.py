@@ -1,5 +1,7 @@
 """Report: what was found, as one page that needs nothing else, as Markdown and as JSON."""
 
+from hydrotwin.comparison.notices import doubts, notices, notices_of_variants, seen_before, twins
+
 from .answer import answer
 from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
 from .fit import ParameterRow, fit_section, parameter_rows
@@ -7,7 +9,6 @@ from .format import number_text, pretty_unit, shown_unit
 from .gap import gap_page, write_gap_report
 from .gap_data import gap_data
 from .matrix import matrix_page, write_matrix, write_variant
-from .notices import doubts, notices, notices_of_variants, seen_before, twins
 from .page import Note, Page, Section, as_html, as_json, as_markdown, write_page
 from .plotly_figures import figures
 from .schema import compare_schema

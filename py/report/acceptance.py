@@ -29,7 +29,7 @@ def verdict(accepted: Acceptance) -> tuple[str, ...]:
         return (told, *careful)
     missed = [one for one in accepted.judged if not one.passed]
     many = "its criterion" if count == 1 else f"{len(missed)} of {count} criteria"
-    words = [one.undefined.rstrip(".") or f"found {found_told(one)}" for one in missed[:3]]
+    words = [one.undefined.rstrip(".") or f"found {found_told(one)}, {margin_told(one, '')}" for one in missed[:3]]
     told = "; ".join(f"“{one.criterion.text}”: {word}" for one, word in zip(missed, words, strict=False))
     return (f"FAIL: {accepted.model} misses {many}: {told}.", *careful)
 
@@ -72,7 +72,7 @@ def acceptance_sections(accepted: Acceptance, shown: Mapping[str, str]) -> tuple
     """The criteria one by one, and what changed against an earlier comparison."""
     lead = (
         f"Judged is {accepted.model} in {accepted.mode}. Over several recordings the mean counts, of max the largest; "
-        "bias, lag, settling and steady by their size."
+        "bias, lag, settling and steady by their size. Where no output is named the worst of all counts."
     )
     judged = Section("acceptance", "Acceptance", (_criteria(accepted.judged),) if accepted.judged else (), lead)
     told = against_told(accepted)
@@ -101,7 +101,7 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
     criteria = [
         asdict(one.criterion)
         | {"value": one.value, "low": one.low, "high": one.high, "margin": one.margin, "passed": one.passed}
-        | {"samples": one.samples, "without": list(one.without), "lacking": list(one.lacking)}
+        | {"among": list(one.among), "samples": one.samples, "without": list(one.without), "lacking": list(one.lacking)}
         | {"caution": one.caution, "doubt": one.doubt, "undefined": one.undefined}
         | {"as_written": {key: one.criterion.as_written(getattr(one, key)) for key in ("value", "low", "high")}}
         for one in accepted.judged
@@ -122,8 +122,9 @@ def acceptance_data(accepted: Acceptance | None) -> dict:
 
 
 def found_told(one: Judged) -> str:
-    """The value of a criterion in the unit that it is written in."""
-    return _told(one.value, one)
+    """The value of a criterion in the unit that it is written in, of an overall one with its worst output."""
+    told = _told(one.value, one)
+    return f"{told} of {one.which}" if one.which and told != NONE else told
 
 
 def margin_told(one: Judged, caution: str | None = None) -> str:

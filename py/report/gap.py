@@ -8,7 +8,8 @@ from datetime import datetime
 from pathlib import Path
 
 from hydrotwin.discovery.answer.discovery import Discovery, Step
-from hydrotwin.discovery.answer.words import certainty, joined, lowered, percent, placed
+from hydrotwin.discovery.answer.going_on import experiment_sentence, untried_sentences
+from hydrotwin.discovery.answer.words import certainty, joined, lowered, percent, placed, sentence
 from hydrotwin.records.between import between
 
 from .fit import parameter_rows, parameter_table
@@ -26,7 +27,7 @@ from .gap_figures import (
     waterfall_figure,
 )
 from .gap_moved import moved_notes
-from .gap_sure import sure_section, untried_sentences
+from .gap_sure import sure_section
 from .gap_tables import (
     candidate_tables,
     effect_table,
@@ -41,11 +42,10 @@ from .gap_tables import (
     untestable_table,
     waterfall_table,
 )
-from .gap_text import capital, sentence
+from .gap_text import capital
 from .gap_words import (
     class_sentence,
     display_units,
-    experiment_sentence,
     facts,
     notices,
     results,

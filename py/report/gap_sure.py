@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hydrotwin.discovery.answer.discovery import Discovery, Ranked
+from hydrotwin.discovery.answer.discovery import Discovery
+from hydrotwin.discovery.answer.going_on import label_of, names_of, structure_words, untried_sentences
 from hydrotwin.discovery.answer.standing import UNSEEN
-from hydrotwin.discovery.answer.words import certainty, joined, lowered, placed
+from hydrotwin.discovery.answer.words import certainty
 
 from .figure import Figure
 from .gap_figures import AFTER, AS_WELL, BEFORE, FAINT, lying_bars
@@ -56,15 +57,6 @@ def sure_sentences(discovery: Discovery) -> tuple[str, ...]:
     return tuple(told)
 
 
-def untried_sentences(discovery: Discovery) -> tuple[str, ...]:
-    """What a longer search would try next; nothing where it came to its end."""
-    if not discovery.untried:
-        return ()
-    names = _names(discovery)
-    words = joined([_structure(label, names) for label in discovery.untried])
-    return (f"The search ended at its time limit. A longer one would try next: {words}.",)
-
-
 def sure_table(discovery: Discovery) -> Table:
     """What may be missing, most likely first, something else last."""
     rows = _rows(discovery)
@@ -92,10 +84,10 @@ def others(odds: Mapping[str, float]) -> float:
 
 def _rows(discovery: Discovery) -> list[tuple[str, float, str]]:
     """Label, probability and colour of each bar."""
-    odds, names = discovery.probabilities, _names(discovery)
+    odds, names = discovery.probabilities, names_of(discovery)
     found = []
     for key in sorted((k for k in odds if k != ELSE), key=lambda k: -odds[k]):
-        label = OWN[key][1] if key in OWN else capital(_structure(key, names))
+        label = OWN[key][1] if key in OWN else capital(structure_words(key, names))
         found.append((label, float(odds[key]), _colour(key, discovery)))
     if others(odds):
         found.append(("Others, each less likely", others(odds), FAINT))
@@ -106,29 +98,12 @@ def _colour(key: str, discovery: Discovery) -> str:
     if key == NOTHING:
         return AFTER if discovery.verdict == "none" else FAINT
     labels = set(key.split(" + "))
-    named = {_label(s.effect, s.site) for s in discovery.steps}
-    members = {_label(*m) for s in discovery.steps for m in s.members}
+    named = {label_of(s.effect, s.site) for s in discovery.steps}
+    members = {label_of(*m) for s in discovery.steps for m in s.members}
     if labels == named:
         return AFTER
     return AS_WELL if len(labels) == len(named) and labels <= named | members else FAINT
 
 
 def _as_clause(key: str, discovery: Discovery) -> str:
-    return OWN[key][0] if key in OWN else f"for {_structure(key, _names(discovery))}"
-
-
-def _structure(key: str, names: Mapping[str, str]) -> str:
-    """A structure in words: its effects with their titles."""
-    return " with ".join(names.get(label, label) for label in key.split(" + "))
-
-
-def _names(discovery: Discovery) -> dict[str, str]:
-    """Title and site of every effect that was looked at, by label."""
-    ranked: list[Ranked] = [*discovery.not_testable, *discovery.last_ranked]
-    ranked += [r for s in discovery.steps for r in s.ranked]
-    named = {_label(s.effect, s.site): lowered(placed(s)) for s in discovery.steps}
-    return {r.label: lowered(placed(r)) for r in ranked} | named
-
-
-def _label(effect: str, site: str) -> str:
-    return f"{effect} at {site}" if site else effect
+    return OWN[key][0] if key in OWN else f"for {structure_words(key, names_of(discovery))}"

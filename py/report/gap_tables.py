@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 
 from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, RecordingGap, Step, Unknown
-from hydrotwin.discovery.answer.words import certainty, joined, percent
+from hydrotwin.discovery.answer.words import certainty, joined, percent, sentence
 
 from .figure import PALETTE
 from .format import NONE, common_decimals, difference_to_shown, number_text, pretty_unit, shown_unit, to_shown
 from .gap_figures import moved
-from .gap_text import capital, parameter_unit, sentence, typical_remark, typical_text, value_texts
+from .gap_text import capital, parameter_unit, typical_remark, typical_text, value_texts
 from .gap_words import AT_NOISE, ROLES, driver_words, got_worse, unseen
 from .tables import Cell, Column, Table, numbers, table, texts, warned
 

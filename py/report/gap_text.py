@@ -64,12 +64,6 @@ def typical_remark(p: EffectParameter) -> str:
     return "above its typical range" if low > p.typical[1] else ""
 
 
-def sentence(text: str) -> str:
-    """A text as a sentence: with a full stop, without the verb in front that errors carry."""
-    text = text.strip().removeprefix("gap: ").removeprefix("identify: ")
-    return text if not text or text.endswith((".", "!", "?")) else f"{text}."
-
-
 def capital(text: str) -> str:
     """A text at the start of a sentence: with a capital, unless it starts with the path of a quantity.
 

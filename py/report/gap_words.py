@@ -6,14 +6,23 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hydrotwin.discovery.answer.discovery import Discovery, OutputGap, Ranked, Step
-from hydrotwin.discovery.answer.words import ALMOST_ALL, certainty, class_words, joined, lowered, percent, placed
+from hydrotwin.discovery.answer.going_on import experiment_sentence
+from hydrotwin.discovery.answer.words import (
+    ALMOST_ALL,
+    certainty,
+    class_words,
+    joined,
+    lowered,
+    percent,
+    placed,
+    sentence,
+)
 
 from .format import difference_to_shown, number_text, shown_unit, with_unit
 from .gap_text import (
     capital,
     interval_words,
     largest,
-    sentence,
     typical_remark,
     typical_text,
     value_text,
@@ -192,16 +201,6 @@ def class_sentence(discovery: Discovery) -> str:
     steps = [s for s in discovery.steps if len(s.members) > 1]
     words = [class_words(s) for s in steps]
     return f"These recordings cannot tell apart: {'; '.join(words)}." if words else ""
-
-
-def experiment_sentence(discovery: Discovery) -> str:
-    """Which experiment would tell; that there is none when a class has none."""
-    e = discovery.experiment
-    if e is None:
-        hints = [s.sentence for s in discovery.steps if len(s.members) > 1]
-        told = f" What may: {lowered(sentence(hints[0]))}" if hints and hints[0] else ""
-        return f"No input within the limits was found that would tell them apart.{told}" if hints else ""
-    return f"The experiment that would tell: {lowered(sentence(e.sentence))}"
 
 
 def tried_sentence(discovery: Discovery) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.comparison import Matrix, VariantRun
+from hydrotwin.comparison.notices import notices_of_variants
 
 from .acceptance import acceptance_data, acceptance_sections, verdict
 from .figure import styles
@@ -28,7 +29,6 @@ from .matrix_tables import (
     variants_table,
     worst_table,
 )
-from .notices import notices_of_variants
 from .page import Page, Section, write_page
 from .provenance import command_line, provenance_section
 from .write import comparison_data, display_units, write_report

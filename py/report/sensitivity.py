@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -226,6 +227,7 @@ def profile_table(profiles: Profiles) -> Table:
     def column(key: str, title: str, values) -> Column:
         return _each(key, title, values, units, digits=5)
 
+    quadratic = [p.quadratic or (np.nan, np.nan) for p in rows]
     said = ["quadratic" if p.quadratic_holds else "not quadratic" if p.identifiable else "open" for p in rows]
     columns = [
         texts("parameter", "Parameter", [p.name for p in rows]),
@@ -233,11 +235,16 @@ def profile_table(profiles: Profiles) -> Table:
         column("value", "Value", [p.value for p in rows]),
         column("low", "95 % from", [p.low for p in rows]),
         column("high", "to", [p.high for p in rows]),
-        column("quadratic_low", "Quadratic from", [p.quadratic[0] for p in rows]),
-        column("quadratic_high", "to", [p.quadratic[1] for p in rows]),
+        _none_told(column("quadratic_low", "Quadratic from", [low for low, _ in quadratic])),
+        _none_told(column("quadratic_high", "to", [high for _, high in quadratic])),
         warned(texts("verdict", "It is", said), [not p.identifiable for p in rows]),
     ]
     return table("profile_intervals", "", columns)
+
+
+def _none_told(column: Column) -> Column:
+    """With a word where there is no number; the sentences below the table say why."""
+    return replace(column, cells=tuple(replace(c, text="none") if c.value is None else c for c in column.cells))
 
 
 def _next(found: Sensitivity) -> Section:

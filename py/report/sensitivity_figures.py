@@ -172,8 +172,8 @@ def _profile(found: Profile) -> Figure:
         "hovertemplate": "%{y:.3g} at %{x:.5g}<extra></extra>",
     }
     data = [points]
-    sigma = 0.5 * (found.quadratic[1] - found.quadratic[0]) / np.sqrt(LEVEL)
-    if np.isfinite(sigma) and sigma > 0:
+    sigma = 0.5 * (found.quadratic[1] - found.quadratic[0]) / np.sqrt(LEVEL) if found.quadratic else 0.0
+    if sigma > 0:
         centre = float(np.mean(found.quadratic))
         reach = 1.3 * np.sqrt(LEVEL) * sigma
         x = np.linspace(centre - reach, centre + reach, 80)

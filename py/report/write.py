@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
 from hydrotwin.comparison.as_read import as_read
+from hydrotwin.comparison.notices import notices
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records.between import between
 
@@ -33,7 +34,6 @@ from .field_tables import field_section
 from .figure import styles
 from .fit import fit_section, fit_warning, parameter_rows
 from .format import number_text, shown_unit
-from .notices import notices
 from .page import Note, Page, Section, write_page
 from .provenance import command_line, provenance_section, used, versions
 from .written import forget_others

@@ -13,12 +13,12 @@ import pytest
 
 from hydrotwin.comparison import Scenario, Tags, Wanted, acceptance, compare, junit, read_scenario, run_scenario
 from hydrotwin.comparison.band import Band
+from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.scenario import ModelEntry
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import Reading, write_record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_data, acceptance_lines, verdict
-from hydrotwin.report.notices import notices
 from tests.comparison.toys import Toy, recording
 
 MODELS = {"good": Toy("good"), "bad": Toy("bad", gain=130.0), "broken": Toy("broken", fails_on="load2_stroke1")}

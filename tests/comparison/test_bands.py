@@ -9,15 +9,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import FREE_RUN, BlockContender, as_contender, compare
-from hydrotwin.comparison.band import SEEN, Band, bands_of, held_here
+from hydrotwin.comparison import FREE_RUN, BlockContender, PhysicalContender, as_contender, compare
+from hydrotwin.comparison.band import SEEN, Band, Held, bands_of, held_here
+from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.travel import Carried
+from hydrotwin.identification import Spread, identify
+from hydrotwin.identification.bands import SPREAD
 from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.report import write_report
-from hydrotwin.report.notices import notices
 from tests.comparison.toys import OUTPUTS, Toy, recording
+from tests.identification.drive import drive, recorded
 from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, untrained_block
 
 
@@ -110,9 +113,44 @@ def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_h
 def test_a_band_that_misses_what_is_measured_here_is_not_trusted():
     """Whatever it held before: doubted are those of the outputs that it missed, those it held stay."""
     before = (Band("arm", "own", True), Band("rod", "own", None, "never judged"), Band("p", "own", False, "known"))
-    arm, rod, p = held_here(before, {"arm": 0.1, "rod": 0.9, "p": 0.0})
+    told = {name: [Held("run", inside)] for name, inside in {"arm": 0.1, "rod": 0.9, "p": 0.0}.items()}
+    arm, rod, p = held_here(before, told)
     assert arm.trusted is False and "only 10 % of what was measured here" in arm.why
     assert (rod, p) == before[1:] and held_here(before, {}) == before
+
+
+def test_a_band_of_a_fit_is_doubted_where_chance_does_not_explain_what_lies_outside():
+    """Of several recordings the chance is that of each times their number; above 90 % nothing is doubted."""
+    before = (Band("arm", "sensitivities", True),)
+    told = {(0.8, 1e-5): False, (0.8, 6e-5): True, (0.8, 1e-2): True, (0.5, 1e-2): True, (0.95, 1e-9): True}
+    for (inside, chance), trusted in told.items():
+        (band,) = held_here(before, {"arm": [Held("cold", inside, chance), Held("warm", 0.95, 0.5)]})
+        assert band.trusted is trusted, (inside, chance)
+    (band,) = held_here(before, {"arm": [Held("cold", 0.82, 1e-80), Held("warm", 0.95, 0.5)]})
+    assert "only 82 % of cold lies in it, fewer than chance explains" in band.why
+
+
+@pytest.fixture(scope="module")
+def identified():
+    """A drive identified on one recording, with what the fit knows of its errors."""
+    noise = {"position": 2e-3, "motor_speed": 0.05}
+    fit = identify(drive(), [recorded(drive(), 1, noise=noise)], free=["motor.gain", "pump.displacement"])
+    return fit, noise, PhysicalContender(fit.flat, "fitted", provenance={SPREAD: Spread.of(fit).told()})
+
+
+def test_a_first_sample_that_is_off_leaves_a_right_band_and_a_machine_that_is_another_does_not(identified):
+    fit, noise, contender = identified
+    record = recorded(drive(), 2, noise=noise)
+    position = record["position"].copy()
+    position[0] = 2.8 * noise["position"]  # once in 200 recordings: the piston starts at 0
+    unlucky = record.with_signals({"position": position})
+    gain = fit.values["motor.gain"] + 12.0 * fit.sigma["motor.gain"]
+    other = recorded(drive(), 2, noise=noise, parameters={"motor.gain": gain})
+    for one, trusted in ((unlucky, True), (other, False)):
+        found = compare([contender], [one], modes=[FREE_RUN], repeats=0)
+        (score,) = (s for s in found.scores if s.output == "position")
+        (band,) = (b for b in found.entrants[0].bands if b.output == "position")
+        assert score.coverage < 0.9 and (score.chance > 1e-3) is trusted and band.trusted is trusted
 
 
 def test_a_comparison_holds_its_bands_against_what_it_measured(arx):

@@ -51,9 +51,13 @@ def answers(*time_constants):
     return held, *(answer(held, T) for T in time_constants)
 
 
-def settling_of(u, y, p):
+def field_of(u, y, p):
     record = Record(TIME, {"u": u, "y": y}, {"u": "V", "y": "rad"}, "steps")
-    return field_metrics(record, Predicted("y", p), ["u"], noise_floor(record), rated=False).settling
+    return field_metrics(record, Predicted("y", p), ["u"], noise_floor(record), rated=False)
+
+
+def settling_of(u, y, p):
+    return field_of(u, y, p).settling
 
 
 def test_settling_is_the_difference_of_the_settling_times():
@@ -83,6 +87,27 @@ def test_what_rests_with_the_inputs_settles_at_once_and_a_prediction_that_goes_o
     ramp = np.clip(TIME - 1, 0, 3)
     assert settling_of(ramp, ramp, ramp) == pytest.approx(0.0, abs=0.3)
     assert settling_of(ramp, ramp, answer(ramp, 0.3)) > 0.3
+
+
+@pytest.mark.parametrize("hole", [slice(210, 260), slice(0, 40), slice(960, 1000)])
+def test_a_hole_in_an_input_that_is_held_is_no_move(hole):
+    u, y, slower = answers(0.2, 0.35)
+    holed = u.copy()
+    holed[hole] = np.nan
+    assert settling_of(holed, y, slower) == pytest.approx(settling_of(u, y, slower), abs=1e-9)
+    steady, whole = (field_of(one, y, y + 0.1).steady for one in (holed, u))
+    assert steady == whole == pytest.approx(0.1)
+
+
+def test_a_move_that_ends_in_a_hole_is_left_out_of_settling_and_one_with_a_lost_sample_is_not():
+    u, y, slower = answers(0.2, 0.35)
+    lost = u.copy()
+    lost[(TIME > 3.5) & (TIME < 5.0)] = np.nan  # the second step is in it; counted, it would have settled at once
+    assert settling_of(lost, y, slower) == pytest.approx(0.15 * np.log(20), abs=0.015)
+    ramp = np.clip(TIME - 1, 0, 3)
+    wider = np.where(np.abs(TIME - 2.5) < 0.005, np.nan, ramp)
+    late = answer(ramp, 0.3)
+    assert settling_of(wider, ramp, late) == pytest.approx(settling_of(ramp, ramp, late), abs=0.02)
 
 
 def test_settling_needs_moves_after_which_the_measurement_rests():

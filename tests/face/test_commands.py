@@ -150,6 +150,31 @@ def test_simulate_says_how_accurate_it_is(here):
     assert "not accurate: half the step changes pressure" in " ".join(coarse.said.split())
 
 
+@pytest.mark.parametrize("how", ["auto", "free"])
+def test_a_recording_too_short_for_its_start_runs_with_a_note_in_simulate_as_in_compare(here, tmp_path, how):
+    short = tmp_path / "short.csv"
+    short.write_text("\n".join(Path("validate_1.csv").read_text().splitlines()[:31]))
+    ran = hydrotwin("simulate", "cehA", "--input", short, "--initial-states", how, "--json")
+    plain = json.loads(hydrotwin("simulate", "cehA", "--input", short, "--json").out)
+    answer = json.loads(ran.out)
+    (note,) = [n for n in answer["notes"] if "too short" in n]
+    assert ran.code == 0 and "starts as without an estimate" in note and answer["outputs"] == plain["outputs"]
+    compared = hydrotwin(
+        "compare", "--model", "cehA", "--validate", short, "--initial-states", how, "--out", tmp_path / "report"
+    )
+    assert compared.code == 0 and " ".join(note.split()) in " ".join(compared.said.split())
+
+
+def test_simulate_tells_that_the_first_sample_of_an_output_is_unknown_as_compare_does(here, tmp_path):
+    lines = Path("validate_1.csv").read_text().splitlines()
+    at = next(k for k, name in enumerate(lines[0].split(",")) if name.startswith("arm_angle"))
+    first = lines[1].split(",")
+    first[at] = ""
+    (tmp_path / "late.csv").write_text("\n".join([lines[0], ",".join(first), *lines[2:200]]))
+    told = hydrotwin("simulate", "cehA", "--input", tmp_path / "late.csv", "--missing", "keep")
+    assert told.code == 0 and "the first sample of arm_angle is not known" in " ".join(told.said.split())
+
+
 def test_a_setting_outside_its_bounds_runs_and_is_told(here):
     answer = hydrotwin("simulate", "cehA", "--input", "validate_1.csv", "--set", "motor.gain=10")
     assert answer.code == 0

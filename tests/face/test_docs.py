@@ -101,10 +101,10 @@ def test_the_modelica_that_is_shown_is_what_is_written():
 
 
 def test_every_criterion_of_the_documentation_is_one():
-    from hydrotwin.comparison import criterion
+    from hydrotwin.comparison import criteria_of
     from hydrotwin.comparison.metric import METRICS
 
     angle = next(s for s in ht.load("cehA").flat.outputs if s.name == "arm_angle")
     rows = re.findall(r"^\| `(.+?)` \|", VALIDATION.partition("## Bands")[0], re.MULTILINE)
-    assert len(rows) >= 6 and all(criterion(row, [angle]).output == "arm_angle" for row in rows)
+    assert len(rows) >= 6 and all(criteria_of(row, [angle])[0].output == "arm_angle" for row in rows)
     assert all(f"`{metric}`" in VALIDATION for metric in METRICS)

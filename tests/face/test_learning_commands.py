@@ -192,8 +192,10 @@ def test_a_block_is_trained_again_on_all_when_it_was_judged(here):
 
 def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here):
     line = f"learn piecewise ramp_1.csv {SIGNALS} --set dead_time=0 --out judged.toml"
-    good = hydrotwin(*line.split(), "--accept", "position.rmse < 20 mm", "--report", "page")
+    both = ("--accept", "position.rmse < 20 mm", "--accept", "rmse < 20 mm")
+    good = hydrotwin(*line.split(), *both, "--report", "page")
     assert good.code == 0 and "PASS position.rmse < 20 mm: " in good.said
+    assert re.search(r"PASS rmse < 20 mm: [\d.]+\s+mm\s+of\s+position", good.said), "the worst of its outputs"
     text = (here / "page" / "report.md").read_text(encoding="utf-8")
     assert "Free run on what was held out (" in text and "## Beside yardsticks" in text
     assert "on the validation recording" in text, "it was held out: nothing of it was trained on"

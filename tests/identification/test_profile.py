@@ -47,7 +47,11 @@ def test_parameters_that_only_act_together_are_told_as_not_identifiable():
         assert f"because {other} makes up for it" in told.sentence
         product_of = np.prod(told.others[:, :2], axis=1)
         assert product_of == pytest.approx(np.full(len(product_of), 6.0), rel=0.02)
-    assert found["tau"].identifiable
+        assert told.quadratic is None and told.as_data()["quadratic"] is None
+        assert f"no quadratic interval: the cost has no minimum in it, for {other} can make up" in told.sentence
+    assert found["tau"].identifiable and found["tau"].quadratic and "no quadratic" not in found["tau"].sentence
+    assert "nan" not in found._repr_html_() + " ".join(found.sentences())
+    assert "nan" not in fit.summary().replace("noise only", "") and "± unknown" in fit.summary()
     assert "not identifiable" in found._repr_html_() and "not identifiable" in found.sentences()[0]
 
 
@@ -75,6 +79,15 @@ def test_a_walk_ends_at_a_bound_and_says_so():
     assert (told.below, told.above) == ("bound", "bound")
     assert told.grid[[0, -1]] == pytest.approx([1.0, 4.0])
     assert "nothing contradicts it from 1 to 4" in told.sentence
+
+
+def test_a_fit_that_rests_on_its_bound_has_no_quadratic_interval_and_the_next_step_is_told():
+    fit, driven = fitted(
+        weighted(), record(u=steps, v=1.0), 0.1, seen=["y"], start={"a": 2.0}, bounds={"a": (1.5, 3.0)}
+    )
+    assert fit.parameter("a").at_bound
+    told = profile(fit, [driven], parameters=["a"])["a"]
+    assert told.quadratic is None and "rests on its bound" in told.sentence and "Widen" in told.sentence
 
 
 def test_a_budget_ends_a_walk():

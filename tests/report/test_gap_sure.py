@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import pytest
 
+from hydrotwin.discovery.answer.going_on import untried_sentences
 from hydrotwin.report import gap_page
 from hydrotwin.report.gap_figures import AFTER, AS_WELL, BEFORE, FAINT
-from hydrotwin.report.gap_sure import sure_figure, sure_sentences, sure_table, untried_sentences
+from hydrotwin.report.gap_sure import sure_figure, sure_sentences, sure_table
 from tests.report.gap_discoveries import (
     ALL,
     DATE,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,11 +10,14 @@ import plotly.graph_objects as go
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.comparison.notices import notices
+from hydrotwin.discovery.answer.going_on import experiment_sentence
 from hydrotwin.identification.fit import Finding, Fit, FittedParameter, OutputResidual
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.summary_html import NOTES, ROWS, SmallTable, summary_html
 from hydrotwin.records import Record
+from hydrotwin.simulation.control import Accuracy
 from tests.report import gap_discoveries
 from tests.report.gap_discoveries import Motor
 
@@ -101,7 +105,20 @@ def test_a_record_shows_the_range_of_each_signal_and_what_is_unknown():
     assert (unit, unknown) == ("rad", "3")
     assert [float(v) for v in told] == pytest.approx([wave[3:].min(), wave[3:].mean(), wave[3:].max()], rel=1e-3)
     assert html.row("lost") == ["1", "–", "–", "–", "101"]
+    assert "a has no value in 3 of 101 samples." in html.text
     assert "<img src=x>" in html.text and "load: 2" in html.text and "period [s]: 0.05" in html.text
+
+
+def test_a_record_lists_gaps_and_columns_that_were_left_out_as_the_screen_does(tmp_path):
+    lines = [f"{t},{t:g},{t:g},{'broken' if t == 3 else t},press" for t in (*range(20), *range(100, 120))]
+    (tmp_path / "run.csv").write_text("\n".join(["time [s],a [V],b,c [V],machine", *lines]), encoding="utf-8")
+    record = ht.read_record(tmp_path / "run.csv")
+    html = shown(record)
+    assert set(record.refused) == {"b", "c", "machine"}
+    assert html.row("b") == [""] and html.row("machine") == ["press"]
+    assert "no samples from 19 s to 100 s." in html.text and record.understood in html.text
+    assert "b" in html.text and all(why.split(": ", 1)[1][:80] in html.text for why in record.refused.values())
+    assert str(tmp_path) not in html.text.split(record.understood)[-1]
 
 
 def test_a_fit_shows_values_sigmas_errors_and_whether_more_than_noise_is_left():
@@ -111,6 +128,14 @@ def test_a_fit_shows_values_sigmas_errors_and_whether_more_than_noise_is_left():
     assert close(html.row("validate", "speed")[0], np.sqrt((100 * 3.0**2 + 300 * 5.0**2) / 400))  # pooled
     assert "Nothing but noise is left in training." in html.text and "<b>gain</b> moved" in html.text
     assert "More than noise is left on speed." in shown(fit(explained=False)).text
+    vague = dataclasses.replace(fit(), accuracy=Accuracy(0.02, "speed", 1.0, {"speed": 1.0}, "explicit", 1e-3))
+    assert "The runs are not accurate: half the step changes speed by 0.02" in shown(vague).text
+
+
+def test_a_comparison_shows_what_the_report_says_first(comparison):
+    html = shown(comparison)
+    told = notices(comparison)
+    assert told and all(text[:200] in html.text for text in told)
 
 
 def test_a_model_shows_its_signals_and_parameters():
@@ -125,7 +150,11 @@ def test_a_discovery_shows_its_answer_effects_and_errors(make):
     found = getattr(gap_discoveries, make)()
     html = shown(found)
     assert found.answer[:300] in html.text
+    assert all(str(f).removeprefix("gap: ")[:80] in html.text for f in found.findings)
+    assert (experiment_sentence(found)[:100] in html.text) or not any(s.is_class for s in found.steps)
     for step in found.steps:
+        others = [m for m in step.members if m != (step.effect, step.site)]
+        assert all(html.row(f"or {effect}", site) == ["–", "–"] for effect, site in others)
         assert close(html.row(step.title, step.site)[0], 100 * step.probability)
         assert all(close(html.row(p.name)[0], p.value) for p in step.parameters)
     for role, gaps in found.outputs.items():

@@ -13,8 +13,8 @@ import hydrotwin as ht
 from hydrotwin.comparison import Wanted, acceptance
 from hydrotwin.comparison.comparison import Inaccurate
 from hydrotwin.comparison.junit import junit
+from hydrotwin.comparison.notices import notices
 from hydrotwin.report import write_report
-from hydrotwin.report.notices import notices
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import plotly.graph_objects as go
@@ -64,3 +65,21 @@ def test_a_page_without_indices_or_recorded_outputs_leaves_those_sections_out():
     assert "Shares of the squared local sensitivities" in as_markdown(page)
     diverged = sensitivity(exploding(), [record(seconds=2.0)], parameters=["a"], given={"a": (0.2, 0.8)}, samples=64)
     assert "parameter sets diverged" in sensitivity_page(diverged).notices[0]
+
+
+def test_an_interval_that_does_not_exist_is_told_in_words_on_the_page(studied):
+    found, profiles = studied
+    none = replace(profiles.profiles[0], quadratic=None, unknown="the fit rests on its bound. Widen it")
+    page = sensitivity_page(found, profiles=replace(profiles, profiles=(none, *profiles.profiles[1:])))
+    (cells,) = [
+        [c.text for c in column.cells]
+        for section in page.sections
+        for part in section.parts
+        if getattr(part, "id", "") == "profile_intervals"
+        for column in part.columns
+        if column.key == "quadratic_low"
+    ]
+    assert cells[0] == "none" and cells[1] != "none"
+    data = json.loads(as_json(page))
+    assert data["profiles"]["profiles"][0]["quadratic"] is None
+    assert "It has no quadratic interval: the fit rests on its bound" in as_json(page)

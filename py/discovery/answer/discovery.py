@@ -9,8 +9,10 @@ import numpy as np
 
 from hydrotwin.models.language.model import Model
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
+from hydrotwin.records.between import sentences
 
-from .words import capitalised, said
+from .going_on import experiment_sentence, untried_sentences
+from .words import capitalised, said, sentence
 
 VERDICTS = ("named", "class", "none", "unknown")
 FATES = ("named", "in class", "rejected", "not fitted", "not testable", "cannot be added")
@@ -274,7 +276,7 @@ class Discovery:
         return " ".join([said(self.verdict, self.steps, self.reason), *map(capitalised, self.assumptions)])
 
     def _repr_html_(self) -> str:
-        found = [(s.title, s.site, 100 * s.probability, 100 * s.gap_closed) for s in self.steps]
+        found = [row for step in self.steps for row in _rows(step)]
         rows = [(p.name, p.value, p.sigma, p.unit) for s in self.steps for p in s.parameters]
         gaps = [(role, o.output, o.rmse_before, o.rmse_after, o.noise, o.unit) for role, o in self._gaps()]
         tables = [
@@ -283,7 +285,23 @@ class Discovery:
             SmallTable("Errors, SI", ("recordings", "output", "RMSE before", "after", "noise", "unit"), gaps),
         ]
         facts = {"verdict": self.verdict, "looked at": self.screened, "fitted": self.fitted}
-        return summary_html(f"Discovery on {self.name}", self.answer, facts, tables, self.findings)
+        return summary_html(f"Discovery on {self.name}", self.answer, facts, tables, self._notes())
+
+    def _notes(self) -> list[str]:
+        """What a reader is told below the tables, as on the screen."""
+        reached = getattr(self.fit_after, "accuracy", None)
+        told = [*untried_sentences(self), *(f"{said}." for said in sentences(self.model.flat.inputs))]
+        told += [experiment_sentence(self)] if any(s.is_class for s in self.steps) else []
+        told += [sentence(f"The runs are {reached}")] if reached else []
+        return told + [sentence(str(f)) for f in self.findings]
 
     def _gaps(self) -> list[tuple[str, OutputGap]]:
         return [(role, gap) for role, gaps in self.outputs.items() for gap in gaps]
+
+
+def _rows(step: Step) -> list[tuple]:
+    """One effect, the others of its class below it, and those that belong to it."""
+    others = [(f"or {e}", site) for e, site in step.members if (e, site) != (step.effect, step.site)]
+    others += [(f"with {e}", site) for e, site in step.together]
+    first = (step.title, step.site, 100 * step.probability, 100 * step.gap_closed)
+    return [first, *((*other, None, None) for other in others)]

@@ -92,3 +92,9 @@ def lowered(text: str) -> str:
     first = text.split(" ", 1)[0]
     keep = first in NAMES or not (first[1:].islower() or len(first) == 1)
     return text if keep else text[:1].lower() + text[1:]
+
+
+def sentence(text: str) -> str:
+    """A text as a sentence: with a full stop, without the verb in front that errors carry."""
+    text = text.strip().removeprefix("gap: ").removeprefix("identify: ")
+    return text if not text or text.endswith((".", "!", "?")) else f"{text}."

@@ -39,11 +39,14 @@ class Judge:
 
 
 def understood(texts: Sequence[str] | None, signals: Sequence[Signal], by: Judge) -> list:
-    """Criteria on ``signals``. Raises as `hydrotwin.comparison.criterion`, and for what is not judged."""
-    from hydrotwin.comparison import criterion
+    """Criteria on ``signals``, of each sentence one, or one for every output, as `hydrotwin.comparison.criteria_of`.
 
-    found, verb = [criterion(text, list(signals)) for text in texts or ()], by.verb.split()[0]
-    for one in found:
+    Raises as that, and for what is not judged.
+    """
+    from hydrotwin.comparison import criteria_of
+
+    found, verb = [criteria_of(text, list(signals)) for text in texts or ()], by.verb.split()[0]
+    for one in (one for many in found for one in many):
         if one.metric not in by.metrics:
             raise DeclarationError(
                 f"accept: '{one.text}': {verb} judges {', '.join(by.metrics)}. Judge {one.metric} with compare."
@@ -74,17 +77,17 @@ def _meant(name: str, known: Sequence[str]) -> list[str]:
 
 def accepted(asked: Sequence, block, silent: bool) -> bool:
     """Whether every criterion holds of the block's card, what was held out of its making; each is said."""
-    from hydrotwin.comparison import judge
+    from hydrotwin.comparison import judge, worst
     from hydrotwin.learned.report_card import card_of
     from hydrotwin.report.acceptance import found_told, margin_told
 
     card, good = card_of(block), True
-    for one in asked:
-        found = judge(one, _Card(one.text, card))
+    for many in asked:
+        found = worst([judge(one, _Card(one.text, card)) for one in many])
         good &= found.passed
         if not silent:
             word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
-            mark(out, word, f"{one.text}: {found_told(found)}, {margin_told(found)}", style)
+            mark(out, word, f"{found.criterion.text}: {found_told(found)}, {margin_told(found)}", style)
     return good
 
 

@@ -221,9 +221,8 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
 
 def print_discovery(found, folder: Path) -> None:
     """The answer for a reader: verdict, what was added, what could not be told apart, the next experiment."""
-    from hydrotwin.report.gap_sure import untried_sentences
-    from hydrotwin.report.gap_text import sentence
-    from hydrotwin.report.gap_words import experiment_sentence
+    from hydrotwin.discovery.answer.going_on import experiment_sentence, untried_sentences
+    from hydrotwin.discovery.answer.words import sentence
 
     tell_between(found.model.flat.inputs)
     out.print(f"{found.name}: {found.verdict}. {sentence(found.answer)}")

@@ -10,7 +10,6 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Annotated, get_type_hints
 
-import numpy as np
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
@@ -100,11 +99,8 @@ def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> li
     for path in paths or []:
         record = read_record(path, reading)
         understood.setdefault(record.understood, []).append(path)
-        for gap in record.gaps:
-            mark(err, "note", f"{path}: {gap}")
-        for name, values in record.signals.items():
-            if lacks := int(np.isnan(values).sum()):
-                mark(err, "note", f"{path}: {name} has no value in {lacks} of {len(values)} samples")
+        for hole in record.holes:
+            mark(err, "note", f"{path}: {hole}")
         records.append(record)
     require_once(records)
     for words, files in understood.items():

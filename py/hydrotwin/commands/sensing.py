@@ -170,7 +170,7 @@ def print_profiles(profiles) -> None:
     """Both intervals of each parameter."""
     out.print()
     rows = [
-        [p.name, float(p.value), float(p.low), float(p.high), *map(float, p.quadratic), p.unit]
+        [p.name, float(p.value), float(p.low), float(p.high), *(p.quadratic or ("none", "none")), p.unit]
         for p in profiles.profiles
     ]
     head = ["parameter", "value", "from", "to", "quadratic from", "to", "unit"]

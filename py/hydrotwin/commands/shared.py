@@ -160,15 +160,22 @@ def tell_between(inputs) -> None:
 
 
 def table(title: str, columns: list[str], rows: list[list]) -> None:
-    """Print a table; numbers to the right."""
+    """Print a table; numbers to the right, a dash where there is none."""
     shown = Table(title=title, title_justify="left", header_style="bold", box=None, pad_edge=False)
     for index, column in enumerate(columns):
         numeric = bool(rows) and all(isinstance(row[index], (int, float)) for row in rows)
         shown.add_column(column, justify="right" if numeric else "left", overflow="fold")
     for row in rows:
-        shown.add_row(*(f"{cell:.5g}" if isinstance(cell, float) else str(cell) for cell in row))
+        shown.add_row(*(_written(cell) for cell in row))
     wide = Console(file=out.file, width=max(out.width, WIDE), **PLAIN)
     (out if out.is_terminal else wide).print(shown)
+
+
+def _written(cell: object) -> str:
+    """A cell as text; what is not a number is not written as one."""
+    if isinstance(cell, float):
+        return "-" if np.isnan(cell) else f"{cell:.5g}"
+    return str(cell)
 
 
 def print_json(answer) -> None:

@@ -94,7 +94,6 @@ def simulate(
     notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
     begun = _started(thing, record, initial_states, settings)
-    notes += (str(begun),) if begun else ()
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(_parameters_of(thing), settings)
         with warnings.catch_warnings():
@@ -108,8 +107,9 @@ def simulate(
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
     tell_between(contender.inputs)
-    for note in notes:
-        mark(err, "note", f"{contender.name}: {note}")
+    starts = [str(begun)] if begun else []
+    for note in [*(f"{contender.name}: {note}" for note in notes), *starts]:
+        mark(err, "note", note)
     run = Trajectory(contender.name, record.name, FREE_RUN, result)
     beyond = [d.extrapolates for d in domain_shares([contender], [record], (), [run]) if d.extrapolates]
     for sentence in beyond:
@@ -117,7 +117,10 @@ def simulate(
     rows = []
     for signal in contender.outputs:
         values = result[signal.name]
-        row = [signal.name, signal.unit, float(values.min()), float(values.max())]
+        given = values[np.isfinite(values)]
+        if lost := len(values) - len(given):
+            mark(err, "note", f"{signal.name}: the model gives no number in {lost} of {len(values)} samples.")
+        row = [signal.name, signal.unit, *([float(given.min()), float(given.max())] if len(given) else ["-", "-"])]
         measured = signal.name in record and np.isfinite(record[signal.name]).any()
         comparable = measured and compatible(record.units[signal.name], signal.unit)
         row.append(float(errors_of(record[signal.name], values).rmse) if comparable else "-")
@@ -129,7 +132,8 @@ def simulate(
         keys = ("output", "unit", "minimum", "maximum", "rmse")
         outputs = [dict(zip(keys, row, strict=True)) for row in rows]
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
-        answer |= {"notes": [*notes, *beyond]} if notes or beyond else {}
+        told = [*notes, *starts, *beyond]
+        answer |= {"notes": told} if told else {}
         answer |= {"start": asdict(begun.estimate)} if begun else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
@@ -141,18 +145,14 @@ def simulate(
 
 
 def _started(thing, record, initial_states: str, settings: Mapping[str, float]):
-    """Where a model starts and from what that is known; None where nothing is estimated. Raises as `estimate_start`."""
-    from hydrotwin.comparison.starts import Started, not_estimated
-    from hydrotwin.identification.bands import Spread
-    from hydrotwin.identification.beginning import FREE, MEASURED, check_initial_states, estimate_start
+    """Where a model starts, as `compare` has it start; None where there is nothing to tell of it."""
+    from hydrotwin.comparison import PhysicalContender, as_contender
+    from hydrotwin.comparison.starts import start_of
+    from hydrotwin.identification.beginning import check_initial_states
 
     how = check_initial_states(initial_states, "simulate")
-    if how == MEASURED:
-        return None
-    if not hasattr(thing, "flat"):
-        return Started(thing.name, not_estimated(record.name)) if how == FREE else None
-    left = Spread.left_by(getattr(thing, "provenance", None))
-    return Started(thing.name, estimate_start(thing.flat.with_parameters(settings), record, how, left=left))
+    own = PhysicalContender(thing, parameters=settings) if hasattr(thing, "flat") else as_contender(thing)
+    return start_of(own, record, how)[1]
 
 
 def _parameters_of(thing) -> Sequence:

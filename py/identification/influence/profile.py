@@ -24,7 +24,7 @@ from hydrotwin.simulation import prepare
 
 from ..answer import at_bounds, differentiated, weighted_rows
 from ..descent import Task, whole_runs
-from ..fit import Fit
+from ..fit import Fit, FittedParameter
 from ..identify import processors
 from ..least_squares import Minimum, minimise
 from ..loss import Loss
@@ -192,8 +192,8 @@ def _profile(fit: Fit, shooting: Shooting, walk: Walk, below: Side, above: Side)
     points = [*below.points[:0:-1], *above.points]
     q = np.array([p.minimum.q for p in points])
     others = np.array([free.values(row) for row in q])
-    row = fit.parameter(free.names[j])
-    ends = []
+    row, ends = fit.parameter(free.names[j]), []
+    unknown = _no_sigma(fit, row)
     for side, never in ((below, -np.inf), (above, np.inf)):
         at = walk.base.q.copy()
         at[j] = side.end
@@ -206,12 +206,31 @@ def _profile(fit: Fit, shooting: Shooting, walk: Walk, below: Side, above: Side)
         high=ends[1],
         below=below.why,
         above=above.why,
-        quadratic=(row.value - SIGMAS * row.sigma, row.value + SIGMAS * row.sigma),
+        quadratic=None if unknown else (row.value - SIGMAS * row.sigma, row.value + SIGMAS * row.sigma),
         grid=others[:, j],
         rise=LEVEL * np.square([p.root for p in points]),
         others=others,
         along=_along(free.names, j, q, (below, above)),
+        unknown=unknown,
     )
+
+
+def _no_sigma(fit: Fit, row: FittedParameter) -> str:
+    """Why a fitted parameter has no standard deviation, and what next, as a clause; empty where it has one."""
+    if np.isfinite(row.sigma):
+        return ""
+    if row.at_bound:
+        return "the fit rests on its bound and found no minimum there. Widen its bounds, or take what the profile says"
+    kinds = {f.kind: f for f in fit.findings if row.name in f.parameters}
+    if "no_effect" in kinds:
+        return "the cost has no minimum in it, for these recordings do not show it. Fix it"
+    if "indistinguishable" in kinds:
+        rest = " and ".join(n for n in kinds["indistinguishable"].parameters if n != row.name)
+        return f"the cost has no minimum in it, for {rest} can make up for it. Fix one of them"
+    if any(f.kind == "no_minimum" for f in fit.findings):
+        next_ = "Shorten the recordings, give a smaller step, or fix the parameter"
+        return f"the fit found no minimum, for runs do not follow their derivatives there. {next_}"
+    return "the derivatives at the fit do not determine it. Free fewer parameters, or record another output"
 
 
 def _along(names: Sequence[str], j: int, q: np.ndarray, sides: Sequence[Side]) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from .walk import BOUND, BUDGET, CROSSED, DIVERGES, FLAT, LEVEL
 
 AGREE = 0.2  # of half the quadratic interval: ends that are so near are the same
 MOST_DIGITS = 8
+_OPEN = "not identifiable"
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,8 @@ class Profile:
 
     value : at the minimum; low, high : the 95 % interval, infinite to a side that never crosses the level; below, above
     : how each side ended ("crossed", "bound", "flat", "diverges", "budget"). quadratic : value -+ 1.96 sigma of the
-    fit. grid (m,) and rise (m,) : the profile, ``LEVEL`` is where it crosses; others (m, np) : all parameters there.
+    fit, None where it has no sigma, and then ``unknown`` says why. grid (m,) and rise (m,) : the profile, ``LEVEL`` is
+    where it crosses; others (m, np) : all parameters there.
     """
 
     name: str
@@ -31,11 +33,12 @@ class Profile:
     high: float
     below: str
     above: str
-    quadratic: tuple[float, float]
+    quadratic: tuple[float, float] | None
     grid: np.ndarray
     rise: np.ndarray
     others: np.ndarray
     along: tuple[str, ...]
+    unknown: str = ""
 
     @property
     def identifiable(self) -> bool:
@@ -45,6 +48,8 @@ class Profile:
     @property
     def quadratic_holds(self) -> bool:
         """Whether the quadratic interval is that of the likelihood."""
+        if self.quadratic is None:
+            return False
         reach = 0.5 * (self.quadratic[1] - self.quadratic[0])
         ends = np.subtract((self.low, self.high), self.quadratic)
         return bool(self.identifiable and np.all(np.abs(ends) <= AGREE * reach))
@@ -52,13 +57,17 @@ class Profile:
     @property
     def sentence(self) -> str:
         """What the profile says, beside the quadratic interval."""
+        told = f" It has no quadratic interval: {self.unknown}." if self.quadratic is None else ""
+        return f"{self._allowed}{told}"
+
+    @property
+    def _allowed(self) -> str:
+        """What the recordings allow, in a sentence or two."""
         if self.quadratic_holds:
             return f"{self.name}: the quadratic interval holds, {self._between(self.low, self.high)}."
         if self.identifiable:
-            known = np.isfinite(self.quadratic).all()
-            said = f"says {self._between(*self.quadratic)}" if known else "of the fit is not known"
-            allowed = self._between(self.low, self.high)
-            return f"{self.name}: the recordings allow {allowed}; the quadratic interval {said}."
+            said = f"; the quadratic interval says {self._between(*self.quadratic)}" if self.quadratic else ""
+            return f"{self.name}: the recordings allow {self._between(self.low, self.high)}{said}."
         ends = float(self.grid[0]), float(self.grid[-1])
         if {self.below, self.above} <= {BOUND, FLAT}:
             return (
@@ -102,7 +111,8 @@ class Profile:
             "high": self.high,
             "below": self.below,
             "above": self.above,
-            "quadratic": list(self.quadratic),
+            "quadratic": list(self.quadratic) if self.quadratic else None,
+            "no_quadratic": self.unknown,
             "quadratic_holds": self.quadratic_holds,
             "identifiable": self.identifiable,
             "grid": self.grid.tolist(),
@@ -140,7 +150,15 @@ class Profiles:
 
     def _repr_html_(self) -> str:
         rows = [
-            (p.name, p.value, p.low, p.high, *p.quadratic, p.unit, "" if p.identifiable else "not identifiable")
+            (
+                p.name,
+                p.value,
+                p.low,
+                p.high,
+                *(p.quadratic or ("none", "none")),
+                p.unit,
+                "" if p.identifiable else "not identifiable",
+            )
             for p in self.profiles
         ]
         head = ("parameter", "value", "from", "to", "quadratic from", "to", "unit", "")

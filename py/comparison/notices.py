@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.comparison import Comparison
-from hydrotwin.comparison.band import made_from
-from hydrotwin.comparison.criteria import some_of
-from hydrotwin.comparison.uneven import uneven
+from .band import made_from
+from .criteria import some_of
+from .uneven import uneven
+
+if TYPE_CHECKING:
+    from .comparison import Comparison
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:

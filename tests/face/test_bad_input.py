@@ -179,6 +179,8 @@ COMMANDS = {
     "learn nn no_move.csv --input command --output motor_speed --out block.toml": ["'command' never changes", "moves"],
     "learn nn speed.csv --out block.npz": ["block.npz: not a name this command can write to", "block.toml"],
     # compare
+    "compare cehA --validate run.csv --out report": ["no scenario file 'cehA'", "--model cehA"],
+    "compare m.py:axis@gap/model.toml --out report": ["no scenario file", "--model m.py:axis@gap/model.toml"],
     "compare --out report": ["give either a scenario file, or --model and --validate"],
     "compare --model cehA --out report": ["no recording to compare on", "Give --validate REC"],
     "compare scenario.toml --model cehA --out report": ["give either a scenario file, or --model"],

@@ -123,7 +123,7 @@ def compare(
     check_ssp_version(ssp, ssp_version)
     if junit_file is not None:
         check_file(junit_file, ".xml")
-    if scenario is not None and not scenario.is_file() and (scenario.suffix != ".toml" or "@" in str(scenario)):
+    if scenario is not None and not scenario.exists() and (scenario.suffix != ".toml" or "@" in str(scenario)):
         raise DeclarationError(f"compare: no scenario file '{scenario}'. A model is given by --model {scenario}.")
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")

@@ -54,7 +54,7 @@ def fairly(
         given_up.append(moving)
         asked = again(asked.model, "free")
         search = begin(asked)
-    strays = None
+    strays, known = None, (search, asked, 0)
     for left in range(PATIENCE - len(given_up), -1, -1):
         change = _searched(search, bool(left))
         if not change.used:
@@ -71,6 +71,7 @@ def fairly(
             if not change.used or time.monotonic() > search.until:  # what was found is worth more than a new beginning
                 asked = asked if standing(search.table).kept.members else asked.telling(sentences)
                 break
+        known = search, asked, len(given_up)
         given_up.append(change)
         model = asked.model.with_inputs(change.inputs) if change.inputs else asked.model
         asked = again(model, "free" if change.free_starts else asked.initial_states)
@@ -78,10 +79,19 @@ def fairly(
         search = begin(asked)
         if not change.inputs:
             search.take_looks(before)
+    if not search.complete and _says_more(known[0], search):
+        search, asked, many = known
+        search.complete = False
+        del given_up[many:]
     judges = _stray_samples_of_judges(search, asked.data)
     if judges.left_out:
         given_up.append(Change(sentences=judges.sentences))
     return search, asked.without(judges), tuple(given_up)
+
+
+def _says_more(one: Search, other: Search) -> bool:
+    """Whether a search found something, and another, which had no time to end, nothing."""
+    return bool(standing(one.table).kept.members and not standing(other.table).kept.members)
 
 
 def _searched(search: Search, asking: bool) -> Change:

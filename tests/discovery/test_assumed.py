@@ -145,3 +145,37 @@ def test_what_comes_closest_is_asked_for_its_start_though_it_is_not_named(monkey
 
     begun, given_up = doubting(monkeypatch, best, doubt)
     assert begun == ["auto", "free"] and len(given_up) == 1
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_what_was_found_stands_where_the_time_ends_a_search_that_began_anew(ended, monkeypatch):
+    """A longer time limit had told less: the search under another assumption had found nothing yet."""
+    made = []
+
+    def asked(model, initial_states):
+        asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
+        asked.without = asked.telling = lambda said: asked
+        return asked
+
+    def begin(asked):
+        first = not made
+        table = SimpleNamespace(
+            entry=lambda: "base", explained=lambda: False, kept=("leak",) if first else (), first=first
+        )
+        search = SimpleNamespace(
+            go=lambda: None, complete=first or ended, until=np.inf, table=table, take_looks=lambda before: None
+        )
+        made.append(search)
+        return search
+
+    monkeypatch.setattr(assumed, "standing", lambda t: SimpleNamespace(kept=SimpleNamespace(members=t.kept), best=None))
+    monkeypatch.setattr(
+        assumed,
+        "_questioned",
+        lambda search, entry, asked=None: Change(free_starts=asked is None and search is made[0]),
+    )
+    for none in ("_stray_samples", "_stray_samples_of_judges"):
+        monkeypatch.setattr(assumed, none, lambda search, data: Strays())
+    search, said, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    assert len(made) == 2 and search is made[ended] and len(given_up) == int(ended)
+    assert search.complete is ended and said.initial_states == ("free" if ended else "auto")

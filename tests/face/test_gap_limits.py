@@ -303,3 +303,17 @@ def test_what_failed_is_forgotten_with_the_next_answer(answered, asked, monkeypa
     monkeypatch.chdir(answered)
     assert hydrotwin(*GAP, *THREADS).code == 0
     assert {p.name for p in (answered / "gap").iterdir()} == FILES
+
+
+def test_a_search_that_begins_anew_puts_nothing_less_in_the_place_of_what_was_told(monkeypatch):
+    answers = {"first": ("a leak",), "anew": ()}
+    monkeypatch.setattr(so_far, "as_it_stands", lambda search, data, model: SimpleNamespace(steps=answers[search.name]))
+    for name in ("EVERY", "COSTS"):
+        monkeypatch.setattr(so_far, name, 1e-9)
+    told, table = [], SimpleNamespace(entries={(): SimpleNamespace(fitted=True)})
+    first, anew = (SimpleNamespace(name=name, table=table) for name in answers)
+    teller = so_far.SoFar(lambda found: told.append(found.steps), lambda found: found)
+    for search, steps in ((first, ("a leak",)), (anew, ()), (first, ()), (anew, ()), (anew, ("a lag",)), (anew, ())):
+        answers[search.name], teller.due = steps, 0.0
+        teller.of(None, None)(search)
+    assert told == [("a leak",), (), ("a lag",), ()], "it changes its own mind, and no other does until it found more"

@@ -27,12 +27,13 @@ class SoFar:
     """Tells the answer so far, when it is due.
 
     tell : called with it. complete : what is known of every answer, such as the seconds, put into one.
-    due : the time of `time.monotonic` [s] from which it is told again.
+    due : the time of `time.monotonic` [s] from which it is told again. by : the search that told what is missing.
     """
 
     tell: Callable[[Discovery], None]
     complete: Callable[[Discovery], Discovery]
     due: float = field(default_factory=lambda: time.monotonic() + AFTER)
+    by: Search | None = None
 
     def of(self, data: Split, model: Model) -> Callable[[Search], None]:
         """What a search among these recordings calls between its batches; ``model`` as for `answer`."""
@@ -46,7 +47,8 @@ class SoFar:
             found = as_it_stands(search, data, model)
         except HydrotwinError:  # a last fit that fails now costs this telling only
             found = None
-        if found:
+        if found and (found.steps or self.by in (None, search)):  # one that begins anew has found nothing yet
+            self.by = search if found.steps else self.by
             self.tell(self.complete(found))
         now = time.monotonic()
         self.due = now + max(EVERY, (now - began) * (1 / COSTS - 1))

@@ -20,6 +20,7 @@ from .source import driver_source, functions_of, lanes_source, model_source
 from .tables import Tables
 
 MODEL = ("-O3",)
+ALIGNED = os.name != "nt"  # gcc does not align long vectors on the stack of Windows
 # The driver, which is compiled once, may use whatever this processor has: sensitivities gain a tenth.
 # Below -O2 gcc leaves the upper halves of registers dirty, and libm becomes six times slower behind them.
 DRIVER = ("-O2", "-ftree-vectorize", "-fopenmp-simd")
@@ -77,7 +78,7 @@ def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
 def _compiled_lanes(flat: FlatModel) -> LanesLibrary | None:
     to = equations.directions(flat, (), ())
     functions = functions_of(flat, to, implicit=False)
-    source = lanes_source(functions) if os.name != "nt" else None  # gcc does not align vectors on the stack there
+    source = lanes_source(functions) if ALIGNED else None
     try:
         model = source and _library(source, _c_name(flat), DRIVER, for_this_processor=True)
         driver = model and _driver(side_by_side=True)
@@ -90,7 +91,7 @@ def _compiled_lanes(flat: FlatModel) -> LanesLibrary | None:
 
 
 def _driver(side_by_side: bool = False) -> ctypes.CDLL:
-    return _library(driver_source(side_by_side), "driver", DRIVER, for_this_processor=True)
+    return _library(driver_source(side_by_side), "driver", DRIVER, for_this_processor=ALIGNED)
 
 
 def _c_name(flat: FlatModel) -> str:

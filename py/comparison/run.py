@@ -238,16 +238,21 @@ def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Se
     if not contenders or not records:
         what = "contenders" if not contenders else "recordings"
         raise DataError(f"compare: nothing to compare (got 0 {what}). Give at least one model and one recording.")
+    require_own_names(contenders)
+    for mode in modes:
+        if mode not in MODES:
+            raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
+
+
+def require_own_names(contenders: Sequence[Contender]) -> None:
+    """Raises DeclarationError for two that are called alike: nothing could be asked of either by its name."""
     names = [c.name for c in contenders]
     for name in names:
         if names.count(name) > 1:
             raise DeclarationError(
                 f"compare: two models are called '{name}'. Each needs its own name, which is its row in every table. "
-                "Give one of them another name."
+                'Give one of them another name: --model NAME=MODEL, or name = "..." in a scenario.'
             )
-    for mode in modes:
-        if mode not in MODES:
-            raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
 
 
 def wanted_of(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:

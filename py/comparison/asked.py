@@ -153,11 +153,7 @@ def _check_other(one: Criterion, asked: Asked, model: str) -> None:
     _check_model(one, asked, _known(one.than, asked.models))
     if one.than == model:
         others = [name for name in asked.models if name != model]
-        way = (
-            f"Hold it against {some_of(others)}, or judge another (--judge)."
-            if others
-            else "Compare another beside it."
-        )
+        way = f"against {some_of(others)}, or judge another (--judge)" if others else "against a model beside it"
         raise DeclarationError(
             f"accept: '{one.text}' holds for {'nothing' if one.by < 0 else 'everything'}: {model} is the model that is "
             f"judged, and would be held against itself. Hold it {way}."

@@ -12,7 +12,7 @@ import numpy as np
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
-from .criteria import Criterion, Judged, judge, over_recordings, worst
+from .criteria import Criterion, Judged, judge, other_of, over_recordings, worst
 from .earlier import earlier
 from .metric import METRICS, SCORED
 from .tags import of_group
@@ -61,6 +61,12 @@ class Wanted:
         own = {text: self.folder(text) for text in self.accept if text not in other.accept}
         model, against = self.model or other.model, self.against or other.against
         return Wanted(accept, model, against, other.base, {**other.own, **own})
+
+    @property
+    def earlier(self) -> tuple[Path, ...]:
+        """The files of earlier comparisons that are held against."""
+        named = [self.folder(text) / other_of(text) for text in self.accept if other_of(text).endswith(SUFFIX)]
+        return (*([self.against] if self.against else []), *named)
 
     def folder(self, text: str) -> Path:
         """Where files that a criterion names start from."""

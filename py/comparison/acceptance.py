@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hydrotwin.models.language.errors import DeclarationError
+
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
@@ -47,6 +49,7 @@ class Wanted:
 
     accept : criteria, as written. model : whose; "" for the first that is no yardstick. against : an earlier
     compare.json. base : the folder that files in criteria start from; own : that of single criteria, by their words.
+    Raises DeclarationError for criteria that are no list of texts.
     """
 
     accept: tuple[str, ...] = ()
@@ -54,6 +57,12 @@ class Wanted:
     against: Path | None = None
     base: Path = Path(".")
     own: Mapping[str, Path] = field(default_factory=dict)
+
+    def __post_init__(self):
+        if isinstance(self.accept, str) or not all(isinstance(text, str) for text in self.accept):
+            raise DeclarationError(
+                f"accept takes a list of criteria, each a text (got {self.accept!r}). Write ['...']."
+            )
 
     def over(self, other: Wanted) -> Wanted:
         """This, and what it does not say as ``other`` does; the criteria of both, each with its folder."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -80,6 +80,7 @@ def compare(
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known and for an executor that is not there, DataError when there is nothing to compare.
     """
+    _require_lists(contenders=contenders, records=records, modes=modes, outputs=outputs or (), rates=rates)
     contenders = [as_contender(c) for c in contenders]
     records = measured_in(contenders, distinct(records)[0])
     _check(contenders, records, modes)
@@ -232,6 +233,18 @@ def _judged_here(one: Entrant, scores: Sequence[Score]) -> Entrant:
     free = [s for s in scores if (s.model, s.mode) == (one.name, FREE_RUN)]
     held = {b.output: [Held(s.record, s.coverage, s.chance) for s in free if s.output == b.output] for b in one.bands}
     return dataclasses.replace(one, bands=held_here(one.bands, held))
+
+
+def _require_lists(**given) -> None:
+    """Raises DeclarationError for one thing where a list of them is needed, and for what is no recording."""
+    for name, value in given.items():
+        if isinstance(value, str | Record) or not isinstance(value, Iterable):
+            raise DeclarationError(
+                f"compare: {name} takes a list (got a {type(value).__name__} alone). Write {name}=[...]."
+            )
+    for one in given["records"]:
+        if not isinstance(one, Record):
+            raise DeclarationError(f"compare: {one!r} is no recording. Read it first: read_record('run.csv').")
 
 
 def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:

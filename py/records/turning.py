@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from .record import Record
+if TYPE_CHECKING:
+    from .record import Record
 
 TURN = 2 * np.pi
 _JUMP, _MOVE = 0.75, 0.25  # of a turn: a jump back is nearly a whole one, a shaft that is sampled well moves far less

@@ -26,6 +26,7 @@ def test_a_sensor_that_begins_anew_is_told(low, way):
     assert f"360 deg from one sample to the next, {times} times" in sentence and "numpy.unwrap" in sentence
     assert told(np.where(np.arange(len(TIME)) % 50 == 7, np.nan, angle)), "samples that are not known hide nothing"
     assert not told(np.unwrap(angle))
+    assert "begin anew" in Record(TIME, {"shaft": angle}, {"shaft": "rad"})._repr_html_()
 
 
 @pytest.mark.parametrize(

@@ -40,15 +40,24 @@ def nearest(name: str, known: Iterable[str]) -> str:
     "Did you mean 'coulomb'?"
     >>> nearest("zzz", ["coulomb", "viscous"])
     'Known: coulomb, viscous.'
+    >>> nearest("COULOMB", ["coulomb", "viscous"])
+    "Did you mean 'coulomb'?"
     """
     known = list(known)
     leaf_of = {k.rsplit(".", 1)[-1]: k for k in known}
-    close = difflib.get_close_matches(name, known, n=1) or [
-        leaf_of[leaf] for leaf in difflib.get_close_matches(name.rsplit(".", 1)[-1], list(leaf_of), n=1)
-    ]
-    if close:
-        return f"Did you mean '{close[0]}'?"
+    leaf = _alike(name.rsplit(".", 1)[-1], leaf_of)
+    if close := _alike(name, known) or (leaf and leaf_of[leaf]):
+        return f"Did you mean '{close}'?"
     if not known:
         return "There is none to choose from."
     shown = ", ".join(known[:12])
     return f"Known: {shown}{', …' if len(known) > 12 else ''}."
+
+
+def _alike(name: str, known: Iterable[str]) -> str | None:
+    """The most alike, whatever its case; of those that differ by case only the one that is written most alike."""
+    folded: dict[str, list[str]] = {}
+    for one in known:
+        folded.setdefault(one.casefold(), []).append(one)
+    close = difflib.get_close_matches(name.casefold(), list(folded), n=1)
+    return max(folded[close[0]], key=lambda one: difflib.SequenceMatcher(None, name, one).ratio()) if close else None

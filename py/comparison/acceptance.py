@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from hydrotwin.models.language.errors import DeclarationError
+
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
-from .criteria import Criterion, Judged, judge, over_recordings, worst
+from .criteria import Criterion, Judged, judge, other_of, over_recordings, worst
 from .earlier import earlier
 from .metric import METRICS, SCORED
 from .tags import of_group
@@ -47,6 +49,7 @@ class Wanted:
 
     accept : criteria, as written. model : whose; "" for the first that is no yardstick. against : an earlier
     compare.json. base : the folder that files in criteria start from; own : that of single criteria, by their words.
+    Raises DeclarationError for criteria that are no list of texts.
     """
 
     accept: tuple[str, ...] = ()
@@ -55,12 +58,24 @@ class Wanted:
     base: Path = Path(".")
     own: Mapping[str, Path] = field(default_factory=dict)
 
+    def __post_init__(self):
+        if isinstance(self.accept, str) or not all(isinstance(text, str) for text in self.accept):
+            raise DeclarationError(
+                f"accept takes a list of criteria, each a text (got {self.accept!r}). Write ['...']."
+            )
+
     def over(self, other: Wanted) -> Wanted:
         """This, and what it does not say as ``other`` does; the criteria of both, each with its folder."""
         accept = tuple(dict.fromkeys((*other.accept, *self.accept)))
         own = {text: self.folder(text) for text in self.accept if text not in other.accept}
         model, against = self.model or other.model, self.against or other.against
         return Wanted(accept, model, against, other.base, {**other.own, **own})
+
+    @property
+    def earlier(self) -> tuple[Path, ...]:
+        """The files of earlier comparisons that are held against."""
+        named = [self.folder(text) / other_of(text) for text in self.accept if other_of(text).endswith(SUFFIX)]
+        return (*([self.against] if self.against else []), *named)
 
     def folder(self, text: str) -> Path:
         """Where files that a criterion names start from."""

@@ -133,7 +133,7 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     _check_name(one, asked)
     _check_model(one, asked, model)
     if one.than and not one.than.endswith(SUFFIX):
-        _check_model(one, asked, _known(one.than, asked.models))
+        _check_other(one, asked, model)
     made_from = asked.given_by(model)[one.output]
     if not asked.recorded(made_from, one.group):
         raise DeclarationError(
@@ -145,6 +145,18 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
         raise DeclarationError(
             f"accept: '{one.text}': {what} is scored in free run only, and judged is the first mode, {asked.mode}. Put "
             "'free run' first."
+        )
+
+
+def _check_other(one: Criterion, asked: Asked, model: str) -> None:
+    """What a model is held against is another one, of this comparison: against itself everything or nothing holds."""
+    _check_model(one, asked, _known(one.than, asked.models))
+    if one.than == model:
+        others = [name for name in asked.models if name != model]
+        way = f"against {some_of(others)}, or judge another (--judge)" if others else "against a model beside it"
+        raise DeclarationError(
+            f"accept: '{one.text}' holds for {'nothing' if one.by < 0 else 'everything'}: {model} is the model that is "
+            f"judged, and would be held against itself. Hold it {way}."
         )
 
 

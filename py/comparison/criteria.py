@@ -2,7 +2,7 @@
 
     [GROUP:] OUTPUT.METRIC < VALUE [UNIT]           also <=, > and >=
     [GROUP:] OUTPUT.METRIC in [LOW, HIGH] [UNIT]
-    [GROUP:] OUTPUT[.METRIC] not worse than MODEL [by SHARE %]
+    [GROUP:] [OUTPUT][.METRIC] not worse than MODEL [by SHARE %]
 
 GROUP is the name of a recording, or ``tag=value``; without one a criterion is about all recordings together. Without an
 OUTPUT, ``fit > 90 %``, it is about every compared output, and the worst of them counts: see `criteria_of` and `worst`.
@@ -33,7 +33,7 @@ _RANGE = re.compile(
     r"(?(each)(?P=each)\s*\]|\]\s*(?P<unit>\S.*?)?)\s*$"
 )
 _THAN = re.compile(
-    rf"{_WHERE}(?P<what>\S.*?)\s+not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
+    rf"{_WHERE}(?:(?P<what>\S.*?)\s+)?not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
 )
 
 
@@ -183,7 +183,7 @@ def criteria_of(text: str, outputs: Iterable[Signal], every: Iterable[Signal] | 
     signals = {s.name: s for s in outputs}
     for pattern, meant in ((_RANGE, _in_range), (_THAN, _not_worse), (_BOUND, _bounded)):
         if found := pattern.match(text):
-            what = found["what"]
+            what = found["what"] or SIZE
             if what not in METRICS or what in signals:
                 return (meant(text, found, signals),)
             about = list(signals.values() if every is None else every)
@@ -203,6 +203,16 @@ def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
             f"counts: {', '.join(s.name for s in signals)}."
         )
     return first
+
+
+def other_of(text: str) -> str:
+    """The model, or the file of an earlier comparison, that a sentence holds against; "" where it does not.
+
+    >>> other_of("load=2: angle not worse than 'last/compare.json' by 5 %"), other_of("fit > 90 %")
+    ('last/compare.json', '')
+    """
+    found = _THAN.match(text)
+    return found["than"].strip().strip("\"'") if found else ""
 
 
 def _require_one_unit(text: str, metric: str, about: Sequence[Signal]) -> None:
@@ -280,7 +290,8 @@ def _require_a_test(text: str, metric: str, bounds: Sequence[float], one: Criter
 
 
 def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
-    output, metric = (found["what"], SIZE) if found["what"] in signals else _named(text, found["what"], signals)
+    what = found["what"] or SIZE  # of every output where none is named
+    output, metric = (what, SIZE) if what in signals else _named(text, what, signals)
     if metric not in ERRORS:
         raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
     by = float(found["by"] or 0.0) / 100
@@ -288,7 +299,7 @@ def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Cri
         raise DeclarationError(
             f"accept: '{text}' holds for nothing: no error is smaller by 100 %. Give a smaller share."
         )
-    written, than = _written(None, signals[output], metric, bare=True), found["than"].strip().strip("\"'")
+    written, than = _written(None, signals[output], metric, bare=True), other_of(text)
     return Criterion(text, output, metric, found["group"] or "", than=than, by=by, **written)
 
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydrotwin.records import turned_back
+
 from .band import made_from
 from .criteria import some_of
 from .uneven import uneven
@@ -32,6 +34,7 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
     found += _untrusted(comparison)
     found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
     found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
+    found += [f"{r.name}: {turned}" for r in comparison.records for turned in turned_back(r)]
     return tuple(found + _holes(comparison) + _uneven(comparison))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 
 import numpy as np
@@ -80,6 +80,7 @@ def compare(
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
     twice or not known and for an executor that is not there, DataError when there is nothing to compare.
     """
+    _require_lists(contenders=contenders, records=records, modes=modes, outputs=outputs or (), rates=rates)
     contenders = [as_contender(c) for c in contenders]
     records = measured_in(contenders, distinct(records)[0])
     _check(contenders, records, modes)
@@ -234,20 +235,37 @@ def _judged_here(one: Entrant, scores: Sequence[Score]) -> Entrant:
     return dataclasses.replace(one, bands=held_here(one.bands, held))
 
 
+def _require_lists(**given) -> None:
+    """Raises DeclarationError for one thing where a list of them is needed, and for what is no recording."""
+    for name, value in given.items():
+        if isinstance(value, str | Record) or not isinstance(value, Iterable):
+            raise DeclarationError(
+                f"compare: {name} takes a list (got a {type(value).__name__} alone). Write {name}=[...]."
+            )
+    for one in given["records"]:
+        if not isinstance(one, Record):
+            raise DeclarationError(f"compare: {one!r} is no recording. Read it first: read_record('run.csv').")
+
+
 def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Sequence[str]) -> None:
     if not contenders or not records:
         what = "contenders" if not contenders else "recordings"
         raise DataError(f"compare: nothing to compare (got 0 {what}). Give at least one model and one recording.")
+    require_own_names(contenders)
+    for mode in modes:
+        if mode not in MODES:
+            raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
+
+
+def require_own_names(contenders: Sequence[Contender]) -> None:
+    """Raises DeclarationError for two that are called alike: nothing could be asked of either by its name."""
     names = [c.name for c in contenders]
     for name in names:
         if names.count(name) > 1:
             raise DeclarationError(
                 f"compare: two models are called '{name}'. Each needs its own name, which is its row in every table. "
-                "Give one of them another name."
+                'Give one of them another name: --model NAME=MODEL, or name = "..." in a scenario.'
             )
-    for mode in modes:
-        if mode not in MODES:
-            raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")
 
 
 def wanted_of(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:

@@ -19,7 +19,7 @@ from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import in_loop
 from .rates import rate_signal
-from .run import compare, entrant, measured_in, wanted_of
+from .run import compare, entrant, measured_in, require_own_names, wanted_of
 from .scenario import ModelEntry, Scenario
 from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
@@ -103,7 +103,8 @@ def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Se
 
 
 def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> Asked:
-    """What criteria of a scenario can be about."""
+    """What criteria of a scenario can be about. Raises DeclarationError for two models of one name."""
+    require_own_names(contenders)
     records = measured_in(contenders, records)
     outputs = wanted_of(contenders, records, scenario.outputs)
     sloped = wanted_of(contenders, records, scenario.rates) if scenario.rates else []

@@ -118,7 +118,7 @@ def _interface(header: Header, interface: str) -> ET.Element:
 def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Element:
     """Which output measures what a start parameter sets: a reader can then start where a recording starts.
 
-    ``output``: a run takes its first sample; ``measured``: a restart of every state at once takes it too.
+    ``output``: a run takes its first sample; ``measured``: a run of hydrotwin, and a restart anywhere, take it too.
     ``complete``: the start parameters determine the whole state, so that a reader can restart anywhere. ``period``:
     how often a sampled block moves [s].
     """

@@ -29,7 +29,7 @@ class Description:
 
     scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``.
     starts : start parameter -> record name of the output whose first sample it takes.
-    measured : the same for a restart of all states: of every start parameter that an output measures.
+    measured : the same of every start parameter that an output measures.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
     any_step : whether it takes communication steps of any size. slopes : whether its inputs may move during a step.
     period : s between the moves of a sampled block of hydrotwin, None for everything else.

@@ -163,7 +163,7 @@ class FmuBlock:
             )
         record = as_needed(record, self.outputs)
         job, arrays = settled(self._told(record), [record])._job("restart", record, record)
-        pairs = {p: o for p, o in {**self.description.measured, **self.starts}.items() if o in record}
+        pairs = {p: o for p, o in self.starts.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
         columns = [self.in_own_units(p, record, o) for p, o in pairs.items()]
         arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
@@ -177,7 +177,10 @@ class FmuBlock:
         return other
 
     def starts_of(self, record: Record) -> dict[str, float]:
-        """What a run of ``record`` sets before initialization, in the FMU's own units."""
+        """What a run of ``record`` sets before initialization, in the FMU's own units.
+
+        An FMU of hydrotwin says which output measures which state: it starts where `simulate` does.
+        """
         record = as_needed(record, self.outputs)
         known = {p: o for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
         return {**{p: float(self.in_own_units(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
@@ -309,7 +312,8 @@ def read_fmu(
         inputs=tuple(_signal(v, description) for v in inputs_of(md)),
         outputs=tuple(_signal(v, description) for v in predicted),
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
-        description=description, starts={**description.starts, **starts}, values=dict(values), time_limit=time_limit,
+        description=description, starts={**description.measured, **description.starts, **starts},
+        values=dict(values), time_limit=time_limit,
         provenance=_provenance(md, description, [v.name for v in predicted]), named=tuple(outputs or ()),
         notes=_notes(description, outputs),
     )  # fmt: skip

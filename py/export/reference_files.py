@@ -142,8 +142,7 @@ def _tables(stem: str, record: Record, fmu: FmuBlock, tool: str) -> dict[str, st
         raise DataError(f"{record.source or record.name}: as an experiment of {fmu.name} it {what}. Take another one.")
     inputs = {of[s.name]: fmu.in_own_units(of[s.name], record, s.name) for s in fmu.inputs}
     answers = {of[name]: fmu.in_own_units(of[name], record, name) for name in outputs}
-    started = {**fmu.description.measured, **fmu.starts}
-    starts = {p: float(fmu.in_own_units(p, record, o, slice(1))[0]) for p, o in started.items() if o in outputs}
+    starts = {p: float(fmu.in_own_units(p, record, o, slice(1))[0]) for p, o in fmu.starts.items() if o in outputs}
     values = [Parameter(name, value, own_unit(name, fmu.description)) for name, value in starts.items()]
     files = {f"{stem}-in.csv": series_text(time, inputs)} if inputs else {}
     files[f"{stem}-ref.csv"] = series_text(time, answers)

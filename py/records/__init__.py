@@ -8,6 +8,7 @@ from .record import Gap, Record, distinct
 from .require import as_needed, known_inputs, require, require_once, shares_samples, without_unknown
 from .resampling import steps_over
 from .scale import Scale, parse_scale
+from .turning import turned_back
 
 __all__ = [
     "SUFFIXES",
@@ -32,6 +33,7 @@ __all__ = [
     "savitzky_golay",
     "shares_samples",
     "steps_over",
+    "turned_back",
     "without_unknown",
     "write_record",
 ]

@@ -11,6 +11,7 @@ from hydrotwin.models.language.units import convert
 
 from .noise import channel_noise
 from .record import Record
+from .turning import turned_back
 
 SEEN = 40, 4096  # stretches of a long recording, and samples of each, from which the noise of a channel is told
 LEVELS = 50  # different values from which on a channel is measured, and not switched
@@ -61,7 +62,7 @@ def inspect_record(record: Record) -> Inspected:
         period=record.period,
         channels=tuple(_channel(record, name) for name in record.names),
         refused=dict(record.refused),
-        remarks=tuple(_clock_remarks(record)),
+        remarks=(*_clock_remarks(record), *turned_back(record)),
     )
 
 

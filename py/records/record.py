@@ -15,6 +15,7 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.models.language.units import si_unit
 
 from . import resampling
+from .turning import turned_back
 
 GAP_RATIO = 20.0  # a step above this many median steps is a gap
 
@@ -138,7 +139,11 @@ class Record:
             SmallTable("", ("signal", "unit", "smallest", "mean", "largest", "unknown"), rows),
             SmallTable("Left out: no column of these can be used", ("column", "what it says"), self._left_out()),
         ]
-        notes = [*(f"{hole}." for hole in self.holes), *(self._short(why) for why in self.refused.values())]
+        notes = [
+            *(f"{hole}." for hole in self.holes),
+            *turned_back(self),
+            *(self._short(why) for why in self.refused.values()),
+        ]
         return summary_html(f"Record '{self.name}'", self.understood, facts, tables, notes)
 
     def _left_out(self) -> list[tuple[str, str]]:

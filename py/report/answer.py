@@ -140,7 +140,7 @@ def _clause(
     level = [s.model for s in rivals if s.model in _level(ranking)]
     idle = yardsticks if own.mode == FREE_RUN else frozenset()
     behind = [s for s in rivals if s.model not in _level(ranking) and s.model not in idle]
-    what = own.output
+    what = f"{own.output}:"
     if len(covered) == total > 1:
         what = f"all {total} outputs: {own.output}"
     elif len(covered) > 1:

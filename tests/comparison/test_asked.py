@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import ModelEntry, Scenario, Wanted, acceptance, compare, junit, run_scenario
-from hydrotwin.models.language.errors import DeclarationError, UnitError
+from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_lines
@@ -179,3 +179,39 @@ def test_a_name_that_two_recordings_have_is_no_group(tmp_path):
         acceptance(comparison, Wanted(("run: arm_angle.rmse < 0.02 deg",)))
     with pytest.raises(DeclarationError, match="more than one recording is called run:"):
         acceptance(comparison, Wanted(("run (2): arm_angle.rmse < 0.02 deg",)))
+
+
+@pytest.mark.parametrize(
+    ("text", "holds"),
+    [
+        ("arm_angle not worse than good", "everything"),
+        ('rmse not worse than "good" by 5 %', "everything"),
+        ("load=1: arm_angle.mae not worse than good by -5 %", "nothing"),
+    ],
+)
+def test_a_model_held_against_itself_is_refused(text, holds):
+    """It would hold whatever the model does: a scenario whose models changed places would pass for ever."""
+    with pytest.raises(DeclarationError, match=f"for {holds}: good is the model that is judged.*against late, or"):
+        judged([Toy("good"), Toy("late", lag=0.05)], [FIRST, SECOND], text)
+    with pytest.raises(DeclarationError, match="Hold it against a model beside it"):
+        judged([Toy("good")], [FIRST], text)
+    (turned,) = judged([Toy("good"), Toy("late", lag=0.05)], [FIRST, SECOND], text, model="late")
+    assert not turned.passed
+
+
+@pytest.mark.parametrize("text", ["arm_angle.coverage > 0.9", "arm_angle.rmse < 1 deg"])
+def test_two_models_of_one_name_are_told_before_anything_is_asked_of_them(tmp_path, text):
+    file = write_record(FIRST, tmp_path / "run.csv")
+    asked = Scenario("Toys", (ModelEntry("a", "same"), ModelEntry("b", "same")), (file,), wanted=Wanted((text,)))
+    with pytest.raises(DeclarationError, match=r"two models are called 'same'.*NAME=MODEL"):
+        run_scenario(asked, lambda _: Toy("same"), repeats=0)
+
+
+def test_the_nearest_name_is_found_whatever_its_case():
+    with pytest.raises(DeclarationError, match="Did you mean 'arm_angle'"):
+        judged([Toy("good")], [FIRST], "ARM_ANGLE.rmse < 1 deg")
+    with pytest.raises(DeclarationError, match="Did you mean 'vv20'"):
+        judged([Toy("good")], [FIRST], "arm_angle.VV20 < 1")
+    assert nearest("PRESSURE_A", ["Pressure_b", "pressure_a", "pressure"]) == "Did you mean 'pressure_a'?"
+    assert nearest("B1", ["b1.x", "B2", "b", "B1"]) == "Did you mean 'B1'?"
+    assert nearest("Q1", ["b", "B"]) == "Known: b, B."

@@ -8,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import FREE_RUN, MEAN, DomainShare, HoldLast, as_contender, compare
+from hydrotwin.comparison import FREE_RUN, MEAN, DomainShare, HoldLast, Wanted, as_contender, compare
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -316,3 +316,25 @@ def test_an_identified_model_brings_its_band_from_its_file(tmp_path):
     model = PhysicalContender(fit.flat, "fitted", provenance={"spread": Spread.of(fit).told()})
     found = compare([model], [recorded(drive(), k, noise=noise) for k in range(2, 6)], repeats=1, modes=[FREE_RUN])
     assert all(0.9 < s.coverage < 0.99 for s in found.means)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"records": recording(1)}, "records takes a list .got a Record alone"),
+        ({"records": ["run.csv"]}, "'run.csv' is no recording. Read it first"),
+        ({"contenders": Toy("alone")}, "contenders takes a list .got a Toy alone"),
+        ({"modes": "free run"}, r"modes takes a list .got a str alone.*modes=\[...\]"),
+        ({"outputs": "arm_angle"}, "outputs takes a list"),
+        ({"rates": "arm_angle"}, "rates takes a list"),
+    ],
+)
+def test_one_thing_where_a_list_is_needed_is_told(given, says):
+    with pytest.raises(DeclarationError, match=says):
+        compare(**{"contenders": [Toy("toy")], "records": [recording(1)], **given})
+
+
+@pytest.mark.parametrize("accept", ["arm_angle.rmse < 1 deg", ("arm_angle.rmse < 1 deg", 1)])
+def test_criteria_are_a_list_of_texts(accept):
+    with pytest.raises(DeclarationError, match="accept takes a list of criteria"):
+        Wanted(accept)

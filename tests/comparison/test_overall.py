@@ -50,6 +50,14 @@ def test_the_worst_output_counts_and_is_named(comparison, share, passed):
     assert one.passed == all(e.passed for e in each) and one.margin == min(e.margin for e in each)
 
 
+@pytest.mark.parametrize("group", ["", f"{FIRST.name}: "])
+def test_not_worse_than_another_is_about_every_output_where_none_is_named(comparison, group):
+    bare, said = (judged(comparison, f"{group}{metric}not worse than bad by 3 %") for metric in ("", "rmse "))
+    assert (bare.passed, bare.value, bare.high, bare.among) == (said.passed, said.value, said.high, said.among)
+    assert bare.passed and bare.criterion.overall and bare.criterion.group == said.criterion.group
+    assert not judged(comparison, f"{group}not worse than good", "bad").passed
+
+
 def test_a_group_is_judged_by_its_own_worst_output(comparison):
     fits = {s.output: s.fit_percent for s in comparison.scores if (s.record, s.model) == (FIRST.name, "bad")}
     one = judged(comparison, f"{FIRST.name}: fit > 10 %", "bad")

@@ -65,6 +65,22 @@ def clocked_mass() -> FlatModel:
     )
 
 
+def tank_in_volts() -> FlatModel:
+    """A tank that empties, its level counted by its sensor: no state of it is a position or an angle."""
+    t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p")
+    ode = ca.Function("ode", [t, x, u, p], [0.1 * u - p * x, x], ["t", "x", "u", "p"], ["xdot", "y"])
+    return FlatModel(
+        name="tank",
+        inputs=(Signal("pump", "V"),),
+        outputs=(Signal("level", "V"),),
+        states=(StateVariable("level", "V", measured_by="level"),),
+        parameters=(ParameterValue("rate", 0.2, "1/s", (0.0, 10.0)),),
+        ode=ode,
+        initialisation=fixed_start([1.0], ["level"], 1, 1),
+        step=1e-2,
+    )
+
+
 def stiff_oscillator() -> FlatModel:
     """Van der Pol's equation at mu = 1000, driven: no explicit step of 10 ms survives it."""
     t, x, u, p = ca.SX.sym("t"), ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p")

@@ -13,7 +13,7 @@ from hydrotwin.export.method import choose_method
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 from tests.export.raw import DISCARD, OK, Library
-from tests.export.systems import arm_record, command_record, mass_record
+from tests.export.systems import arm_record, command_record, mass_record, tank_in_volts
 from tests.simulation.flat_cehA import flat_cehA
 
 WITHIN = 1e-6  # of the range of each signal
@@ -31,6 +31,18 @@ def test_the_fmu_of_the_actuator_equals_simulate(fmus, systems):
     record, flat = arm_record(), systems["cehA"]
     found = read_fmu(fmus["cehA"]).free_run(record)
     assert largest_difference(found, simulate(flat, record), names_of(flat)) < WITHIN
+
+
+def test_an_fmu_starts_at_every_measured_state_as_simulate_does(tmp_path):
+    """A level, a temperature, a speed: not only positions say where a recording begins (units m and rad)."""
+    flat = tank_in_volts()
+    signals = {"pump": np.full(80, 2.0), "level": np.linspace(7.0, 6.0, 80)}
+    record = Record(np.arange(0.0, 8.0, 0.1), signals, {"pump": "V", "level": "V"})
+    fmu = read_fmu(export_fmu(flat, tmp_path / "tank.fmu"))
+    assert fmu.starts_of(record) == {"level.start": 7.0}
+    assert largest_difference(fmu.free_run(record), simulate(flat, record), ["level"]) < WITHIN
+    unknown = record.with_signals({"level": np.r_[np.nan, record["level"][1:]]})
+    assert fmu.starts_of(unknown) == {}
 
 
 def test_libcosimpy_runs_the_fmu_to_the_same_numbers(fmus, systems):

@@ -46,3 +46,25 @@ def test_conditions_come_from_columns(recordings, tmp_path):
     assert hydrotwin(*words, *how).code == 0
     answer = hydrotwin(*words, "--tag-column", "cap")
     assert answer.code == 2 and "no 'TAG=COLUMN'" in answer.said
+
+
+def test_a_reference_that_the_run_replaces_is_told(recordings, tmp_path):
+    """Else a model that became worse fails once, and passes the night after."""
+    words = (
+        "compare",
+        "--model",
+        "cehA",
+        "--validate",
+        recordings / "validate_1.csv",
+        *FREE,
+        "--out",
+        tmp_path / "out",
+    )
+    assert "replaces it" not in hydrotwin(*words).said
+    file = tmp_path / "out" / "compare.json"
+    elsewhere = tmp_path / "reference.json"
+    elsewhere.write_bytes(file.read_bytes())
+    for how in (("--against", file), ("--accept", f"not worse than {file} by 5 %")):
+        answer = hydrotwin(*words, *how)
+        assert answer.code == 0 and "the next one is held against this one" in " ".join(answer.said.split())
+    assert "replaces it" not in " ".join(hydrotwin(*words, "--against", elsewhere).said.split())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -181,6 +182,7 @@ def compare(
             write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
         stale = f" The report in {output} is of an earlier run." if (output / "compare.json").exists() else ""
         raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}{stale}")
+    tell_replaced(described.wanted.earlier, output / "compare.json")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
@@ -201,6 +203,17 @@ def compare(
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if accepted and not accepted.passed:
         raise typer.Exit(1)
+
+
+def tell_replaced(earlier: Sequence[Path], written: Path) -> None:
+    """A reference that every run replaces lets models become worse a little at a time, or all at once on the second."""
+    if any(path.resolve() == written.resolve() for path in earlier):
+        mark(
+            err,
+            "note",
+            f"{written} was held against, and this run replaces it: the next one is held against this one, be it "
+            "worse. Keep the reference elsewhere, or give another --out.",
+        )
 
 
 def told_columns(pairs: list[str] | None) -> dict[str, str]:

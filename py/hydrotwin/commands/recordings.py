@@ -13,7 +13,7 @@ from typing import Annotated, get_type_hints
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.records import Reading, Record, read_record, reading_of, require_once
+from hydrotwin.records import Reading, Record, read_record, reading_of, require_once, turned_back
 
 from .shared import err, mark
 
@@ -94,13 +94,13 @@ def told_in(reading: Reading | None) -> list[str]:
 
 
 def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> list[Record]:
-    """Read recordings. How each was understood is told, and gaps in time and samples that a sensor lacks."""
+    """Read recordings. Told is how each was understood, and gaps, unknown samples, angles that begin anew."""
     records, understood = [], {}
     for path in paths or []:
         record = read_record(path, reading)
         understood.setdefault(record.understood, []).append(path)
-        for hole in record.holes:
-            mark(err, "note", f"{path}: {hole}")
+        for doubt in (*record.holes, *turned_back(record)):
+            mark(err, "note", f"{path}: {doubt}")
         records.append(record)
     require_once(records)
     for words, files in understood.items():

@@ -31,6 +31,18 @@ def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
     return shares
 
 
+def beside(table: Table, jobs: Jobs, known: Entry, pool: Sequence[Candidate]) -> list[Candidate]:
+    """As many effects as a ``pool`` has that may be missing beside a structure, the most promising first.
+
+    To first order from where it was fitted: alone an effect may promise nothing, for the base is bent by what the
+    structure holds. Where nothing can be said, those of the pool.
+    """
+    shares = foreseen(table, jobs, known) if known.fitted else {}
+    more = [c for c in table.candidates if c.label in shares] if shares else pool
+    more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[: len(pool)]
+    return [c for c in more if c not in known.members]
+
+
 def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, float]:
     flat, values = table.model(known).flat, dict(known.fitted.values)
     if flat.black_box or not flat.states or min(len(r.time) for r in table.question.fit) <= WINDOWS:

@@ -26,7 +26,7 @@ from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
 from .extent import SHORT, enough_of, telling, with_fewer_windows
-from .foreseen import foreseen
+from .foreseen import beside, foreseen
 from .jobs import Effort, Jobs
 from .starts import compatible, different
 from .table import Entry, Table
@@ -297,21 +297,13 @@ class Search:
         """The best structures of one effect less with one more each, and pairs of the most promising effects."""
         table, pool = self.table, self._promising()[: self.effort.pool]
         known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
-        groups = [(*e.members, c) for e in sorted(known, key=self._worth)[:GROWN] for c in self._beside(e, pool)]
+        groups = [
+            (*e.members, c) for e in sorted(known, key=self._worth)[:GROWN] for c in beside(table, self.jobs, e, pool)
+        ]
         if size == 2:
             pairs = itertools.combinations(pool, 2)
             groups += sorted(pairs, key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
         return list({e.key: e for e in map(table.entry, filter(compatible, groups))}.values())
-
-    def _beside(self, entry: Entry, pool: Sequence[Candidate]) -> list[Candidate]:
-        """What may be missing beside a structure, the most promising first: to first order from where it was fitted.
-
-        Alone an effect may promise nothing: the base is bent by what the structure holds.
-        """
-        shares = foreseen(self.table, self.jobs, entry) if entry.fitted else {}
-        more = [c for c in self.table.candidates if c.label in shares] if shares else pool
-        more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[: self.effort.pool]
-        return [c for c in more if c not in entry.members]
 
     def _promising(self) -> list[Candidate]:
         """Single effects, the most promising first."""

@@ -69,13 +69,19 @@ for room in (
     room.register(app)
 
 
+def _note(console: Console, message: Warning | str, kind: type[Warning]) -> None:
+    """Tell a warning; those of NumPy on numbers that run away in a trial are words to who wrote it."""
+    if not issubclass(kind, RuntimeWarning):
+        console.print(f"[yellow]note[/] {_escaped(message)}")
+
+
 def main() -> None:
     """Run the command line."""
     console = Console(stderr=True, soft_wrap=True, highlight=False, emoji=False)
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("default", category=UserWarning)
-            warnings.showwarning = lambda message, *_, **__: console.print(f"[yellow]note[/] {_escaped(message)}")
+            warnings.showwarning = lambda message, kind, *_, **__: _note(console, message, kind)
             app(args=spread(sys.argv[1:]))
     except SolveError as error:
         console.print(f"[bold red]failed[/] {_escaped(error)}")

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
+
+import numpy as np
+
 import hydrotwin as ht
+from hydrotwin import cli
 from hydrotwin.cli import spread
 from tests.face.command_line import hydrotwin
 
@@ -19,3 +24,14 @@ def test_a_shells_list_of_validation_recordings_belongs_to_its_option():
 def test_the_version_is_told():
     answer = hydrotwin("--version")
     assert (answer.code, answer.out.strip()) == (0, f"hydrotwin {ht.__version__}")
+
+
+def test_notes_are_hydrotwins_words_and_no_warnings_of_numpy(monkeypatch):
+    def warned(args):
+        warnings.simplefilter("default", RuntimeWarning)  # as outside of tests
+        np.square(np.full(2, 1e200))
+        warnings.warn("the recording is short", stacklevel=1)
+
+    monkeypatch.setattr(cli, "app", warned)
+    answer = hydrotwin("compare")
+    assert answer.code == 0 and answer.err.strip() == "note the recording is short"

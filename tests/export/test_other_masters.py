@@ -148,7 +148,10 @@ def test_every_state_has_a_start_that_can_be_set_and_follows_from_the_rest_until
     record = record.with_signals({"command": record["command"] + 0.5})
     starts = {p.name: p.value for p in read_fmu(fmus["cehA"]).parameters if p.name.endswith(".start")}
     assert set(starts) == {f"{s.name}.start" for s in flat.states}
-    assert read_fmu(fmus["cehA"]).starts == {"arm.angle.start": "arm_angle"}
+    assert read_fmu(fmus["cehA"]).description.starts == {"arm.angle.start": "arm_angle"}
+    measured = ("pressure_cap", "pressure_rod", "motor_speed")
+    assert set(read_fmu(fmus["cehA"]).starts.values()) == {"arm_angle", *measured}
+    assert not set(measured) & set(record.signals)
     for given in ({}, {"cylinder.cap_pressure": 3e6}, {"motor.speed": 40.0, "cylinder.rod_pressure": 1.5e6}):
         found = read_fmu(fmus["cehA"], values={f"{n}.start": v for n, v in given.items()}).free_run(record)
         expected = simulate(flat, record, start={"arm.angle": 0.1, **given})

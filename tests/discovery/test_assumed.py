@@ -103,14 +103,16 @@ def test_few_samples_that_scatter_are_no_gap_and_many_are():
     assert not has_gap([few], np.ones(1))[0] and has_gap([many], np.ones(1))[0]
 
 
+def asked_of(model, initial_states):
+    """As much of what is asked as `fairly` looks at."""
+    asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
+    asked.without = asked.telling = lambda said: asked
+    return asked
+
+
 def doubting(monkeypatch, best, doubt):
     """Initial states of the searches that begin where ``doubt(entry)`` tells what to give up, and what was given up."""
     begun = []
-
-    def asked(model, initial_states):
-        asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
-        asked.without = asked.telling = lambda said: asked
-        return asked
 
     def begin(asked):
         begun.append(asked.initial_states)
@@ -125,7 +127,7 @@ def doubting(monkeypatch, best, doubt):
     monkeypatch.setattr(assumed, "_questioned", lambda search, entry, asked=None: doubt(entry))
     for none in ("_stray_samples", "_stray_samples_of_judges"):
         monkeypatch.setattr(assumed, none, lambda search, data: Strays())
-    *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    *_, given_up = assumed.fairly(asked_of(object(), "auto"), asked_of, begin)
     return begun, given_up
 
 
@@ -152,11 +154,6 @@ def test_what_was_found_stands_where_the_time_ends_a_search_that_began_anew(ende
     """A longer time limit had told less: the search under another assumption had found nothing yet."""
     made = []
 
-    def asked(model, initial_states):
-        asked = SimpleNamespace(model=model, initial_states=initial_states, data=None)
-        asked.without = asked.telling = lambda said: asked
-        return asked
-
     def begin(asked):
         first = not made
         table = SimpleNamespace(
@@ -176,6 +173,6 @@ def test_what_was_found_stands_where_the_time_ends_a_search_that_began_anew(ende
     )
     for none in ("_stray_samples", "_stray_samples_of_judges"):
         monkeypatch.setattr(assumed, none, lambda search, data: Strays())
-    search, said, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    search, said, given_up = assumed.fairly(asked_of(object(), "auto"), asked_of, begin)
     assert len(made) == 2 and search is made[ended] and len(given_up) == int(ended)
     assert search.complete is ended and said.initial_states == ("free" if ended else "auto")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -125,7 +126,8 @@ def compare(
     if junit_file is not None:
         check_file(junit_file, ".xml")
     if scenario is not None and not scenario.exists() and (scenario.suffix != ".toml" or "@" in str(scenario)):
-        raise DeclarationError(f"compare: no scenario file '{scenario}'. A model is given by --model {scenario}.")
+        given = shlex.quote(str(scenario))
+        raise DeclarationError(f"compare: no scenario file '{scenario}'. A model is given by --model {given}.")
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
@@ -139,9 +141,10 @@ def compare(
     }
     doubled = [option for option, value in {**said, "--title": title}.items() if value]
     doubled += told_in(reading)
-    if scenario is not None and doubled:
+    if scenario is not None and scenario.is_file() and doubled:
         raise DeclarationError(
-            f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead."
+            f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file instead; "
+            f"a model is given by --model {shlex.quote(str(scenario))}."
         )
     asked = Wanted(tuple(accept or ()), judged, against)
     if scenario is not None:

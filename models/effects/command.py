@@ -10,6 +10,7 @@ import numpy as np
 from hydrotwin.models.language import Input, Output, Parameter, State, delay, der, time
 
 from .effect import Effect, Site
+from .exceeded import exceeded
 from .late import Late
 from .sites import (
     commands,
@@ -24,7 +25,6 @@ from .stepping import Lagged, followed, stepped
 
 ASTROM = "K. J. Astrom and T. Hagglund, PID Controllers, 1995"
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
-QUANTILES = (0.97, 0.90, 0.75)  # of what is seen, where limits are tried
 
 
 class DeadTime(Effect):
@@ -154,13 +154,13 @@ class RateLimit(Lagged):
 
     @classmethod
     def probes_for(cls, seen):
-        """Rates at quantiles of the steepness of the command, ``u`` over ``time``; none where it stands still."""
+        """Rates that the steepness of the command, ``u`` over ``time``, exceeds; none where it stands still."""
         u, t = np.asarray(seen["u"], float), np.asarray(seen["time"], float)
         span, steep = np.ptp(u), np.abs(np.diff(u)) / np.maximum(np.diff(t), 1e-9)
         if span == 0:
             return []
         steep = np.minimum(steep[steep > 0], span / 0.02)  # a step is as steep as the sampling is fast
-        rates = [float(np.quantile(steep, q)) for q in QUANTILES] + [float(span / 0.2)]
+        rates = [*exceeded([0.0, *steep]), float(span / 0.2)]
         return [{"rate": rate} for rate in sorted(set(rates), reverse=True)]
 
     def equations(self):
@@ -193,7 +193,7 @@ class CommandSaturation(Effect):
 
     @classmethod
     def probes_for(cls, seen):
-        """Limits at quantiles of the size of the command."""
+        """Limits that the size of the command exceeds."""
         return limits(seen["u"], "limit")
 
     def equations(self):
@@ -347,7 +347,5 @@ def clipped(value: ca.SX, limit: ca.SX) -> ca.SX:
 
 
 def limits(values, name: str) -> list[dict[str, float]]:
-    """A start at each quantile of the size of what is seen, largest first; none where there is nothing."""
-    sizes = np.abs(np.asarray(values, float))
-    found = sorted({float(np.quantile(sizes, q)) for q in QUANTILES} - {0.0}, reverse=True)
-    return [{name: value} for value in found]
+    """A start at each level that the size of what is seen exceeds, largest first; none where there is nothing."""
+    return [{name: level} for level in exceeded([0.0, *np.abs(np.asarray(values, float))]) if level > 0]

@@ -16,6 +16,7 @@ from hydrotwin.models.language.places import Places
 from hydrotwin.models.language.units import compatible
 
 from .effect import Effect, Site
+from .exceeded import exceeded, fallen_below
 from .sites import hydraulic_nodes, low_pressure_node
 from .stepping import Lagged, stepped
 
@@ -149,8 +150,8 @@ class Cavitation(OilEffect):
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """Vapour pressures that the lowest pressures seen fall below."""
-        lowest = [np.quantile(np.asarray(p), (0.005, 0.03, 0.1)) for name, p in seen.items() if name.startswith("p_")]
-        return [*cls.probes, *({"pressure": float(v)} for v in np.min(lowest, axis=0))]
+        lowest = np.min([np.asarray(p) for name, p in seen.items() if name.startswith("p_")], axis=0)
+        return [*cls.probes, *({"pressure": level} for level in fallen_below(lowest))]
 
 
 class LineCompliance(Effect):
@@ -335,7 +336,7 @@ class CheckValveCracking(_Valve):
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """Opening pressures that the pressure seen falls below now and then."""
-        return cls._at(np.quantile(np.asarray(seen["port.p"]), (0.03, 0.1, 0.25)))
+        return cls._at(fallen_below(seen["port.p"]))
 
 
 class ReliefSaturation(_Valve):
@@ -362,4 +363,4 @@ class ReliefSaturation(_Valve):
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """Relief pressures that the pressure seen exceeds now and then."""
-        return cls._at(np.clip(np.quantile(np.asarray(seen["port.p"]), (0.97, 0.9, 0.75)), 1e4, BEYOND))
+        return cls._at(np.clip(exceeded(seen["port.p"]), 1e4, BEYOND))

@@ -12,11 +12,11 @@ from hydrotwin.models.language.units import compatible
 from hydrotwin.models.laws.orifice import signed_root
 
 from .effect import Effect, Site
+from .exceeded import exceeded
 from .sites import hydraulic_nodes, hydraulic_pairs, open_tank_node, pumps
 
 MERRITT = "H. Merritt, Hydraulic Control Systems, 1967"
 IVANTYSYN = "J. and M. Ivantysynova, Hydrostatic Pumps and Motors, 2001"
-QUANTILES = (0.97, 0.90, 0.75)  # of the speeds seen, from where on chambers may not fill
 NOTHING = 1e-100  # keeps the power of a share differentiable where there is none
 
 
@@ -260,8 +260,7 @@ class FillingLoss(Effect):
         if not speeds.max() > 0:
             return []
         usual = cls.reference_speed.value
-        highest = sorted({float(v) for v in np.quantile(speeds, QUANTILES)} - {0.0}, reverse=True)
-        sudden = [{"ratio": usual / speed, "sharpness": 8.0} for speed in highest]
+        sudden = [{"ratio": usual / speed, "sharpness": 8.0} for speed in exceeded([0.0, *speeds]) if speed > 0]
         return [{"ratio": 0.1 * usual / float(speeds.max()), "sharpness": 1.0}, *sudden]
 
     def equations(self):

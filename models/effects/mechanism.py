@@ -13,12 +13,13 @@ from hydrotwin.models.language.units import compatible
 
 from .bodies import OnBody, links
 from .effect import Effect, Site
+from .exceeded import exceeded, fallen_below
 from .sites import flange_joints, flanges, parameters
 from .stepping import Lagged, stepped
 from .sticking import Sticking
 
 CONTACT = "K. L. Johnson, Contact Mechanics, 1985: a pin in its hole, 1e-9 to 1e-7"
-DEPTHS = np.array([3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1])  # of the range of positions: where stops are looked for
+DEPTHS = (3e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1)  # of the range of positions: a stiff stop shows when barely reached
 FAR = 1e3  # m, where a stop is that nothing reaches
 TOLERANCES = "tolerances of the geometry"
 MACHINE_ELEMENTS = "Decker, Maschinenelemente: pins and their fits"
@@ -180,10 +181,9 @@ class EndStop(Effect):
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
         """One end or both, so deep in the range of the positions seen: a stiff stop that is barely reached shows."""
-        s = np.asarray(seen["flange.s"])
-        low, high = np.min(s) + DEPTHS * np.ptp(s), np.max(s) - DEPTHS * np.ptp(s)
-        both = [{"low": float(e), "high": float(h)} for e, h in zip(low, high, strict=True)][1:-1:2]
-        ends = [{"low": -FAR, "high": float(h)} for h in high] + [{"low": float(e), "high": FAR} for e in low]
+        low, high = (levels(seen["flange.s"], DEPTHS, ()) for levels in (fallen_below, exceeded))
+        both = [{"low": e, "high": h} for e, h in zip(low, high, strict=True)][1:-1:2]
+        ends = [{"low": -FAR, "high": h} for h in high] + [{"low": e, "high": FAR} for e in low]
         return [*ends, *both]
 
 

@@ -204,7 +204,7 @@ class SensorSaturation(Effect):
 
     @classmethod
     def probes_for(cls, seen):
-        """Limits at quantiles of the size of what is measured."""
+        """Limits that the size of what is measured exceeds."""
         return limits(seen["u"], "limit")
 
     def equations(self):

@@ -8,6 +8,7 @@ import numpy as np
 from hydrotwin.models.language import Input, Output, Parameter
 from hydrotwin.models.language.places import Places
 
+from .exceeded import exceeded
 from .stepping import Lagged, SteppedSite
 
 SCHOUKENS = (
@@ -19,11 +20,6 @@ ENDLESS = 1e6  # nominal levels, a rim that nothing reaches
 def levels(places: Places):
     """States that are levels: declared with a lower bound of 0 or more."""
     return [s for s in places.states if 0 <= s.bounds[0] < np.inf]
-
-
-def _limits(seen, name: str) -> list[float]:
-    """Rims that the level seen exceeds now and then."""
-    return [float(v) for v in np.quantile(np.asarray(seen[name]), (0.97, 0.9, 0.75))]
 
 
 class Overflow(Lagged):
@@ -77,8 +73,8 @@ class Overflow(Lagged):
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
-        """Rims at quantiles of the level seen, a share of the spill caught where something can catch it."""
-        return [{"limit": limit, "share": share} for limit in _limits(seen, "h") for share in (0.3, 0.8)]
+        """Rims that the level seen exceeds, a share of the spill caught where something can catch it."""
+        return [{"limit": limit, "share": share} for limit in exceeded(seen["h"]) for share in (0.3, 0.8)]
 
 
 class OverflowIntoLower(Lagged):

@@ -217,7 +217,7 @@ def test_a_drive_whose_speed_was_measured_has_no_droop():
 
 def test_limits_are_tried_where_the_command_is_large():
     starts = [probe["limit"] for probe in CommandSaturation.probes_for({"u": SINE})]
-    assert len(starts) == 3 and 3.0 > starts[0] > starts[-1] > 1.0
+    assert len(starts) > 2 and 3.0 > starts[0] > starts[-1] > 1.0
     assert CommandSaturation.probes_for({"u": np.zeros(5)}) == []
 
 

@@ -181,8 +181,8 @@ def test_a_relief_valve_holds_the_pressure_and_lets_it_fall_again():
 
 def test_thresholds_are_looked_for_among_the_pressures_seen():
     p = np.linspace(1e6, 5e6, 1001)
-    assert all(4e6 <= probe["pressure"] < 5e6 for probe in ReliefSaturation.probes_for({"port.p": p}))
-    assert all(1e6 < probe["pressure"] <= 2e6 for probe in CheckValveCracking.probes_for({"port.p": p}))
+    assert all(3e6 <= probe["pressure"] < 5e6 for probe in ReliefSaturation.probes_for({"port.p": p}))
+    assert all(1e6 < probe["pressure"] <= 3e6 for probe in CheckValveCracking.probes_for({"port.p": p}))
     seen = [q["pressure"] for q in Cavitation.probes_for({"p_0": p, "p_1": p + 1e6, "u_0": 0 * p})]
     assert seen[: len(Cavitation.probes)] == [q["pressure"] for q in Cavitation.probes]
-    assert all(1e6 < q < 2e6 for q in seen[len(Cavitation.probes) :])
+    assert all(1e6 < q < 3e6 for q in seen[len(Cavitation.probes) :])

@@ -87,8 +87,12 @@ def different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]
 
 
 def small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
-    """An effect at a tenth of a size."""
-    return {n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in candidate.free}
+    """An effect at a tenth of a size: what is nothing where it is absent, or of the model, goes a tenth of the way.
+
+    What is far away where it is absent, such as a limit, and what says how an effect acts are as in ``start``.
+    """
+    grows = [n for n in candidate.free if candidate.site.frees or candidate.neutral[n] == 0]
+    return {**start, **{n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in grows}}
 
 
 def compatible(members: Sequence[Candidate]) -> bool:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import numpy as np
 import pytest
 
+from hydrotwin.discovery.fits.whole import trajectories
 from tests.discovery.slides import begun, records
 
 SOME = ("coulomb_friction", "null_bias")
@@ -66,3 +70,25 @@ def test_a_look_at_whole_recordings_begins_where_a_part_of_the_structure_ended_t
     assert job.states == part.fitted.states
     alone = search.jobs.next(search.table.entry([c for c in both.members if c not in part.members]), 0)
     assert all(start["mass.mass"] == search.table.entry().fitted.values["mass.mass"] for start in alone.starts)
+
+
+def test_a_limit_that_joins_a_structure_begins_where_the_run_of_that_structure_just_exceeds_it():
+    """Beside what was bent while something was missing, a limit that its run never reaches would lead nowhere."""
+    search = begun(records(3, dry=30.0), ("coulomb_friction", "sensor_saturation"))
+    search.identify()
+    search._to_whole_recordings()
+    part, limit = friction(search), next(c for c in search.table.candidates if c.id == "sensor_saturation")
+    (part.fitted,) = search._ran([search.jobs.anew(part)])
+    doubled = dict(part.fitted.values, **{"mass.damping": part.fitted.values["mass.damping"] / 2})
+    part.fitted = dataclasses.replace(part.fitted, values=doubled)
+    job = search.jobs.from_part(search.table.entry([*part.members, limit]), part)
+    highest = {e.key: peak(search.table, e) for e in (part, search.table.entry())}
+    begins = job.starts[0]["sensor_saturation.limit"]
+    assert 0.95 * highest[part.key] < begins < highest[part.key]
+    assert highest[part.key] > 1.1 * highest[()]  # along the base's run it would begin lower
+
+
+def peak(table, entry):
+    flat = table.model(entry).flat
+    runs = trajectories(flat, table.question, entry.fitted)
+    return max(np.abs(x[:, [s.name for s in flat.states].index("mass.speed")]).max() for x in runs)

@@ -53,7 +53,7 @@ def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate])
         entry = table.possible([*known.members, one])
         if table.usable(entry):
             model = table.model(entry).flat
-            sets = np.array([model.parameter_vector({**values, **start}) for start in jobs.starts_of(one)])
+            sets = np.array([model.parameter_vector({**values, **start}) for start in jobs.starts_of(one, known)])
             found[one.label] = along.of(model, sets, model.parameter_vector({**values, **one.neutral}))
     return dict(zip(found, along.shares(list(found.values())).tolist(), strict=True)) if found else {}
 

@@ -12,13 +12,13 @@ import numpy as np
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import SolveError
 
-from ..evidence.posterior import NOTHING
-from ..fits.job import Job, Look, Question
+from ..fits.job import Fitted, Job, Look, Question
 from ..fits.whole import trajectories
 from .starts import diagonal, looks, seen_by, small, usual
-from .table import Entry, Table
+from .table import Entry, Key, Table
 
 TOGETHER = 6  # starts of several effects, of all combinations of theirs
+KEPT = 4  # fits whose runs are kept
 SOON = 2.0  # looks that a fit may take which is soon done if it is right
 
 
@@ -62,7 +62,7 @@ class Jobs:
     extent: Question | None = None
     windows: Question | None = None
     begin: Mapping[str, float] = field(default_factory=dict)
-    trajectories: list[np.ndarray] | None = None
+    _runs: dict[Key, tuple[Fitted, list[np.ndarray]]] = field(default_factory=dict)
 
     def next(self, entry: Entry, first: int) -> Job:
         """The next step of a structure, from where it stands."""
@@ -96,8 +96,7 @@ class Jobs:
         starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
         part = min((e for e in self.table.parts(entry) if e.members), key=self.table.score, default=None)
         if part:
-            known = part.fitted
-            starts = [*({**start, **known.values} for start in (starts[-1], starts[0])), *starts]
+            known, starts = part.fitted, [*self.beside(entry, part)[:2], *starts]
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
 
@@ -129,12 +128,8 @@ class Jobs:
 
     def from_part(self, entry: Entry, part: Entry) -> Job:
         """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
-        own = {}
-        for c in entry.members:
-            if c not in part.members:
-                own |= small(c, usual(c)[0])
         known = part.fitted
-        return self.of(entry, [{**own, **known.values}], states=known.states, size=known.rmse)
+        return self.of(entry, self.beside(entry, part)[:1], states=known.states, size=known.rmse)
 
     def soon(self, entry: Entry, look: Look) -> Job:
         """The fit from where a look from the right base ended."""
@@ -143,10 +138,8 @@ class Jobs:
 
     def from_there(self, entry: Entry, best: Entry) -> Job:
         """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
-        known, own, names = best.fitted, self.starts(entry), self.table.names(entry)
-        begin = {n: v for n, v in known.values.items() if n in names}
-        starts, seconds = [{**start, **begin} for start in own], SOON * self.effort.look
-        return self.of(entry, starts, states=known.states, size=known.rmse, seconds=seconds)
+        known, seconds = best.fitted, SOON * self.effort.look
+        return self.of(entry, self.beside(entry, best)[1:], states=known.states, size=known.rmse, seconds=seconds)
 
     def left_by(self, entry: Entry, best: Entry, question: Question) -> Job:
         """A run through the recordings of a question of a part of the best structure, as that has its values."""
@@ -162,26 +155,43 @@ class Jobs:
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
         """Starts of a structure: each of its effects at usual values, the base where its user put it."""
-        each = [self.starts_of(c) for c in entry.members]
-        together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
-        found = [{n: v for start in starts for n, v in start.items()} for starts in together]
+        found = self._together(entry.members, self.table.entry())
         return [{**self.begin, **start} for start in found] + (found[:1] if self.begin and entry.members else [])
 
-    def starts_of(self, candidate: Candidate) -> list[dict[str, float]]:
-        """Usual values of one effect."""
-        return usual(candidate, self._seen(candidate))
+    def beside(self, entry: Entry, known: Entry) -> list[dict[str, float]]:
+        """Starts of a structure from where another was fitted: what it has more at a tenth of a size, then as usual."""
+        names, more = self.table.names(entry), [c for c in entry.members if c not in known.members]
+        begin = {n: v for n, v in known.fitted.values.items() if n in names}
+        starts = self._together(more, known)
+        little = {n: v for c in more for n, v in small(c, starts[0]).items()}
+        return [{**start, **begin} for start in (little, *starts)]
 
-    def _seen(self, candidate: Candidate):
-        base, flat = self.table.entries[NOTHING], self.table.base.flat
-        if not looks(candidate) or not base.fitted:
+    def _together(self, members: Sequence[Candidate], along: Entry) -> list[dict[str, float]]:
+        """Starts of several effects, first choices first."""
+        each = [self.starts_of(c, along) for c in members]
+        together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
+        return [{n: v for start in starts for n, v in start.items()} for starts in together]
+
+    def starts_of(self, candidate: Candidate, along: Entry) -> list[dict[str, float]]:
+        """Values of one effect: from what its part would see along the run of a fitted structure, else usual ones."""
+        return usual(candidate, self._seen(candidate, along) if looks(candidate) and along.fitted else None)
+
+    def _seen(self, candidate: Candidate, along: Entry) -> dict[str, np.ndarray] | None:
+        table = self.table
+        entry, runs = table.possible([*along.members, candidate]), self._runs_of(along)
+        if not runs or not table.usable(entry):
             return None
-        if self.trajectories is None:
+        states = [s.name for s in table.model(along).flat.states]
+        return seen_by(candidate, table.model(entry), table.question.fit, states, runs, along.fitted.values)
+
+    def _runs_of(self, entry: Entry) -> list[np.ndarray]:
+        """State trajectories along a fit, of the few that were asked for last; none where a run diverges."""
+        fitted, runs = self._runs.pop(entry.key, (None, []))
+        if fitted is not entry.fitted:
             try:
-                self.trajectories = trajectories(flat, self.table.question, base.fitted)
+                runs = trajectories(self.table.model(entry).flat, self.table.question, entry.fitted)
             except SolveError:
-                self.trajectories = []
-        if not self.trajectories:
-            return None
-        model = self.table.model(self.table.entry([candidate]))
-        states = [s.name for s in flat.states]
-        return seen_by(candidate, model, self.table.question.fit, states, self.trajectories, base.fitted.values)
+                runs = []
+        self._runs[entry.key] = entry.fitted, runs
+        self._runs = dict(list(self._runs.items())[-KEPT:])
+        return runs

@@ -48,7 +48,8 @@ def seen_by(
 ) -> dict[str, np.ndarray]:
     """What the part of a candidate sees, (n,) by name of its inputs and ports: ``model`` holds it, at neutral values.
 
-    runs : trajectories (n, nx) of the ``states`` of the base, by recording; values : of the base's parameters, by path.
+    runs : trajectories (n, nx) of the ``states`` of the model without it, by recording; values : of its parameters, by
+    path.
     """
     paths = _paths(candidate)
     flat, p = model.flat, model.flat.parameter_vector({**values, **candidate.neutral})

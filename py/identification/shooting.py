@@ -3,7 +3,9 @@
     r = w (y(t; p, x0) - y_measured),   x0 = x0(p, z)
 
 z are the start states a segment is free to choose. A first sample is a measurement like any other: a start state that
-an output measures is free, and the first residual is its prior, so noise in it does not bias the parameters.
+an output measures is free, and the first residual is its prior, so noise in it does not bias the parameters. Where it
+has none, for nothing measures it, or not then, or what was measured first lies behind a delay line's filling, a weak
+prior stands for it: of a body that sticks at once nothing later tells how fast it was.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from .loss import Loss
 from .problem import FreeParameters, Recording
 from .start_states import StartStates
 
-WEAK_PRIOR = 0.1  # per state nominal: an unmeasured start state may move by ten nominals for one sigma
+WEAK_PRIOR = 0.1  # per state nominal: a start state without a first residual may move by ten nominals for one sigma
 PIECE = 1000  # samples of a run whose Jacobian is worked on at once
 NOTHING = 1e-60  # derivatives below this, in any unit, have decayed
 WORTH_THREADS = 100  # samples of a segment: threads wait for each other between shorter ones
@@ -366,13 +368,19 @@ class Shooting:
         return x0, seeds
 
     def _start_prior(self, i: int, z: np.ndarray):
-        weight = self._start_weight
+        weight = self._start_weight[i]
         away = z - self.centre[i]
         return 0.5 * float(weight @ away**2), (weight * away), weight
 
     @cached_property
     def _start_weight(self) -> np.ndarray:
-        return np.where(self.start.measured, 0.0, WEAK_PRIOR**2)
+        """Per segment and start state, what is known of it beside its residuals (segments, nz)."""
+        by = self.start.measured
+        told = [
+            seen[0, by] & (by >= 0) & (s.first == s.begin)
+            for s, seen in zip(self.segments, self._measured, strict=True)
+        ]
+        return np.where(told, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:
         """What ``work`` gives, a list for a list of segments, of all of them."""

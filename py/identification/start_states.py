@@ -13,7 +13,8 @@ from hydrotwin.models.language.flat import FlatModel
 class StartStates:
     """x0(u0, p, z) of a segment with its derivatives; ``names`` are the states that z gives, the model finds the rest.
 
-    ``held`` are given but not free: they keep their value.
+    ``held`` are given but not free: they keep their value. ``measured`` : of each, the index of the output that measures
+    it, -1 where none does.
     """
 
     def __init__(self, flat: FlatModel, names: Sequence[str], free_index: np.ndarray, held: bool = False):
@@ -22,7 +23,8 @@ class StartStates:
         self.columns = np.array([order.index(n) for n in self.names], dtype=int)
         self.nominal = np.array([flat.states[i].nominal for i in self.columns])
         self.bounds = np.array([flat.states[i].bounds for i in self.columns]).reshape(-1, 2)
-        self.measured = np.array([flat.states[i].measured_by is not None for i in self.columns], dtype=bool)
+        outputs = {o.name: k for k, o in enumerate(flat.outputs)}
+        self.measured = np.array([outputs.get(flat.states[i].measured_by, -1) for i in self.columns], dtype=int)
         self.held = held
         self.whole = len(self.names) == len(order)
         self.free_index = free_index

@@ -79,6 +79,16 @@ class Jobs:
             return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self.whole(entry)
 
+    def again(self, job: Job, entry: Entry, part: Entry) -> list[Job]:
+        """A look from each of its starts by itself, and from where a part of the structure was in the same windows."""
+        known = [*part.look.trail, part.look.values][job.stages[1] - 1]
+        little = {}
+        for c in entry.members:
+            if c not in part.members:
+                little |= small(c, self.starts_of(c, self.table.entry())[0])
+        starts = [*(job.starts if len(job.starts) > 1 else ()), {**little, **known}]
+        return [dataclasses.replace(job, starts=(start,)) for start in starts]
+
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
         base, stages = self.table.entry(), (0, len(self.table.question.lengths))

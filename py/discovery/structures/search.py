@@ -321,7 +321,8 @@ class Search:
         The base goes through all that are left at once. One that does worse than a part of it goes on from that.
         """
         known = [e for e in entries if e.open and self.table.usable(e)]
-        self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
+        jobs = [self.jobs.next(e, first) for e in known]
+        self._take(known, self._looked_again(known, jobs, self._ran(jobs)))
         bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained([e])]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self.table.keep_better(entry, found)
@@ -330,6 +331,26 @@ class Search:
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self.table.keep_better(entry, found)
         self._wonder(known)
+
+    def _looked_again(self, entries: Sequence[Entry], jobs: Sequence[Job], answers: Sequence) -> list:
+        """The answers; a look that leaves more in windows than a part of the structure does is made again.
+
+        It came to rest beside its minimum: a structure can do no worse than what it contains.
+        """
+        table, found = self.table, list(answers)
+        last = [len(a.squares) - 1 if isinstance(a, Look) and a.left is None else -1 for a in found]
+        for i, (entry, job) in enumerate(zip(entries, jobs, strict=True)):
+            part = self._best_part_in_windows(entry, job.stages[1] - 1) if last[i] >= 0 else None
+            if part and table.in_windows(found[i], last[i]) > (1 + SAME) * part[0] + 1.0:
+                looks = [a for a in self._ran(self.jobs.again(job, entry, part[1])) if isinstance(a, Look)]
+                found[i] = min([found[i], *looks], key=lambda look, k=last[i]: table.in_windows(look, k))
+        return found
+
+    def _best_part_in_windows(self, entry: Entry, stage: int) -> tuple[float, Entry] | None:
+        """What the best part of a structure leaves in windows of one length, nats, and that part."""
+        parts = (e for e in self.table.entries.values() if set(e.key) < set(entry.key) and e.look)
+        parts = [e for e in parts if e.look.left is None and len(e.look.squares) > stage]
+        return min(((self.table.in_windows(e.look, stage), e) for e in parts), key=lambda pair: pair[0], default=None)
 
     def _free_base(self, entries: Sequence[Entry]) -> None:
         """Fit the base from where a structure ended that leaves far less; raise Freed where that was what it lacked."""

@@ -13,8 +13,8 @@ from hydrotwin.models.language.flat import FlatModel
 class StartStates:
     """x0(u0, p, z) of a segment with its derivatives; ``names`` are the states that z gives, the model finds the rest.
 
-    ``held`` are given but not free: they keep their value. ``measured`` : of each, the index of the output that measures
-    it, -1 where none does.
+    ``held`` are given but not free: they keep their value. ``measured`` : the index of the output that
+    measures each, -1 where none does.
     """
 
     def __init__(self, flat: FlatModel, names: Sequence[str], free_index: np.ndarray, held: bool = False):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.evidence.score import Spectrum
-from hydrotwin.discovery.structures.foreseen import foreseen
+from hydrotwin.discovery.structures import search as search_module
+from hydrotwin.discovery.structures.foreseen import foreseen, larger, singles
 from hydrotwin.discovery.structures.jobs import EFFORTS
 from hydrotwin.discovery.structures.starts import compatible
 from tests.discovery.slides import NOISE, begun, found, records, searched, slide
@@ -235,7 +236,7 @@ def test_what_windows_show_in_part_is_fitted_before_pairs_are_made_of_it(monkeyp
     """Load-dependent flow promised a quarter in short windows and explained all of whole recordings."""
     search, pairs = begun(records(3, dry=200.0), SOME[:3], most=2), []
     search.identify()
-    monkeypatch.setattr(type(search), "_larger", lambda self, size: pairs.append(size) or [])
+    monkeypatch.setattr(search_module, "larger", lambda jobs, size, first: pairs.append(size) or [])
     monkeypatch.setattr(search, "_promises_much", lambda entry: False)
     search._through(2)
     assert one(search, "coulomb_friction").fitted and search.table.explained() and not pairs
@@ -262,11 +263,29 @@ def test_to_the_best_structure_everything_is_added_that_promises_much_beside_it(
     search = begun(records(3, dry=30.0, leaning=8.0), SOME)
     search.identify()
     search._to_whole_recordings()
-    search._looked(search._singles())
-    search.effort = dataclasses.replace(search.effort, pool=1)
+    search._looked(singles(search.jobs))
+    search.jobs.effort = dataclasses.replace(search.effort, pool=1)
     rubbing = one(search, "coulomb_friction")
     (rubbing.fitted,) = search._ran([search.jobs.anew(rubbing)])
     shares = foreseen(search.table, search.jobs, rubbing)
     wanted = min(shares, key=shares.get)
-    assert search._promising()[0] is rubbing.members[0]
-    assert {wanted, *rubbing.key} in [set(e.key) for e in search._larger(2)]
+    assert {wanted, *rubbing.key} in [set(e.key) for e in larger(search.jobs, 2, search.first)]
+
+
+def test_what_explains_much_is_fitted_with_what_promises_most_beside_it_before_others_are_looked_at():
+    """Looks had gone through all single effects first, and pairs had come last."""
+    search = begun(records(3, dry=30.0, leaning=8.0), SOME, most=2)
+    search.identify()
+    rubbing = one(search, "coulomb_friction")
+    search._advance([rubbing], 1)
+    while rubbing.open:
+        search._advance([rubbing])
+    assert not search.table.explained() and search.table.share(rubbing) < 0.4
+    search._grow()
+    best = min(search.table.fitted, key=search.table.score)
+    assert len(best.key) == 2 and set(rubbing.key) < set(best.key)
+    assert search.table.score(best) < 0.9 * search.table.score(rubbing)
+    assert [e for e in search.table.entries.values() if e.members and e.look] == [rubbing]
+    known = len(search.table.entries)
+    search._grow()
+    assert len(search.table.entries) == known  # once

@@ -14,6 +14,7 @@ Source: L. Ljung, System Identification, 1999, ch. 10 (the gradient of an output
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -75,14 +76,20 @@ class Responses:
         self._along = [_along(self.flat, functions, self.values, unit, s) for s in self.stretches]
 
     def of(self, flat: FlatModel, sets: np.ndarray, without: np.ndarray) -> Response:
-        """The response to an effect that a model has, by k sets of its parameters (k, np), and as without it (np,)."""
+        """The response to an effect that a model has, by k sets of its parameters (k, np), and as without it (np,).
+
+        The model may lack what the runs have beside it: states that it does not know are not changed by the effect.
+        """
         every = np.vstack([without, sets])
-        own = [s.name for s in flat.states]
-        place = [own.index(s.name) for s in self.flat.states]
+        own, along = ([s.name for s in each.states] for each in (flat, self.flat))
+        known = [i for i, name in enumerate(along) if name in own]
         found = []
         for stretch in self.stretches:
-            rates, outputs = _excited(flat, place, stretch, every)
-            found.append((rates[..., 1:] - rates[..., :1], outputs[..., 1:] - outputs[..., :1]))
+            part = dataclasses.replace(stretch, x=stretch.x[..., known])
+            rates, outputs = _excited(flat, [own.index(along[i]) for i in known], part, every)
+            changes = np.zeros((len(rates), len(along), len(sets)))
+            changes[:, known] = rates[..., 1:] - rates[..., :1]
+            found.append((changes, outputs[..., 1:] - outputs[..., :1]))
         return found
 
     def shares(self, effects: Sequence[Response]) -> np.ndarray:

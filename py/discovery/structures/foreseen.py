@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -17,6 +18,8 @@ from .jobs import Jobs
 from .starts import compatible
 from .table import Entry, Table
 
+GROWN = 2  # structures, the best, to which effects are added
+
 
 def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
     """Share of what a fitted structure leaves that it would leave with every other effect in addition, by label.
@@ -31,16 +34,50 @@ def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
     return shares
 
 
-def beside(table: Table, jobs: Jobs, known: Entry, pool: Sequence[Candidate]) -> list[Candidate]:
-    """As many effects as a ``pool`` has that may be missing beside a structure, the most promising first.
+def singles(jobs: Jobs) -> list[Entry]:
+    """Single effects, those first that promise most to first order."""
+    table = jobs.table
+    shares = foreseen(table, jobs, table.entry())
+    return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: shares.get(c.label, 1.0))]
+
+
+def larger(jobs: Jobs, size: int, first: int) -> list[Entry]:
+    """The best structures of one effect less with one more each, and pairs of the most promising effects.
+
+    first : how many lengths of windows count.
+    """
+    table, pool = jobs.table, _promising(jobs.table, first)[: jobs.effort.pool]
+    known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
+    best = sorted(known, key=lambda e: _worth(table, e, first))[:GROWN]
+    groups = [(*e.members, c) for e in best for c in beside(jobs, e, first, len(pool))]
+    if size == 2:
+        pairs = itertools.combinations(pool, 2)
+        groups += sorted(pairs, key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
+    return list({e.key: e for e in map(table.entry, filter(compatible, groups))}.values())
+
+
+def beside(jobs: Jobs, known: Entry, first: int, count: int) -> list[Candidate]:
+    """So many effects that may be missing beside a structure, the most promising first.
 
     To first order from where it was fitted: alone an effect may promise nothing, for the base is bent by what the
-    structure holds. Where nothing can be said, those of the pool.
+    structure holds. Where nothing can be said, those that promise most alone.
     """
+    table = jobs.table
     shares = foreseen(table, jobs, known) if known.fitted else {}
-    more = [c for c in table.candidates if c.label in shares] if shares else pool
-    more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[: len(pool)]
+    more = [c for c in table.candidates if c.label in shares] if shares else _promising(table, first)
+    more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[:count]
     return [c for c in more if c not in known.members]
+
+
+def _promising(table: Table, first: int) -> list[Candidate]:
+    """Single effects, the most promising first."""
+    alone = [e for e in table.entries.values() if len(e.key) == 1 and not e.failed]
+    return [e.members[0] for e in sorted(alone, key=lambda e: _worth(table, e, first))]
+
+
+def _worth(table: Table, e: Entry, first: int) -> float:
+    """Share of what the base leaves that a structure leaves, or promises to."""
+    return min(table.promise(e, first), table.share(e) if e.fitted else np.inf)
 
 
 def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, float]:
@@ -50,11 +87,12 @@ def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate])
     along = _along(table, jobs, known, flat, values)
     found = {}
     for one in others:
-        entry = table.possible([*known.members, one])
+        entry = table.possible([one])  # one model an effect: those of pairs would take longer to build than to ask
         if table.usable(entry):
             model = table.model(entry).flat
-            sets = np.array([model.parameter_vector({**values, **start}) for start in jobs.starts_of(one, known)])
-            found[one.label] = along.of(model, sets, model.parameter_vector({**values, **one.neutral}))
+            own = table.of_its_own(entry, values)
+            sets = np.array([model.parameter_vector({**own, **start}) for start in jobs.starts_of(one, known)])
+            found[one.label] = along.of(model, sets, model.parameter_vector({**own, **one.neutral}))
     return dict(zip(found, along.shares(list(found.values())).tolist(), strict=True)) if found else {}
 
 

@@ -79,16 +79,6 @@ class Jobs:
             return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self.whole(entry)
 
-    def again(self, job: Job, entry: Entry, part: Entry) -> list[Job]:
-        """A look from each of its starts by itself, and from where a part of the structure was in the same windows."""
-        known = [*part.look.trail, part.look.values][job.stages[1] - 1]
-        little = {}
-        for c in entry.members:
-            if c not in part.members:
-                little |= small(c, self.starts_of(c, self.table.entry())[0])
-        starts = [*(job.starts if len(job.starts) > 1 else ()), {**little, **known}]
-        return [dataclasses.replace(job, starts=(start,)) for start in starts]
-
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
         base, stages = self.table.entry(), (0, len(self.table.question.lengths))
@@ -141,6 +131,11 @@ class Jobs:
         known = part.fitted
         return self.of(entry, self.beside(entry, part)[:1], states=known.states, size=known.rmse)
 
+    def grown(self, entry: Entry, part: Entry) -> Job:
+        """The fit from where a part of it ended, with the rest at any of its sizes; soon done if it is right."""
+        known, seconds = part.fitted, SOON * self.effort.look
+        return self.of(entry, self.beside(entry, part), states=known.states, size=known.rmse, seconds=seconds)
+
     def soon(self, entry: Entry, look: Look) -> Job:
         """The fit from where a look from the right base ended."""
         seconds = SOON * self.effort.look
@@ -188,11 +183,12 @@ class Jobs:
 
     def _seen(self, candidate: Candidate, along: Entry) -> dict[str, np.ndarray] | None:
         table = self.table
-        entry, runs = table.possible([*along.members, candidate]), self._runs_of(along)
+        entry, runs = table.possible([candidate]), self._runs_of(along)
         if not runs or not table.usable(entry):
             return None
         states = [s.name for s in table.model(along).flat.states]
-        return seen_by(candidate, table.model(entry), table.question.fit, states, runs, along.fitted.values)
+        values = table.of_its_own(entry, along.fitted.values)
+        return seen_by(candidate, table.model(entry), table.question.fit, states, runs, values)
 
     def _runs_of(self, entry: Entry) -> list[np.ndarray]:
         """State trajectories along a fit, of the few that were asked for last; none where a run diverges."""

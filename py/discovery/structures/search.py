@@ -6,7 +6,6 @@ Nothing is forbidden: what promises little waits, and is tried when nothing bett
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,6 @@ import numpy as np
 from hydrotwin.identification.frequencies import detuned
 from hydrotwin.identification.horizon import horizons
 from hydrotwin.identification.problem import free_parameters
-from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.deciding import DECIDING
@@ -26,7 +24,7 @@ from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .ends import Freed, OutOfTime, Surprised
 from .extent import SHORT, enough_of, telling, with_fewer_windows
-from .foreseen import beside, foreseen
+from .foreseen import beside, larger, singles
 from .jobs import Effort, Jobs
 from .starts import compatible, different
 from .table import Entry, Table
@@ -37,7 +35,6 @@ SAME = 0.02  # of what the base leaves in windows: promises that differ by less 
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
-GROWN = 2  # structures, the best, to which effects are added
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -49,7 +46,8 @@ class Search:
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
-    base was fitted, too. stood : structures that were fitted as they stood.
+    base was fitted, too. stood, grown : structures that were fitted as they stood,
+    and with what promises most beside them.
     """
 
     table: Table
@@ -63,6 +61,7 @@ class Search:
     surprises: list[Entry] = field(default_factory=list)
     least: float = np.inf
     stood: set = field(default_factory=set)
+    grown: set = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -109,7 +108,7 @@ class Search:
         """Go through structures of up to ``most`` effects until one explains all: those that promise much."""
         table, seen = self.table, []
         for size in range(1, min(most, len(table.candidates)) + 1):
-            entries = self._singles() if size == 1 else self._larger(size)
+            entries = singles(self.jobs) if size == 1 else larger(self.jobs, size, self.first)
             self._looked(entries)
             if not self.first:
                 self._climb(entries)
@@ -117,12 +116,6 @@ class Search:
             if self.table.explained():
                 break
         return [e for e in seen if table.promise(e) < EARLY]
-
-    def _singles(self) -> list[Entry]:
-        """Single effects, those first that promise most to first order."""
-        table = self.table
-        shares = foreseen(table, self.jobs, table.entry())
-        return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: shares.get(c.label, 1.0))]
 
     def _to_whole_recordings(self) -> None:
         """Look at whole recordings from now on: windows show too little of what is missing, it is slow or acts seldom.
@@ -244,7 +237,10 @@ class Search:
 
         Where one explains all, the others are asked from where it ended: see `Alternatives`.
         """
+        self._grow()
         for batch in batches([e for e in entries if e.open and not e.look], self.effort.together):
+            if self.table.explained():
+                return
             self._advance(batch, self.first)
             while early := [e for e in batch if e.open and e.look and self._promises_much(e)]:
                 level = SAME + min(self.table.promise(e) for e in early)
@@ -252,8 +248,30 @@ class Search:
                 if self.table.explained():
                     return
             self._fit_as_it_stands(entries)
-            if self.table.explained():
-                return
+            self._grow()
+
+    def _grow(self) -> None:
+        """Fit the best structure with what promises most beside it, once, where it explains much and not all.
+
+        What is missing beside it may show in long runs alone, in which nothing else is seen as long as it is missing.
+        """
+        table = self.table
+        best = min((e for e in table.fitted if e.members), key=table.score, default=None)
+        if not best or len(best.key) >= self.most or best.key in self.grown:
+            return
+        if table.explained() or table.share(best) > EARLY:
+            return
+        self.grown.add(best.key)
+        more = beside(self.jobs, best, self.first, self.effort.together)
+        entries = [table.entry(m) for c in more if compatible(m := (*best.members, c))]
+        entries = [e for e in entries if e.open and table.usable(e)]
+        level = table.score(best) - table.temperature
+        for entry, found in zip(entries, self._ran([self.jobs.grown(e, best) for e in entries]), strict=True):
+            entry.fitted = found if isinstance(found, Fitted) else None
+            if entry.fitted and table.score(entry) > level:
+                entry.fitted = None  # from its own start it may do better
+        if any(e.fitted for e in entries):
+            self._grow()
 
     def _promises_much(self, entry: Entry) -> bool:
         """Whether it promises to leave little of what the best part of it that was fitted leaves."""
@@ -293,27 +311,6 @@ class Search:
             self._advance(chosen)
             beyond += 0 if near else sum(not e.open for e in chosen)
 
-    def _larger(self, size: int) -> list[Entry]:
-        """The best structures of one effect less with one more each, and pairs of the most promising effects."""
-        table, pool = self.table, self._promising()[: self.effort.pool]
-        known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
-        groups = [
-            (*e.members, c) for e in sorted(known, key=self._worth)[:GROWN] for c in beside(table, self.jobs, e, pool)
-        ]
-        if size == 2:
-            pairs = itertools.combinations(pool, 2)
-            groups += sorted(pairs, key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
-        return list({e.key: e for e in map(table.entry, filter(compatible, groups))}.values())
-
-    def _promising(self) -> list[Candidate]:
-        """Single effects, the most promising first."""
-        singles = [e for e in self.table.entries.values() if len(e.key) == 1 and not e.failed]
-        return [e.members[0] for e in sorted(singles, key=self._worth)]
-
-    def _worth(self, e: Entry) -> float:
-        """Share of what the base leaves that a structure leaves, or promises to."""
-        return min(self.table.promise(e, self.first), self.table.share(e) if e.fitted else np.inf)
-
     # -- jobs ----------------------------------------------------------------------------------------------------
     def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
         """Lead structures on: a new one through the ``first`` lengths of windows, then the next; after the last, fit.
@@ -321,8 +318,7 @@ class Search:
         The base goes through all that are left at once. One that does worse than a part of it goes on from that.
         """
         known = [e for e in entries if e.open and self.table.usable(e)]
-        jobs = [self.jobs.next(e, first) for e in known]
-        self._take(known, self._looked_again(known, jobs, self._ran(jobs)))
+        self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
         bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained([e])]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self.table.keep_better(entry, found)
@@ -331,26 +327,6 @@ class Search:
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self.table.keep_better(entry, found)
         self._wonder(known)
-
-    def _looked_again(self, entries: Sequence[Entry], jobs: Sequence[Job], answers: Sequence) -> list:
-        """The answers; a look that leaves more in windows than a part of the structure does is made again.
-
-        It came to rest beside its minimum: a structure can do no worse than what it contains.
-        """
-        table, found = self.table, list(answers)
-        last = [len(a.squares) - 1 if isinstance(a, Look) and a.left is None else -1 for a in found]
-        for i, (entry, job) in enumerate(zip(entries, jobs, strict=True)):
-            part = self._best_part_in_windows(entry, job.stages[1] - 1) if last[i] >= 0 else None
-            if part and table.in_windows(found[i], last[i]) > (1 + SAME) * part[0] + 1.0:
-                looks = [a for a in self._ran(self.jobs.again(job, entry, part[1])) if isinstance(a, Look)]
-                found[i] = min([found[i], *looks], key=lambda look, k=last[i]: table.in_windows(look, k))
-        return found
-
-    def _best_part_in_windows(self, entry: Entry, stage: int) -> tuple[float, Entry] | None:
-        """What the best part of a structure leaves in windows of one length, nats, and that part."""
-        parts = (e for e in self.table.entries.values() if set(e.key) < set(entry.key) and e.look)
-        parts = [e for e in parts if e.look.left is None and len(e.look.squares) > stage]
-        return min(((self.table.in_windows(e.look, stage), e) for e in parts), key=lambda pair: pair[0], default=None)
 
     def _free_base(self, entries: Sequence[Entry]) -> None:
         """Fit the base from where a structure ended that leaves far less; raise Freed where that was what it lacked."""

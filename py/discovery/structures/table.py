@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -95,6 +95,11 @@ class Table:
     def names(self, entry: Entry) -> tuple[str, ...]:
         """Free parameters of a structure, by path."""
         return tuple(dict.fromkeys([*self.free, *(n for c in entry.members for n in c.free)]))
+
+    def of_its_own(self, entry: Entry, values: Mapping[str, float]) -> dict[str, float]:
+        """Of values by path, those of parameters that the model of a structure has."""
+        names = {p.name for p in self.model(entry).flat.parameters}
+        return {n: v for n, v in values.items() if n in names}
 
     def parameters(self, entry: Entry) -> int:
         """Free parameters beside those of the base."""

@@ -14,8 +14,9 @@ from hydrotwin.records import Record
 
 from .band import SD
 from .comparison import FREE_RUN, Comparison, Entrant
-from .criteria import Criterion, criteria_of, some_of
+from .criteria import Criterion, some_of
 from .earlier import Earlier, earlier
+from .meaning import criteria_of
 from .metric import METRICS, SCORED
 from .rates import rate_signal
 from .tags import groups, of_group
@@ -129,6 +130,11 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     """Raises DeclarationError for a criterion that no recording, no model or no mode can test."""
     if one.group and not of_group(asked.records, one.group):
         known = [*(r.name for r in asked.records), *groups(asked.records)]
+        if one.group in {s.name for s in asked.outputs}:
+            raise DeclarationError(
+                f"accept: '{one.text}': {one.group} is an output, and recordings stand before a colon. Write "
+                f"{one.group}.{one.metric}."
+            )
         raise DeclarationError(f"accept: '{one.text}': no recordings '{one.group}'. {nearest(one.group, known)}")
     _check_name(one, asked)
     _check_model(one, asked, model)

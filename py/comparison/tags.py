@@ -15,7 +15,7 @@ from hydrotwin.models.language.units import compatible, convert
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
-from .criteria import NUMBER
+from .sentence import NUMBER, number_of
 
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
@@ -81,7 +81,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
         return record.words[name]
     values = record[name]
     unit = record.display_units.get(name, record.units[name])
-    if found and not float(found["step"]) > 0:
+    if found and not number_of(found["step"]) > 0:
         raise DeclarationError(f"tags: {tag} = '{what}': conditions differ by more than nothing. Write a step above 0.")
     if found and not compatible(found["unit"] or "1", record.units[name]):
         raise UnitError(
@@ -92,7 +92,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     if not len(shown):
         raise DataError(f"tags: {tag} = '{what}': {record.name} has no value of {name}. Say the tag of that file.")
     if found:
-        number = round(float(np.median(shown)) / float(found["step"])) * float(found["step"])
+        number = round(float(np.median(shown)) / number_of(found["step"])) * number_of(found["step"])
     else:
         number = float(shown[0])
         if np.ptp(shown) > SAME * abs(number):

@@ -135,8 +135,9 @@ def _named(said: Sentence, signals: Mapping[str, Signal]) -> tuple[str, str]:
 
 def _unnamed(what: str, signals: Mapping[str, Signal]) -> str:
     """What is wrong with an output and its metric that are not there, and which are meant."""
-    if output_and_metric := _turned(what, signals):
-        return f"'{what}' is no output with its metric. Write {output_and_metric}."
+    told = _turned(what, signals)
+    if told and told.casefold() != what.casefold():
+        return f"'{what}' is no output with its metric. Write {told}."
     output, _, metric = what.rpartition(".")
     if output in signals:
         return f"no metric '{metric}'. {_nearest_metric(metric)}"

@@ -21,6 +21,7 @@ from .loop import in_loop
 from .rates import rate_signal
 from .run import compare, entrant, measured_in, require_own_names, wanted_of
 from .scenario import ModelEntry, Scenario
+from .tags import check_tags
 from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
 
@@ -94,6 +95,7 @@ def read_all(scenario: Scenario, pool: Executor) -> tuple[list[Record], list[Rec
     count = len(scenario.validate)
     require_once(found[:count])
     tagged = [scenario.tags.put(r, path) for r, path in zip(found[:count], scenario.validate, strict=True)]
+    check_tags(tagged)
     return tagged, found[count:]
 
 

@@ -54,8 +54,21 @@ def _failures(comparison: Comparison) -> list[str]:
 
 def _unlikely(comparison: Comparison) -> list[str]:
     """Errors below the noise, bands that cannot be trusted, and what leaves the range of a training."""
-    far = [d.extrapolates for d in comparison.domains if d.extrapolates]
-    return _too_good(comparison) + _untrusted(comparison) + far[:3]
+    return _too_good(comparison) + _untrusted(comparison) + _far(comparison)
+
+
+def _far(comparison: Comparison) -> list[str]:
+    """Of every model that leaves what it was trained on where it does so most, and where else."""
+    told: dict[str, list] = {}
+    for domain in comparison.domains:
+        if domain.extrapolates:
+            told.setdefault(domain.model, []).append(domain)
+    found = []
+    for domains in told.values():
+        first, *others = sorted(domains, key=lambda d: d.inside_percent)
+        more = f" It does so on {some_of([d.record for d in others])}, too." if others else ""
+        found.append(f"{first.extrapolates}{more}")
+    return found
 
 
 def notices_of_variants(runs: Sequence) -> list[str]:

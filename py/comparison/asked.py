@@ -73,7 +73,7 @@ class Asked:
 def judged_model(asked: Asked, name: str) -> str:
     """The name where there is such a model, or the first that is no yardstick. Raises DeclarationError."""
     real = [e.name for e in asked.entrants if e.kind != YARDSTICK]
-    return _known(name, asked.models) if name else (real or list(asked.models))[0]
+    return _known(name, asked.models, "judge") if name else (real or list(asked.models))[0]
 
 
 def check_wanted(wanted: Wanted, asked: Asked) -> None:
@@ -156,7 +156,7 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
 
 def _check_other(one: Criterion, asked: Asked, model: str) -> None:
     """What a model is held against is another one, of this comparison: against itself everything or nothing holds."""
-    _check_model(one, asked, _known(one.than, asked.models))
+    _check_model(one, asked, _known(one.than, asked.models, f"accept: '{one.text}'"))
     if one.than == model:
         others = [name for name in asked.models if name != model]
         way = f"against {some_of(others)}, or judge another (--judge)" if others else "against a model beside it"
@@ -212,7 +212,7 @@ def _check_file(one: Criterion, found: Earlier, asked: Asked, model: str) -> Non
     found.check_key(one.text, (model, one.output, asked.mode))
 
 
-def _known(name: str, models: Sequence[str]) -> str:
+def _known(name: str, models: Sequence[str], where: str) -> str:
     if name not in models:
-        raise DeclarationError(f"accept: no model '{name}' in this comparison. {nearest(name, models)}")
+        raise DeclarationError(f"{where}: no model '{name}' in this comparison. {nearest(name, models)}")
     return name

@@ -130,6 +130,11 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     """Raises DeclarationError for a criterion that no recording, no model or no mode can test."""
     if one.group and not of_group(asked.records, one.group):
         known = [*(r.name for r in asked.records), *groups(asked.records)]
+        if re.match(r"variant\s*=", one.group):
+            raise DeclarationError(
+                f"accept: '{one.text}': the scenario has no variants. Leave '{one.group}:' out, or say what a variant "
+                "changes: [variants.NAME]."
+            )
         if one.group in {s.name for s in asked.outputs}:
             raise DeclarationError(
                 f"accept: '{one.text}': {one.group} is an output, and recordings stand before a colon. Write "

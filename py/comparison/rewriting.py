@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from .metric import METRICS
 
-_N = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_N = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?"
 _BE = r"(?:(?:is|be|must\s+be|shall\s+be|should\s+be|has\s+to\s+be|stays?)\s+)?"
 _FLIPPED = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
 _SUPERSCRIPTS = str.maketrans("⁰¹²³⁴⁵⁶⁷⁸⁹⁻⁺", "0123456789-+")
@@ -94,7 +94,7 @@ _RANGES = (
 _NUMBERS = (
     _rule("parts the thousands of a number", r"(?<=\d)(?:[\s'’_](?=\d{3}(?:\D|$)))", ""),
     _rule("has a decimal comma", r"(?<=\d),(?=\d)", "."),
-    _rule("has a power of ten in other signs", r"(?:(?P<digits>\d+\.?\d*|\.\d+)\s*[·×x*]\s*)?\b10"
+    _rule("has a power of ten in other signs", r"(?:(?P<digits>\d+(?:\.\d*)?|\.\d+)\s*[·×x*]\s*)?\b10"
           r"(?:\s*(?:\^|\*\*)\s*\(?(?P<plain>[-+]?\d+)\)?|(?P<raised>[⁻⁺]?[⁰¹²³⁴-⁹]+))", _power),
 )  # fmt: skip
 _THAN = (

@@ -17,7 +17,7 @@ from hydrotwin.models.language.units import parse_unit
 
 from .rewriting import forms
 
-NUMBER = r"[-+\N{MINUS SIGN}]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+\N{MINUS SIGN}]?\d+)?"
+NUMBER = r"[-+\N{MINUS SIGN}]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+\N{MINUS SIGN}]?\d+)?"
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
 IN, THAN = "in", "not worse than"
 SIGNS = {"<": "<", "＜": "<", ">": ">", "＞": ">", "<=": "<=", "=<": "<=", ">=": ">=", "=>": ">=", "≤": "<=",

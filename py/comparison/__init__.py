@@ -19,12 +19,13 @@ from .comparison import (
     Unscored,
 )
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
-from .criteria import Criterion, Judged, criteria_of, criterion, judge, worst
+from .criteria import Criterion, Judged, judge, worst
 from .domain import domain_shares
 from .earlier import FORMAT
 from .evidence import asked_by, record_comparison
 from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix
+from .meaning import criteria_of, criterion
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare

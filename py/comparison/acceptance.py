@@ -14,9 +14,10 @@ from hydrotwin.models.language.errors import DeclarationError
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
-from .criteria import Criterion, Judged, judge, other_of, over_recordings, worst
+from .criteria import Criterion, Judged, judge, over_recordings, worst
 from .earlier import earlier
 from .metric import METRICS, SCORED
+from .sentence import other_of
 from .tags import of_group
 from .uneven import uneven
 from .variants import Variant

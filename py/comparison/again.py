@@ -17,7 +17,7 @@ from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_recor
 from .acceptance import Wanted, acceptance
 from .comparison import Comparison
 from .contender import as_contender
-from .criteria import criteria_of
+from .meaning import criteria_of
 from .run import compare
 
 AGAIN = 1e-4  # relative: numbers of the same runs on another processor or compiler differ by less

@@ -14,8 +14,9 @@ from hydrotwin.records import Record
 
 from .band import SD
 from .comparison import FREE_RUN, Comparison, Entrant
-from .criteria import Criterion, criteria_of, some_of
+from .criteria import Criterion, some_of
 from .earlier import Earlier, earlier
+from .meaning import criteria_of
 from .metric import METRICS, SCORED
 from .rates import rate_signal
 from .tags import groups, of_group
@@ -72,7 +73,7 @@ class Asked:
 def judged_model(asked: Asked, name: str) -> str:
     """The name where there is such a model, or the first that is no yardstick. Raises DeclarationError."""
     real = [e.name for e in asked.entrants if e.kind != YARDSTICK]
-    return _known(name, asked.models) if name else (real or list(asked.models))[0]
+    return _known(name, asked.models, "judge") if name else (real or list(asked.models))[0]
 
 
 def check_wanted(wanted: Wanted, asked: Asked) -> None:
@@ -129,6 +130,16 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
     """Raises DeclarationError for a criterion that no recording, no model or no mode can test."""
     if one.group and not of_group(asked.records, one.group):
         known = [*(r.name for r in asked.records), *groups(asked.records)]
+        if re.match(r"variant\s*=", one.group):
+            raise DeclarationError(
+                f"accept: '{one.text}': the scenario has no variants. Leave '{one.group}:' out, or say what a variant "
+                "changes: [variants.NAME]."
+            )
+        if one.group in {s.name for s in asked.outputs}:
+            raise DeclarationError(
+                f"accept: '{one.text}': {one.group} is an output, and recordings stand before a colon. Write "
+                f"{one.group}.{one.metric}."
+            )
         raise DeclarationError(f"accept: '{one.text}': no recordings '{one.group}'. {nearest(one.group, known)}")
     _check_name(one, asked)
     _check_model(one, asked, model)
@@ -150,7 +161,7 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
 
 def _check_other(one: Criterion, asked: Asked, model: str) -> None:
     """What a model is held against is another one, of this comparison: against itself everything or nothing holds."""
-    _check_model(one, asked, _known(one.than, asked.models))
+    _check_model(one, asked, _known(one.than, asked.models, f"accept: '{one.text}'"))
     if one.than == model:
         others = [name for name in asked.models if name != model]
         way = f"against {some_of(others)}, or judge another (--judge)" if others else "against a model beside it"
@@ -206,7 +217,7 @@ def _check_file(one: Criterion, found: Earlier, asked: Asked, model: str) -> Non
     found.check_key(one.text, (model, one.output, asked.mode))
 
 
-def _known(name: str, models: Sequence[str]) -> str:
+def _known(name: str, models: Sequence[str], where: str) -> str:
     if name not in models:
-        raise DeclarationError(f"accept: no model '{name}' in this comparison. {nearest(name, models)}")
+        raise DeclarationError(f"{where}: no model '{name}' in this comparison. {nearest(name, models)}")
     return name

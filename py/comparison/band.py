@@ -22,7 +22,10 @@ SD = ".sd"  # behind the name of an output: the standard deviation that a block 
 SENSITIVITIES = "sensitivities"
 LEAST_INSIDE = 0.90  # of a 95 % band: what it should hold of a recording; less may be a draw of what is not known ...
 CHANCE = 1e-4  # ... unless that has a smaller chance: right ones had 0.026 at least where so little lay inside
-NO_CHANCE = "lies in it, fewer than chance explains. Something is missing in the model there"
+NO_CHANCE = (
+    "lies in it, fewer than chance explains. Something is missing in the model there, or the sensor is noisier than in "
+    "the recordings of the fit"
+)
 FEW_INSIDE = 0.75  # mean over recordings, of a band of which nobody knows what may be a draw
 MISSING = "its fit left more than noise. Something is missing in it, and elsewhere the machine may be further off."
 SEEN = ", though its physics was identified on these recordings to their end"

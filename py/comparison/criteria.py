@@ -1,47 +1,29 @@
-"""Acceptance criteria: sentences such as ``arm_angle.rmse < 0.2 deg``, and whether they hold.
+"""Acceptance criteria that are understood, and whether they hold.
 
-    [GROUP:] OUTPUT.METRIC < VALUE [UNIT]           also <=, > and >=
-    [GROUP:] OUTPUT.METRIC in [LOW, HIGH] [UNIT]
-    [GROUP:] [OUTPUT][.METRIC] not worse than MODEL [by SHARE %]
-
-GROUP is the name of a recording, or ``tag=value``; without one a criterion is about all recordings together. Without an
-OUTPUT, ``fit > 90 %``, it is about every compared output, and the worst of them counts: see `criteria_of` and `worst`.
+Without a group a criterion is about all recordings together. Without an output, ``fit > 90 %``, it is about every
+compared output, and the worst of them counts: see `worst`. How they are written is in `sentence`, what that means in
+`meaning`.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
-from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible, convert, display_units
-
 from .comparison import mean_known
-from .metric import ERRORS, METRICS, OF_OUTPUT, PLAIN, SHARE, TIME
+from .metric import METRICS, PLAIN, SHARE
 
-SIZE, NUMBER = "rmse", r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
-EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
-_WHERE = r"\s*(?:(?P<group>\S(?:[\s\S]*\S)?)\s*:\s*)?"  # up to the last colon: a name or a tag may be a time, 10:12
-_BOUND = re.compile(rf"{_WHERE}(?P<what>[^<>]+?)\s*(?P<sign><=|>=|<|>)\s*(?P<bound>{NUMBER})\s*(?P<unit>\S.*?)?\s*$")
-_RANGE = re.compile(
-    rf"{_WHERE}(?P<what>\S.*?)\s+in\s*\[\s*(?P<low>{NUMBER})\s*(?P<each>[^\s,\]][^,\]]*?)?\s*,\s*(?P<high>{NUMBER})\s*"
-    r"(?(each)(?P=each)\s*\]|\]\s*(?P<unit>\S.*?)?)\s*$"
-)
-_THAN = re.compile(
-    rf"{_WHERE}(?:(?P<what>\S.*?)\s+)?not\s+worse\s+than\s+(?P<than>.+?)(?:\s+by\s+(?P<by>{NUMBER})\s*%)?\s*$"
-)
 
 
 @dataclass(frozen=True)
 class Criterion:
     """One sentence, understood.
 
-    text : as written. group : "" for all recordings. low, high : SI, or a share of 1; both are allowed themselves.
+    text : as written. group : "" for all recordings. low, high : SI, or a share of 1; with ``strict`` (< and >) the
+    bound itself is not allowed.
     than : the model that must not be better, ``by`` : the share that it may be. unit : that it is written in, or else
     read in; scale : one of it, in SI. overall : the sentence names no output; this is what it says of one of them.
     """
@@ -57,6 +39,7 @@ class Criterion:
     unit: str = ""
     scale: float = 1.0
     overall: bool = False
+    strict: bool = False
 
     def as_written(self, value: float) -> float:
         """A number of it (SI, or a share of 1) in ``unit``."""
@@ -103,7 +86,13 @@ class Judged:
 
     @property
     def passed(self) -> bool:
-        return bool(np.isfinite(self.value) and self.low <= self.value <= self.high)
+        inside = self.low <= self.value <= self.high
+        return bool(np.isfinite(self.value) and inside and not (self.criterion.strict and self.on_bound))
+
+    @property
+    def on_bound(self) -> bool:
+        """Whether the number is a bound, to the last digit."""
+        return self.value in (self.low, self.high)
 
     @property
     def undefined(self) -> str:
@@ -174,58 +163,6 @@ def over_recordings(metric: str, values: Sequence[float]) -> float:
     return value / 100 if metric == "fit" else value
 
 
-def criteria_of(text: str, outputs: Iterable[Signal], every: Iterable[Signal] | None = None) -> tuple[Criterion, ...]:
-    """What a sentence says: one criterion, or where it names no output the same for each of ``every``, by default all.
-
-    Raises `DeclarationError` for a sentence that is none, an output or a metric that does not exist, and for one bound
-    on outputs in different units; `UnitError` for a unit that the metric of an output cannot be in.
-    """
-    signals = {s.name: s for s in outputs}
-    for pattern, meant in ((_RANGE, _in_range), (_THAN, _not_worse), (_BOUND, _bounded)):
-        if found := pattern.match(text):
-            what = found["what"] or SIZE
-            if what not in METRICS or what in signals:
-                return (meant(text, found, signals),)
-            about = list(signals.values() if every is None else every)
-            if "than" not in found.groupdict():
-                _require_one_unit(text, what, about)
-            return tuple(replace(meant(text, found, {s.name: s}), overall=True) for s in about)
-    raise DeclarationError(f"accept: '{text}' is no criterion. Write for example {EXAMPLES}.")
-
-
-def criterion(text: str, outputs: Iterable[Signal]) -> Criterion:
-    """The criterion that a sentence says of one output. Raises as `criteria_of`, and for one that names no output."""
-    signals = list(outputs)
-    first, *_ = criteria_of(text, signals)
-    if first.overall:
-        raise DeclarationError(
-            f"accept: '{text}' names no output. Write {first.output}.{first.metric}, and one for each output that "
-            f"counts: {', '.join(s.name for s in signals)}."
-        )
-    return first
-
-
-def other_of(text: str) -> str:
-    """The model, or the file of an earlier comparison, that a sentence holds against; "" where it does not.
-
-    >>> other_of("load=2: angle not worse than 'last/compare.json' by 5 %"), other_of("fit > 90 %")
-    ('last/compare.json', '')
-    """
-    found = _THAN.match(text)
-    return found["than"].strip().strip("\"'") if found else ""
-
-
-def _require_one_unit(text: str, metric: str, about: Sequence[Signal]) -> None:
-    """One bound for errors in bar and in degrees says nothing of which is the worst."""
-    if METRICS[metric].of != OF_OUTPUT or len({s.unit for s in about}) < 2:
-        return
-    shown = ", ".join(f"{s.name} in {display_units(s.unit)[0]}" for s in about)
-    raise DeclarationError(
-        f"accept: '{text}' names no output, and no one bound fits all: {metric} is in the unit of each ({shown}). "
-        f"Write {about[0].name}.{metric}, and one for each output that counts, or judge a share of all: nrmse, fit."
-    )
-
-
 def worst(judged: Sequence[Judged]) -> Judged:
     """Of an overall criterion the output with the least margin, or without a number; any other as it is."""
     first = judged[0]
@@ -252,118 +189,3 @@ def judge(one: Criterion, value: Callable[[str, str, str, str], float]) -> Judge
     other = abs(value(one.group, one.output, one.metric, one.than))
     allowed = other * (1 + one.by) if np.isfinite(other) else np.nan  # nothing is shown by being as good as a failure
     return Judged(one, found, -np.inf, allowed)
-
-
-def _bounded(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
-    output, metric = _named(text, found["what"], signals)
-    bound = _si(text, float(found["bound"]), found["unit"], signals[output], metric)
-    sides = {"high": bound} if found["sign"] in ("<", "<=") else {"low": bound}
-    _require_a_test(text, metric, list(sides.values()), Criterion(text, output, metric, **sides), found["sign"] in "<>")
-    written = _written(found["unit"], signals[output], metric)
-    return Criterion(text, output, metric, found["group"] or "", **sides, **written)
-
-
-def _in_range(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
-    output, metric = _named(text, found["what"], signals)
-    unit = found["each"] or found["unit"]  # behind each bound, or behind both
-    low, high = (_si(text, float(found[side]), unit, signals[output], metric) for side in ("low", "high"))
-    if low > high:
-        raise DeclarationError(f"accept: '{text}' holds for nothing: its range ends before it begins. Turn it round.")
-    _require_a_test(text, metric, [low, high], Criterion(text, output, metric, low=low, high=high))
-    written = _written(unit, signals[output], metric)
-    return Criterion(text, output, metric, found["group"] or "", low, high, **written)
-
-
-def _require_a_test(text: str, metric: str, bounds: Sequence[float], one: Criterion, strict: bool = False) -> None:
-    """A bound beyond what a metric can be is met by everything, or by nothing; strict : the bound itself is not met."""
-    can = METRICS[metric]
-    never = one.low > can.most or one.high < can.least or (strict and (one.low == can.most or one.high == can.least))
-    always = one.low <= can.least and one.high >= can.most
-    if never or always:
-        said = f"holds for {'nothing' if never else 'everything'}"
-    elif any(not can.least <= bound <= can.most for bound in bounds):
-        said = "has a bound that nothing reaches"
-    else:
-        return
-    way = "Give the size that it may have." if np.isinf(can.most) else "Take a bound inside."
-    raise DeclarationError(f"accept: '{text}' {said}: {metric} is {can.span}. {way}")
-
-
-def _not_worse(text: str, found: re.Match, signals: Mapping[str, Signal]) -> Criterion:
-    what = found["what"] or SIZE  # of every output where none is named
-    output, metric = (what, SIZE) if what in signals else _named(text, what, signals)
-    if metric not in ERRORS:
-        raise DeclarationError(f"accept: '{text}' compares no error. Compare one of {', '.join(ERRORS)}.")
-    by = float(found["by"] or 0.0) / 100
-    if by <= -1:
-        raise DeclarationError(
-            f"accept: '{text}' holds for nothing: no error is smaller by 100 %. Give a smaller share."
-        )
-    written, than = _written(None, signals[output], metric, bare=True), other_of(text)
-    return Criterion(text, output, metric, found["group"] or "", than=than, by=by, **written)
-
-
-def _written(unit: str | None, signal: Signal, metric: str, bare: bool = False) -> dict[str, str | float]:
-    """The unit of a criterion, as written or as a person reads it, and what one of it is in SI.
-
-    bare : there is no number in it that could have a unit.
-    """
-    what = METRICS[metric]
-    if what.of in (SHARE, PLAIN):
-        unit = unit or ("%" if bare and what.percent else "")
-        return {"unit": unit, "scale": 0.01 if unit == "%" else 1.0}
-    of = "s" if what.of == TIME else signal.unit
-    unit = unit or ("ms" if of == "s" else display_units(of)[0])
-    return {"unit": "" if unit == "1" else unit, "scale": convert(1.0, unit, of) - convert(0.0, unit, of)}
-
-
-def _named(text: str, what: str, signals: Mapping[str, Signal]) -> tuple[str, str]:
-    output, _, metric = what.rpartition(".")
-    if what in METRICS and what not in signals:  # of an overall criterion, with its one output
-        return next(iter(signals)), what
-    if what not in signals and not output:
-        known = nearest(what, [*METRICS, *signals])
-        raise DeclarationError(f"accept: '{text}': '{what}' is neither a metric nor an output. {known}")
-    if what in signals:
-        raise DeclarationError(f"accept: '{text}' names no metric. Write {what}.rmse; known: {', '.join(METRICS)}.")
-    if output not in signals:
-        raise DeclarationError(f"accept: '{text}': no output '{output}'. {nearest(output, signals)}")
-    if metric not in METRICS:
-        raise DeclarationError(f"accept: '{text}': no metric '{metric}'. {nearest(metric, METRICS)}")
-    return output, metric
-
-
-def _si(text: str, value: float, unit: str | None, signal: Signal, metric: str) -> float:
-    """A bound in SI; a metric of an output is a difference, so that degC counts as K."""
-    if unit and unit.startswith(","):
-        raise DeclarationError(f"accept: '{text}' has a decimal comma. Write a point.")
-    what = METRICS[metric]
-    if what.of == SHARE:
-        if unit not in (None, "%"):
-            raise UnitError(f"accept: '{text}': {metric} is a share, {what.span}. Write it as 5 % or as 0.05.")
-        if unit is None and abs(value) > 1:
-            raise UnitError(
-                f"accept: '{text}': {metric} is a share, {what.span}, and {value:g} without a unit is "
-                f"{100 * value:g} %. Write {value:g} % or {value / 100:g}, if that is meant."
-            )
-        return value / 100 if unit else value
-    if what.of == PLAIN and unit:
-        raise UnitError(f"accept: '{text}': {metric} is a number. Write {value:g} without a unit.")
-    of = {TIME: "s", PLAIN: "1"}.get(what.of, signal.unit)
-    if not unit and of == "1":
-        return value
-    return _converted(text, value, unit, signal.name if of == signal.unit else metric, of)
-
-
-def _converted(text: str, value: float, unit: str | None, what: str, of: str) -> float:
-    """A difference in SI, of what is measured in ``of``."""
-    usual = "ms" if of == "s" else display_units(of)[0]
-    try:
-        fits = bool(unit) and compatible(unit, of)
-    except UnitError as error:
-        raise UnitError(f"accept: '{text}': {error} {what} is in {usual}.") from None
-    if not fits:
-        got = f"'{unit}' does not fit" if unit else "a unit is missing"
-        share = " A share of the range is nrmse." if unit == "%" else ""
-        raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {value:g} {usual}.{share}")
-    return convert(value, unit, of) - convert(0.0, unit, of)

@@ -144,17 +144,15 @@ def _predict(contender, mode: str, job: Job, found: _Found) -> Run | None:
         return None
     if mode == FREE_RUN:
         prediction = with_rates(prediction, plan.sloped)
-    deviation, chance = _band_of(contender, record, prediction, mode)
+    deviation, chance = _band_of(contender, job, prediction, mode)
     signals, units = dict(prediction.signals), dict(prediction.units)
     return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)
 
 
-def _band_of(
-    contender, record: Record, prediction: Record, mode: str
-) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def _band_of(contender, job: Job, prediction: Record, mode: str) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Standard deviations by output where the contender has them for this mode, and the chance of what was measured
     where it says what they are made of; without them it is scored, too."""
-    own = {s.name for s in contender.outputs}
+    record, own = job.record, {s.name for s in contender.outputs}
     known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
     if mode != FREE_RUN or not hasattr(contender, "deviations"):
         return known, {}
@@ -165,7 +163,8 @@ def _band_of(
     except HydrotwinError:
         return known, {}
     both = [n for n in moved if n in record.signals and n in prediction.signals]
-    chance = {n: moved[n].chance(record[n] - prediction[n]) for n in both}
+    steps = {n: job.noise[n].quantum if n in job.noise else 0.0 for n in both}
+    chance = {n: moved[n].chance(record[n] - prediction[n], steps[n]) for n in both}
     return {n: one.deviation for n, one in moved.items()} | known, chance
 
 

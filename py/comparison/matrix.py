@@ -155,7 +155,7 @@ def run_matrix(
         where = dataclasses.replace(where, executor=pool)
         prepared = [_prepared(scenario, v, resolve) for v in variants]
         base = prepared[0].contenders
-        records, train = read_all(scenario, pool)
+        records, train = read_all(scenario, pool, where.on_read)
         _check_records(variants, records, scenario.title)
         check_asked(dataclasses.replace(scenario, wanted=_any_of(wanted.values())), base, records)
         for one in prepared[1:]:

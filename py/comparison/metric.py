@@ -72,3 +72,18 @@ METRICS: Mapping[str, Metric] = {
 SCORED: Mapping[str, str] = {name: one.field for name, one in METRICS.items() if one.field}  # -> field of a `Score`
 AT_TIMES = tuple(one.field for one in METRICS.values() if one.at_times)  # not defined in every recording
 ERRORS = tuple(name for name, one in METRICS.items() if not one.best)  # the smaller the better
+ALSO: Mapping[str, str] = {  # what else people call them, for who does not find one
+    **dict.fromkeys(("rms", "rmsd", "rms error", "root mean square error"), "rmse"),
+    **dict.fromkeys(("mean absolute error",), "mae"),
+    **dict.fromkeys(("maximum", "max error", "maximum error", "peak", "peak error"), "max"),
+    **dict.fromkeys(("mean error", "offset"), "bias"),
+    **dict.fromkeys(("nrms", "normalised rmse", "normalized rmse"), "nrmse"),
+    **dict.fromkeys(("nrmse fit", "fit percent"), "fit"),
+    **dict.fromkeys(("r²", "r^2", "r squared"), "r2"),
+    **dict.fromkeys(("theil's u", "tic", "u"), "theil"),
+    **dict.fromkeys(("rating", "iso", "iso 18571", "iso/ts 18571"), "iso18571"),
+    **dict.fromkeys(("phase", "phase lag", "time lag", "delay", "dead time"), "lag"),
+    **dict.fromkeys(("settling time",), "settling"),
+    **dict.fromkeys(("steady state", "steady state error"), "steady"),
+    **dict.fromkeys(("v&v 20", "asme v&v 20", "e/u val"), "vv20"),
+}

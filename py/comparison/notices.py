@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.records import turned_back
+from hydrotwin.records import Record, turned_back
 
 from .band import made_from
 from .criteria import some_of
@@ -18,7 +18,27 @@ if TYPE_CHECKING:
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
-    """What a model was made from, what failed, each cause once, what cannot be believed, holes in the recordings."""
+    """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
+    first = seen_before(comparison) + _inaccurate(comparison) + _failures(comparison)
+    return tuple(
+        first + _unlikely(comparison) + of_recordings(comparison.records) + _holes(comparison) + _uneven(comparison)
+    )
+
+
+def remarks(comparison: Comparison) -> list[str]:
+    """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
+    runs as they happen."""
+    return seen_before(comparison) + _unlikely(comparison) + _uneven(comparison)
+
+
+def of_recordings(records: Sequence[Record]) -> list[str]:
+    """Gaps in time, and angles that begin anew at every turn."""
+    gaps = [f"{r.name}: {gap}." for r in records for gap in r.gaps[:3]]
+    return gaps + [f"{r.name}: {turned}" for r in records for turned in turned_back(r)]
+
+
+def _failures(comparison: Comparison) -> list[str]:
+    """Each cause once, of three at most."""
     causes: dict[tuple[str, str], dict[str, list[str]]] = {}
     for f in comparison.failures:
         modes = causes.setdefault((f.model, f.sentence.removeprefix(f"{f.model}: ")), {})
@@ -29,13 +49,26 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
         found.append(f"{model} failed {where}: {text}")
     if len(found) > 3:
         found[3:] = [f"{len(found) - 3} more failures are listed under “Not in the scores”."]
-    found = seen_before(comparison) + _inaccurate(comparison) + found
-    found += _too_good(comparison)
-    found += _untrusted(comparison)
-    found += [d.extrapolates for d in comparison.domains if d.extrapolates][:3]
-    found += [f"{r.name}: {gap}." for r in comparison.records for gap in r.gaps[:3]]
-    found += [f"{r.name}: {turned}" for r in comparison.records for turned in turned_back(r)]
-    return tuple(found + _holes(comparison) + _uneven(comparison))
+    return found
+
+
+def _unlikely(comparison: Comparison) -> list[str]:
+    """Errors below the noise, bands that cannot be trusted, and what leaves the range of a training."""
+    return _too_good(comparison) + _untrusted(comparison) + _far(comparison)
+
+
+def _far(comparison: Comparison) -> list[str]:
+    """Of every model that leaves what it was trained on where it does so most, and where else."""
+    told: dict[str, list] = {}
+    for domain in comparison.domains:
+        if domain.extrapolates:
+            told.setdefault(domain.model, []).append(domain)
+    found = []
+    for domains in told.values():
+        first, *others = sorted(domains, key=lambda d: d.inside_percent)
+        more = f" It does so on {some_of([d.record for d in others])}, too." if others else ""
+        found.append(f"{first.extrapolates}{more}")
+    return found
 
 
 def notices_of_variants(runs: Sequence) -> list[str]:
@@ -106,11 +139,6 @@ def _holes(comparison: Comparison) -> list[str]:
             lacking = ", ".join(told)
             found.append(f"{record.name}: no value of {lacking} of {len(record.time)} samples; scores are of the rest.")
     return found
-
-
-def doubts(comparison: Comparison) -> list[str]:
-    """What to doubt of numbers that are there: bands, and means over very different recordings."""
-    return _untrusted(comparison) + _uneven(comparison)
 
 
 def _uneven(comparison: Comparison) -> list[str]:

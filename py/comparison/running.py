@@ -21,6 +21,7 @@ from .loop import in_loop
 from .rates import rate_signal
 from .run import compare, entrant, measured_in, require_own_names, wanted_of
 from .scenario import ModelEntry, Scenario
+from .tags import check_tags
 from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
 
@@ -44,19 +45,23 @@ def run_scenario(
     where = where or Where(progress=progress)
     with executor_for(where.executor) as pool:
         contenders = load_contenders(scenario, resolve)
-        records, train = read_all(scenario, pool)
+        records, train = read_all(scenario, pool, where.on_read)
         check_asked(scenario, contenders, records)
         return compare_as(scenario, contenders, records, train, replace(where, executor=pool), repeats)
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where runs are made, what keeps them, who is told; ``curves`` as in `compare`."""
+    """Where runs are made, what keeps them, who is told; ``curves`` as in `compare`.
+
+    on_read : called with the recordings to compare on once they are read, before anything runs.
+    """
 
     executor: str | Executor = "here"
     memory: Memory | None = None
     progress: Callable[[int, int, str], None] | None = None
     curves: int | None = None
+    on_read: Callable[[Sequence[Record]], None] | None = None
 
 
 def compare_as(
@@ -86,14 +91,22 @@ def compare_as(
     )
 
 
-def read_all(scenario: Scenario, pool: Executor) -> tuple[list[Record], list[Record]]:
-    """The recordings to compare on, with their tags, and those of the training; by all processes of this machine."""
+def read_all(
+    scenario: Scenario, pool: Executor, on_read: Callable[[Sequence[Record]], None] | None = None
+) -> tuple[list[Record], list[Record]]:
+    """The recordings to compare on, with their tags, and those of the training; by all processes of this machine.
+
+    on_read : called with the first.
+    """
     paths = (*scenario.validate, *scenario.train)
     alone = cores_of(pool) == 1 or len(paths) < MANY  # workers elsewhere do not have our files
     found = list(mapped(Here() if alone else pool, _read, [(path, scenario.reading) for path in paths]))
     count = len(scenario.validate)
     require_once(found[:count])
     tagged = [scenario.tags.put(r, path) for r, path in zip(found[:count], scenario.validate, strict=True)]
+    check_tags(tagged)
+    if on_read:
+        on_read(tagged)
     return tagged, found[count:]
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,15 +15,15 @@ from hydrotwin.records import Reading, import_from, reading_of
 from .acceptance import Wanted
 from .comparison import MODES
 from .loop import Loop, read_loop
+from .scenario_files import Files, nearest_file
 from .tags import Tags
 from .variants import Variant, read_variants
 
 OPTIONS = ("modes", "outputs", "rates", "scale", "missing", "import", "interpolation", "initial_states", "loop")
 JUDGING = ("tags", "tag_columns", "accept", "judge", "against")
 VARYING = ("variants", "matrix")
-KEYS = ("title", "models", "validate", "train", *OPTIONS, *JUDGING, *VARYING)
+KEYS = ("title", "models", "validate", "train", "made_by", *OPTIONS, *JUDGING, *VARYING)
 _FILES = (".toml", ".fmu", ".npz")
-_VARIABLE = re.compile(r"\$(?:\{(\w+)\}|([A-Za-z_]\w*))")
 
 
 @dataclass(frozen=True)
@@ -114,6 +112,9 @@ def read_scenario(path: str | Path) -> Scenario:
         [variants.cold]                           # the whole scenario once more with changes, see `Variant`
         parameters = {"cylinder.oil.bulk_modulus" = "900 MPa"}
 
+        [made_by]                                 # what makes files that are not there, told where one is missing
+        "fitted.toml" = "hydrotwin identify cehA training_1.csv --out fitted.toml"
+
         [matrix]                                  # and once more for every combination of these
         parameters."motor.gain" = [120, 130]
         initial_states = ["measured", "auto"]
@@ -136,12 +137,13 @@ def read_scenario(path: str | Path) -> Scenario:
     for mode in modes:
         if mode not in MODES:
             raise DeclarationError(f"{where}: no mode '{mode}'. {nearest(mode, MODES)}")
-    files, tags = _tagged(table, path)
+    files = Files(path, _texts(table, "made_by", where, "'model.toml' = 'hydrotwin identify ... --out model.toml'"))
+    validate, tags = _tagged(table, files)
     return Scenario(
         title=str(table.get("title", printable(path.stem))),
-        models=tuple(_entry(e, path) for e in _list(table, "models", where)),
-        validate=_paths(files, path),
-        train=_paths(_strings(table, "train", where), path),
+        models=tuple(_entry(e, files) for e in _list(table, "models", where)),
+        validate=files.recordings(validate),
+        train=files.recordings(_strings(table, "train", where)),
         modes=tuple(modes),
         outputs=_strings(table, "outputs", where) or None,
         rates=_strings(table, "rates", where),
@@ -167,7 +169,7 @@ def _read_toml(path: Path) -> dict:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise DataError(f"{path}: no such scenario. {_nearest_file(path)}") from None
+        raise DataError(f"{path}: no such scenario. {nearest_file(path)}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: not a TOML file ({error}). A scenario is plain TOML. Mend that line.") from None
     except OSError as error:
@@ -195,9 +197,9 @@ def _strings(table: Mapping, key: str, where: str) -> tuple[str, ...]:
     return tuple(values)
 
 
-def _tagged(table: Mapping, path: Path) -> tuple[list[str], Tags]:
+def _tagged(table: Mapping, files: Files) -> tuple[list[str], Tags]:
     """The files of ``validate``, and what is said of their conditions."""
-    files, by_file = [], {}
+    path, named, by_file = files.scenario, [], {}
     for item in _list(table, "validate", path.name):
         if isinstance(item, dict):
             _only(item, ("file", "tags"), f"{path.name}: validate")
@@ -206,18 +208,18 @@ def _tagged(table: Mapping, path: Path) -> tuple[list[str], Tags]:
                 raise DeclarationError(
                     f"{path.name}: a recording with tags is {{file = 'a.csv', tags = {{load = 2}}}} (got {item!r})."
                 )
-            by_file |= {file: said for file in _paths([item["file"]], path)}
+            by_file |= {file: said for file in files.recordings([item["file"]])}
             item = item["file"]
         if not isinstance(item, str):
             raise DeclarationError(f"{path.name}: 'validate' holds no text (got {item!r}). Put it in quotes.")
-        files.append(item)
+        named.append(item)
     columns = _texts(table, "tag_columns", path.name, "load = 'load_mass'")
     if isinstance(table.get("tags"), dict):
         raise DeclarationError(
             f"{path.name}: 'tags' is a pattern of file names, such as 'load{{load}}_*'. Tags of one recording stand "
             "beside it: validate = [{file = 'a.csv', tags = {load = 2}}]."
         )
-    return files, Tags(_text(table, "tags", path.name), by_file, columns)
+    return named, Tags(_text(table, "tags", path.name), by_file, columns)
 
 
 def _wanted(table: Mapping, path: Path) -> Wanted:
@@ -244,10 +246,11 @@ def _texts(table: Mapping, key: str, where: str, example: str) -> dict[str, str]
     return texts
 
 
-def _entry(value, path: Path) -> ModelEntry:
+def _entry(value, files: Files) -> ModelEntry:
     """One item of ``models``: a text, or a table with model and name."""
+    path = files.scenario
     if isinstance(value, str):
-        return ModelEntry(_located(value, path))
+        return ModelEntry(_located(value, files))
     if not isinstance(value, dict):
         raise DeclarationError(f'{path.name}: a model is a text or a table (got {value!r}). Write "cehA".')
     _only(value, ("model", "name", "set"), f"{path.name}: models")
@@ -258,68 +261,18 @@ def _entry(value, path: Path) -> ModelEntry:
             f"{path.name}: a model has no 'model'. It is a name or a file. Write {{model = 'cehA'}}."
         )
     name = value.get("name")
-    return ModelEntry(_located(value["model"], path), None if name is None else str(name), value.get("set", {}))
+    return ModelEntry(_located(value["model"], files), None if name is None else str(name), value.get("set", {}))
 
 
-def _located(model: str, path: Path) -> str:
+def _located(model: str, files: Files) -> str:
     """The model with its path made relative to the scenario file, when it is a path."""
     file, colon, factory = model.partition(".py:")
     if colon:
         factory, at, values = factory.partition("@")
-        return f"{path.parent / file}.py:{factory}" + (f"@{_model_file(values, path)}" if at and values else at)
+        return f"{files.folder / file}.py:{factory}" + (f"@{files.model(values)}" if at and values else at)
     name, fmu, outputs = model.partition(".fmu:")
     name += ".fmu" if fmu else ""
     if not name.endswith(_FILES):
         return model
-    file = _model_file(name, path)
+    file = files.model(name)
     return f"{file}:{outputs}" if fmu else str(file)
-
-
-def _model_file(name: str, path: Path) -> Path:
-    file = path.parent / _expanded(name, path)
-    if not file.exists():
-        raise DataError(f"{path.name}: no model file '{name}'. {_nearest_file(file)}")
-    return file
-
-
-def _expanded(name: str, path: Path) -> str:
-    """A path with what its environment variables say, ``$DATA/a.csv`` or ``${DATA}/a.csv``.
-
-    Raises DataError for a variable that is not set, or empty: the rest of the path would be looked for at the root.
-    """
-
-    def value(found: re.Match) -> str:
-        variable = found[1] or found[2]
-        if not os.environ.get(variable):
-            raise DataError(
-                f"{path.name}: '{name}' needs the environment variable {variable}, which is not set. Set it to the "
-                f"folder that is meant: export {variable}=/path/to/folder."
-            )
-        return os.environ[variable]
-
-    return name if (path.parent / name).exists() else _VARIABLE.sub(value, name)
-
-
-def _paths(names: Sequence[str], path: Path) -> tuple[Path, ...]:
-    """The recordings named, each once; a pattern that is no file stands for all files it matches, sorted."""
-    found: dict[Path, None] = {}
-    for name in (_expanded(name, path) for name in names):
-        is_pattern = any(sign in name for sign in "*?[") and not (path.parent / name).is_file()
-        matches = _matches(path.parent, name) if is_pattern else [path.parent / name]
-        if not matches or not matches[0].exists():
-            raise DataError(f"{path.name}: no recording '{name}'. {_nearest_file(path.parent / name)}")
-        found |= dict.fromkeys(matches)
-    return tuple(found)
-
-
-def _matches(folder: Path, pattern: str) -> list[Path]:
-    """Files that a pattern stands for; one that begins at the root is looked for from there."""
-    anchor = Path(pattern).anchor
-    return sorted((Path(anchor) if anchor else folder).glob(str(Path(pattern).relative_to(anchor))))
-
-
-def _nearest_file(path: Path) -> str:
-    folder = path.parent
-    return (
-        nearest(path.name, sorted(p.name for p in folder.iterdir())) if folder.is_dir() else f"{folder} is no folder."
-    )

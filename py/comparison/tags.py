@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 import itertools
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +18,11 @@ from hydrotwin.models.language.units import compatible, convert
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
-from .criteria import NUMBER
+from .sentence import NUMBER, number_of
 
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
+_QUANTITY = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>[^\W\d_].*|[%°].*)?")
 SAME = 1e-6  # relative: a column that changes less is one number, rounded
 
 
@@ -45,7 +49,8 @@ class Tags:
         """
         said = {printable(str(tag)).strip(): value for tag, value in self.by_file.get(path, {}).items()}
         told = {tag: _from_column(record, tag, what) for tag, what in self.columns.items() if tag not in said}
-        found = {tag: _plain(value) for tag, value in {**self._from_name(path), **told, **said}.items()}
+        all_told = {**self._from_name(path), **told, **said}
+        found = {tag: _plain(f"tags: {tag} of {record.name}", value) for tag, value in all_told.items()}
         for tag in (t for t, value in found.items() if not value):
             raise DeclarationError(
                 f"tags: {tag} of {record.name} is empty, and no criterion can name it. Say what it is."
@@ -81,7 +86,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
         return record.words[name]
     values = record[name]
     unit = record.display_units.get(name, record.units[name])
-    if found and not float(found["step"]) > 0:
+    if found and not number_of(found["step"]) > 0:
         raise DeclarationError(f"tags: {tag} = '{what}': conditions differ by more than nothing. Write a step above 0.")
     if found and not compatible(found["unit"] or "1", record.units[name]):
         raise UnitError(
@@ -92,7 +97,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     if not len(shown):
         raise DataError(f"tags: {tag} = '{what}': {record.name} has no value of {name}. Say the tag of that file.")
     if found:
-        number = round(float(np.median(shown)) / float(found["step"])) * float(found["step"])
+        number = round(float(np.median(shown)) / number_of(found["step"])) * number_of(found["step"])
     else:
         number = float(shown[0])
         if np.ptp(shown) > SAME * abs(number):
@@ -103,10 +108,53 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     return f"{number + 0.0:.6g}" + (f" {unit}" if unit != "1" else "")
 
 
-def _plain(value: object) -> str:
-    """A value of a tag as criteria name it: without blanks around it and line ends; 2.0 of a scenario is 2."""
-    whole = isinstance(value, float) and value.is_integer()
-    return printable(str(int(value) if whole else value)).strip()
+def _plain(where: str, value: object) -> str:
+    """A value of a tag as criteria name it, without blanks around it and line ends.
+
+    2.0 of a scenario is 2, true is true, a date and a time are as TOML writes them. Raises DeclarationError for what
+    says no one condition.
+    """
+    if isinstance(value, bool | np.bool_):
+        return str(bool(value)).lower()
+    if isinstance(value, Real) and math.isfinite(value):
+        return f"{value:.15g}"
+    if isinstance(value, datetime.date | datetime.time):  # a datetime is a date, too
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise DeclarationError(
+            f"{where} is no one condition (got {value!r}). It is a text, a number, true or false, or a date: load = 2. "
+            "What holds at once stands in tags of its own: {load = 2, oil = 'cold'}."
+        )
+    return printable(value).strip()
+
+
+def _meaning(value: str) -> object:
+    """What a value of a tag says, however it is written: a number with its unit, a date, a time, or its words.
+
+    >>> _meaning("40") == _meaning("40.0") == _meaning("4e1"), _meaning("40degC") == _meaning("40 degC")
+    (True, True)
+    """
+    if found := _QUANTITY.fullmatch(value):
+        return number_of(found["number"]), found["unit"] or ""
+    for kind in (datetime.date, datetime.time, datetime.datetime):
+        try:
+            return kind.fromisoformat(value)
+        except ValueError:
+            continue
+    return value
+
+
+def check_tags(records: Sequence[Record]) -> None:
+    """Raises DeclarationError where one value is written in two ways: as two conditions, tables would part them."""
+    written: dict[tuple[str, object], tuple[str, str]] = {}
+    for record in records:
+        for tag, value in record.tags.items():
+            first, where = written.setdefault((tag, _meaning(value)), (value, record.name))
+            if first != value:
+                raise DeclarationError(
+                    f"tags: {tag} is {first} of {where} and {value} of {record.name}: one condition, or two? Write it "
+                    f"one way, or as words that differ: {{file = ..., tags = {{{tag} = 'no. {value}'}}}}."
+                )
 
 
 def _bare(path: Path) -> str:
@@ -125,15 +173,18 @@ def groups(records: Sequence[Record]) -> tuple[str, ...]:
 def of_group(records: Sequence[Record], group: str) -> tuple[str, ...]:
     """Names of the recordings of a group, ``tag=value``, or of one name; all for "".
 
-    A tag may have a sign of equality in its name, and a value in it, as `groups` writes them.
+    A tag may have a sign of equality in its name, and a value in it, as `groups` writes them. A value may be written
+    otherwise than there: 40.0 is 40.
     """
-    asked = set(_parted(group))
-    return tuple(r.name for r in records if group in ("", r.name) or asked & set(r.tags.items()))
+    asked = {(tag, _meaning(value)) for tag, value in _parted(group)}
+    told = [{(tag, _meaning(value)) for tag, value in r.tags.items()} for r in records]
+    return tuple(r.name for r, tags in zip(records, told, strict=True) if group in ("", r.name) or asked & tags)
 
 
 def _parted(group: str) -> Iterator[tuple[str, str]]:
-    """Every tag and value that a text ``tag=value`` may mean: one for each sign of equality in it."""
+    """Every tag and value that a text ``tag=value`` may mean: one for each sign of equality in it, quotes or none."""
     for sign in re.finditer("=", group):
         tag, value = group[: sign.start()].strip(), group[sign.end() :].strip()
         if value:
             yield tag, value
+            yield tag, value.strip("\"'")

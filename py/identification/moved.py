@@ -7,8 +7,14 @@ b: of one recording a band may hold far less than 95 %, and be right. That it do
 
     along L   sum_i (u_i^T e)^2 / (s_i^2 + left^2) ~ chi^2,    u_i, s_i : singular vectors and values of L
     beside L  how many of r lie outside of 1.96 left, neighbours counted as often as they say something of their own
+
+A reading in steps of q says that the value lay within q/2 of it. Where noise does not reach over a few steps, rounding
+is no noise: at rest it is the same for as long as the rest lasts, and by where between two steps that is, 1 % or 8 % of
+the readings lie outside. So only what is beyond q/2 counts as an error: a chance is then rather too large than too
+small.
 Sources: G. Seber, C. Wild, Nonlinear Regression, Wiley 1989, section 5.1; M. Priestley, Spectral Analysis and Time
-Series, Academic Press 1981, section 5.3 (the mean of correlated samples).
+Series, Academic Press 1981, section 5.3 (the mean of correlated samples); B. Widrow, I. Kollar, Quantization Noise,
+Cambridge 2008, chapter 5 (when rounding is noise).
 """
 
 from __future__ import annotations
@@ -38,15 +44,17 @@ class Moved:
         """Standard deviation (n,) of what its sensor reads."""
         return np.sqrt(np.sum(self.root**2, axis=1) + self.left**2)
 
-    def chance(self, error: np.ndarray) -> float:
+    def chance(self, error: np.ndarray, quantum: float = 0.0) -> float:
         """How likely errors (n,), NaN where nothing was measured, are at least as far off where nothing is missing.
 
-        The smaller of two probabilities, doubled: along what is not known, and beside it. NaN where there is no error.
+        quantum : step in which the output was recorded; 0 where there is none. The smaller of two probabilities,
+        doubled: along what is not known, and beside it. NaN where there is no error.
         """
         known = np.isfinite(error)
         if not known.any() or not self.left > 0.0:
             return float("nan")
-        z, L = error[known] / self.left, self.root[known] / self.left
+        beyond = np.sign(error[known]) * np.maximum(np.abs(error[known]) - quantum / 2.0, 0.0)
+        z, L = beyond / self.left, self.root[known] / self.left
         squares, directions = np.linalg.eigh(L.T @ L)
         seen = squares > LEAST_SEEN**2
         unit = L @ (directions[:, seen] / np.sqrt(squares[seen]))

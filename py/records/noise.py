@@ -19,6 +19,7 @@ _MOST_DIGITS, _MOST_DECIMALS = 8, 12  # significant ones, and of the largest val
 _ON_GRID, _ROUNDING = 1e-6, 4e-15  # of a step, and of a value: how near to a multiple of its step it must be ...
 _OF_VALUES, _CERTAIN = 0.95, 1e-2  # ... for so many of the values; of a step: what double precision must tell apart
 _FEWEST_LEVELS, _LOOKED_AT = 20, 4000  # different values that show their digits; samples that are looked at
+_NEARLY_ALL = 0.8  # of the samples: a channel with more different values shows no grid of its own
 _WRITTEN_IN = ("m", "deg", "rpm", "rev", "psi", "L/min", "gpm", "h", "in", "ft", "lbf", "kgf")  # up to powers of ten
 _CORRELATION = 2.626  # sum over all lags of the squared autocorrelation of 4th differences of white noise
 
@@ -128,7 +129,7 @@ def quantisation_step(values: np.ndarray) -> float:
     """
     values = np.asarray(values, dtype=float)
     levels = np.unique(values)
-    if len(levels) < 2 or len(levels) > 0.5 * len(values):
+    if len(levels) < 2 or len(levels) > _NEARLY_ALL * len(values):
         return 0.0
     resolution = max(1e-7 * (levels[-1] - levels[0]), 4 * np.spacing(np.abs(levels).max()))  # single precision
     steps = np.diff(levels)

@@ -1,6 +1,6 @@
 """Report: what was found, as one page that needs nothing else, as Markdown and as JSON."""
 
-from hydrotwin.comparison.notices import doubts, notices, notices_of_variants, seen_before, twins
+from hydrotwin.comparison.notices import notices, notices_of_variants, remarks, twins
 
 from .answer import answer
 from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
@@ -36,7 +36,6 @@ __all__ = [
     "counts",
     "decimate",
     "display_units",
-    "doubts",
     "error_bars",
     "figures",
     "fit_section",
@@ -51,7 +50,7 @@ __all__ = [
     "numbers",
     "parameter_rows",
     "pretty_unit",
-    "seen_before",
+    "remarks",
     "sensitivity_page",
     "shown_unit",
     "styles",

@@ -132,6 +132,9 @@ def margin_told(one: Judged, caution: str | None = None) -> str:
     caution = one.caution if caution is None else caution
     if one.undefined:
         return one.undefined
+    if one.on_bound and not one.passed:
+        told = "exactly on its bound, which the sign leaves out"
+        return f"{told}, {caution}" if caution else told
     told = "any margin" if one.passed else "no number" if not math.isfinite(one.value) else "not allowed at all"
     if math.isfinite(one.margin):
         outside = "too little" if one.value < one.low else "too much"

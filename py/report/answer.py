@@ -105,11 +105,11 @@ def _mode_sentence(comparison: Comparison, mode: str, shown: Mapping[str, str]) 
     told = _told(comparison)
     rankings = {s.name: _among(comparison.ranking(s.name, mode), told) for s in comparison.outputs}
     rest = {output: _level(r) for output, r in rankings.items() if r}
-    total, clauses = len(rest), []
+    clauses = []
     while rest:
         model = max(comparison.models, key=lambda m: sum(m in level for level in rest.values()))
         covered = [output for output, level in rest.items() if model in level]
-        text = _clause(model, covered, total, rankings[covered[0]], shown[covered[0]], comparison.yardsticks)
+        text = _clause(model, covered, rankings, shown[covered[0]], comparison.yardsticks)
         clauses.append((list(rankings).index(covered[0]), text))
         rest = {output: level for output, level in rest.items() if output not in covered}
     start = {FREE_RUN: "In free run", ONE_STEP: "One step ahead"}[mode]
@@ -132,9 +132,10 @@ def _level(ranking: tuple[Score, ...]) -> set[str]:
 
 
 def _clause(
-    model: str, covered: list[str], total: int, ranking: tuple[Score, ...], unit: str, yardsticks: frozenset[str]
+    model: str, covered: list[str], rankings: Mapping[str, tuple[Score, ...]], unit: str, yardsticks: frozenset[str]
 ) -> str:
-    """One model: on how many outputs it is best, the error on the first, who is level and who comes next."""
+    """One model: on how many outputs it is best or level, the error on the first, who is level and who comes next."""
+    ranking, total = rankings[covered[0]], sum(bool(r) for r in rankings.values())
     own = next(s for s in ranking if s.model == model)
     rivals = [s for s in ranking if s.model != model and s.recordings == own.recordings]
     level = [s.model for s in rivals if s.model in _level(ranking)]
@@ -145,7 +146,8 @@ def _clause(
         what = f"all {total} outputs: {own.output}"
     elif len(covered) > 1:
         what = f"{len(covered)} of {total} outputs: {own.output}"
-    text = f"{model} is best on {what} RMSE {_rmse_text(own, unit)}"
+    leads = all(rankings[output][0].model == model for output in covered)
+    text = f"{model} is best{'' if leads else ' or level with the best'} on {what} RMSE {_rmse_text(own, unit)}"
     if level:
         text += f", level with {' and '.join(level)}"
     if behind and own.rmse > 0.0:

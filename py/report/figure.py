@@ -243,6 +243,37 @@ def error_bars(
     return {"data": data, "layout": plan}
 
 
+@dataclass(frozen=True)
+class Dot:
+    """One value (as shown) of a model in a group, and what is said of it."""
+
+    group: int
+    value: float
+    words: str
+
+
+def dots(
+    groups: Sequence[str], models: Mapping[str, Sequence[Dot]], look: dict, titles: tuple[str, str], hidden: frozenset
+) -> dict:
+    """The values of each model side by side for each group, on a logarithmic axis; titles : of both axes."""
+    data, count = [], len(models)
+    for j, (name, found) in enumerate(models.items()):
+        offset = 0.6 * ((j + 0.5) / count - 0.5)
+        data.append({
+            "type": "scatter", "mode": "markers", "name": name, "legendgroup": name,
+            "visible": "legendonly" if name in hidden else True,
+            "x": [one.group + offset for one in found], "y": [one.value for one in found],
+            "text": [one.words for one in found], "hovertemplate": "%{text}<extra>" + _plain(name) + "</extra>",
+            "marker": {"size": 9, "color": look[name].colour, "line": {"color": "#ffffff", "width": 1}},
+        })  # fmt: skip
+    plan = layout(titles[0], [titles[1]], height=340)
+    plan["hovermode"] = "closest"
+    ticks = {"tickvals": list(range(len(groups))), "ticktext": list(groups), "range": [-0.6, len(groups) - 0.4]}
+    plan["xaxis"] |= ticks | {"showgrid": False, "zeroline": False}
+    plan["yaxis"] |= {"type": "log"}
+    return {"data": data, "layout": plan}
+
+
 def _axis(title: str) -> dict:
     return {
         "title": {"text": title, "standoff": 8},

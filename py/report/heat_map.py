@@ -12,6 +12,7 @@ from .format import number_text, pretty_unit
 SCALE = ((0.0, "#f4f8fb"), (0.5, "#8fbbdc"), (1.0, "#0b3c66"))  # one hue: told apart in grey and by any eyes
 ROW, ABOVE = 30, 90  # px
 TICKS = (1.0, 2.0, 5.0)  # of every decade on the bar
+MARKS = 6  # on the bar, which may be a few rows high
 LONG = 44  # characters of a label
 
 
@@ -50,8 +51,12 @@ def heat_map(id: str, label: str, axes: tuple[Sequence[str], Sequence[str]], val
 def _bar(size: np.ndarray, unit: str) -> dict:
     known = size[np.isfinite(size)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-    marks = [k + np.log10(t) for k in range(int(np.floor(low)), int(np.ceil(high)) + 1) for t in TICKS]
-    marks = [m for m in marks if low <= m <= high]
+    decades = range(int(np.floor(low)), int(np.ceil(high)) + 1)
+    for ticks in (TICKS, TICKS[:1]):  # over several decades those of every decade would lie on each other
+        marks = [m for k in decades for t in ticks if low <= (m := k + np.log10(t)) <= high]
+        if len(marks) <= MARKS:
+            break
+    marks = marks[:: -(-len(marks) // MARKS) or 1]
     marks = marks if len(marks) > 1 else sorted({low, high})
     texts = [number_text(10.0**m, 2) for m in marks]
     title = {"text": pretty_unit(unit), "side": "top"}

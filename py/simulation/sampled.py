@@ -71,15 +71,19 @@ def predict_block(
     interpolated towards the next sample.
     """
     y = np.empty((len(grid), len(block.outputs)))
-    y[0] = block.step(corrected[0], u[0], p)[1].full().ravel()
     sampled_at = np.unique(np.clip(np.searchsorted(grid, time - 1e-6 * block.period), 0, len(grid) - 1))
     until = np.append(sampled_at[1:], len(grid) - 1)
     state = corrected[sampled_at]
     for k in range(int((until - sampled_at).max(initial=0))):
         live = sampled_at + k < until
         at = sampled_at[live] + k
-        state[live] = block.step(state[live].T, u[at].T, p)[0].full().T
-        y[at + 1] = block.step(state[live].T, u[at + 1].T, p)[1].full().T
+        following, seen = (value.full().T for value in block.step(state[live].T, u[at].T, p))
+        if k:  # what is seen at a sample itself comes from the one before it
+            y[at] = seen
+        state[live] = following
+    led = until > sampled_at  # not the last sample, at the end of the grid
+    y[until[led]] = block.step(state[led].T, u[until[led]].T, p)[1].full().T
+    y[0] = block.step(corrected[0], u[0], p)[1].full().ravel()
     return y
 
 

@@ -215,3 +215,20 @@ def test_the_nearest_name_is_found_whatever_its_case():
     assert nearest("PRESSURE_A", ["Pressure_b", "pressure_a", "pressure"]) == "Did you mean 'pressure_a'?"
     assert nearest("B1", ["b1.x", "B2", "b", "B1"]) == "Did you mean 'B1'?"
     assert nearest("Q1", ["b", "B"]) == "Known: b, B."
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("variant=cold: arm_angle.rmse < 1 deg", r"the scenario has no variants\. Leave 'variant=cold:' out"),
+        ("arm_angle: rmse < 1 deg", r"Write arm_angle\.rmse"),
+        (
+            "arm_angle: fit > 90 %",
+            r"arm_angle is an output, and recordings stand .* Write arm_angle\.fit",
+        ),
+        ("arm_angle not worse than goood by 5 %", r"accept: 'arm_angle not .* 5 %': no model 'goood'.*'good'"),
+    ],
+)
+def test_what_stands_before_a_colon_is_a_recording_or_a_condition(text, says):
+    with pytest.raises(DeclarationError, match=says):
+        judged([Toy("good"), Toy("other")], [FIRST], text)

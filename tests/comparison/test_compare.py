@@ -338,3 +338,12 @@ def test_one_thing_where_a_list_is_needed_is_told(given, says):
 def test_criteria_are_a_list_of_texts(accept):
     with pytest.raises(DeclarationError, match="accept takes a list of criteria"):
         Wanted(accept)
+
+
+def test_models_that_leave_their_training_are_told_once_each():
+    from hydrotwin.comparison.notices import notices
+
+    found = compare([Toy("a")], [recording(k) for k in (1, 2)])
+    rows = [DomainShare("net", f"run_{k}", 100.0 - 10 * k, 0.1 * k, ("command",), "model") for k in range(1, 6)]
+    told = [n for n in notices(dataclasses.replace(found, domains=tuple(rows))) if "extrapolates" in n]
+    assert told == [f"{rows[-1].extrapolates} It does so on run_4, run_3, run_2 and 1 more, too."]

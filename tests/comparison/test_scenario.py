@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,8 @@ from hydrotwin.comparison import HoldLast, ModelEntry, Scenario, Wanted, load_co
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import write_record
 from tests.comparison.toys import Toy, recording
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 @pytest.fixture
@@ -230,3 +233,51 @@ def test_an_entry_that_sets_what_does_not_fit_is_refused(path, value, says):
     entry = ModelEntry("cehA", "set", {path: value})
     with pytest.raises((DeclarationError, UnitError), match=says):
         load_contenders(Scenario("", (entry,), (Path("none.csv"),)), hydrotwin.load)
+
+
+@pytest.mark.parametrize(
+    ("models", "validate", "missing", "command"),
+    [
+        ('["out/a.toml"]', '["good.csv"]', "no model file 'out/a.toml'", "hydrotwin learn arx"),
+        ('["m.py:axis@out/b.toml"]', '["good.csv"]', "no model file 'out/b.toml'", "python make.py"),
+        ('["cehA"]', '["out/run_*.csv"]', r"no recording 'out/run_\*.csv'", "python make.py"),
+    ],
+)
+def test_a_missing_file_is_told_with_the_command_that_makes_it(tmp_path, models, validate, missing, command):
+    (tmp_path / "good.csv").write_text("time [s],u [V]\n0,1\n0.1,2\n")
+    made = 'made_by = {"out/a.toml" = "hydrotwin learn arx", "out/*" = "python make.py"}\n'
+    file = tmp_path / "s.toml"
+    file.write_text(f"models = {models}\nvalidate = {validate}\n{made}")
+    with pytest.raises(DataError, match=rf"{missing}\. This makes it: {command}"):
+        read_scenario(file)
+    file.write_text(f"models = {models}\nvalidate = {validate}\nmade_by = 3\n")
+    with pytest.raises(DeclarationError, match="'made_by' is no table of texts"):
+        read_scenario(file)
+
+
+@pytest.mark.parametrize("name", ["cascaded_tanks", "eha_bench", "emps", "table_1", "table_2"])
+def test_shipped_scenarios_say_what_makes_their_files_as_their_readme_does(name, tmp_path, monkeypatch):
+    """Copied to where nothing was made: every file that the copy lacks is one that a command of the README makes."""
+    shipped = EXAMPLES / name
+    for own in ("cascaded_tanks/train", "cascaded_tanks/validate", "emps/train", "emps/test_pulses"):
+        (tmp_path / own).parent.mkdir(exist_ok=True)
+        (tmp_path / f"{own}.csv").touch()
+    (tmp_path / "eha_bench").mkdir()
+    for load in (1, 2, 3):
+        (tmp_path / "eha_bench" / f"load{load}_stroke1.csv").touch()
+    monkeypatch.setenv("HYDROTWIN_MEASURED_DATA", str(tmp_path))
+    there = tmp_path / "examples" / name
+    there.mkdir(parents=True)
+    (there / "scenario.toml").write_bytes((shipped / "scenario.toml").read_bytes())
+    readme = re.sub(r"[\\\s]+", " ", (shipped / "README.md").read_text(encoding="utf-8"))
+    while True:
+        try:
+            found = read_scenario(there / "scenario.toml")
+            break
+        except DataError as missing:
+            said = re.search(r"no \w+(?: file)? '(.+?)'\. This makes it: (.+)", str(missing))
+            assert said and said[2] in readme, str(missing)
+            file = there / said[1].replace("*", "1")
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.touch()
+    assert found.models and found.validate

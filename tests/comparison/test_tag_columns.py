@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import datetime
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from hydrotwin.comparison import Tags, read_scenario
+from hydrotwin.comparison.running import read_all
+from hydrotwin.comparison.tags import of_group
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import read_record
 
@@ -90,3 +96,62 @@ def test_what_is_said_of_a_file_counts_before_a_column_and_a_column_before_its_n
 def test_an_empty_tag_is_refused(recording, value):
     with pytest.raises(DeclarationError, match="oil of run is empty"):
         Tags(by_file={recording[1]: {"oil": value}}).put(*recording)
+
+
+@pytest.mark.parametrize(
+    ("said", "told", "named"),
+    [
+        ("40", "40", ["load=40", "load = 40.0", "load=4e1", "load='40'"]),
+        ("40.0", "40", ["load=40", "load=40.0"]),
+        ("2.5", "2.5", ["load=2.5", "load=2.50"]),
+        ("1e-6", "1e-06", ["load=1e-6", "load=0.000001"]),
+        ("true", "true", ["load=true"]),
+        ("2026-11-28", "2026-11-28", ["load=2026-11-28", "load = 2026-11-28"]),
+        ("2026-11-28 10:12:00", "2026-11-28T10:12:00", ["load=2026-11-28 10:12", "load=2026-11-28T10:12:00"]),
+        ("10:12:00", "10:12:00", ["load=10:12"]),
+        ("'40 degC'", "40 degC", ["load=40degC", "load=40.0 degC"]),
+        ("'no. 7'", "no. 7", ["load=no. 7"]),
+    ],
+)
+def test_what_a_scenario_says_is_what_a_criterion_names(recording, said, told, named):
+    record, path = recording
+    file = path.with_name("scenario.toml")
+    file.write_text(f'models = ["cehA"]\nvalidate = [{{file = "run.csv", tags = {{load = {said}}}}}]\n')
+    tagged = read_scenario(file).tags.put(record, path)
+    assert tagged.tags == {"load": told}
+    assert all(of_group([tagged], group) == ("run",) for group in named)
+    assert not any(of_group([tagged], f"load={other}") for other in ("41", "false", "2026-11-29", "11:12", "41 degC"))
+
+
+@pytest.mark.parametrize("said", ["[1, 2]", "{low = 1}", "nan", "-inf"])
+def test_what_is_no_one_condition_is_refused(recording, said):
+    record, path = recording
+    file = path.with_name("scenario.toml")
+    file.write_text(f'models = ["cehA"]\nvalidate = [{{file = "run.csv", tags = {{load = {said}}}}}]\n')
+    with pytest.raises(DeclarationError, match=r"load of run is no one condition.*load = 2.*tags of its own"):
+        read_scenario(file).tags.put(record, path)
+
+
+def test_numbers_and_dates_of_python_are_tags(recording):
+    record, path = recording
+    values = {"a": np.int64(2), "b": np.float64(2.0), "c": np.bool_(True), "d": datetime.date(2026, 11, 28)}
+    found = Tags(by_file={path: values}).put(record, path).tags
+    assert found == {"a": "2", "b": "2", "c": "true", "d": "2026-11-28"}
+
+
+def test_one_value_in_two_writings_is_asked_about(recording):
+    """Tables would show two conditions, and `load=7` would be about one of them, or about both."""
+    _, path = recording
+    other = path.with_name("other.csv")
+    other.write_bytes(path.read_bytes().replace(b"38", b"37"))  # no recording twice
+    file = path.with_name("scenario.toml")
+    text = 'models = ["cehA"]\nvalidate = [{file="run.csv", tags={load=7}}, {file="other.csv", tags={load="%s"}}]\n'
+    from hydrotwin.work.executor import Here
+
+    file.write_text(text % "007")
+    with pytest.raises(DeclarationError, match="load is 7 of run and 007 of other: one condition, or two"):
+        read_all(read_scenario(file), Here())
+    file.write_text(text % "7.5")
+    records, _ = read_all(read_scenario(file), Here())
+    assert of_group(records, "load=7.50") == ("other",)
+    assert of_group([replace(records[0], tags={})], "load=7") == ()

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
+import numpy as np
+
+import hydrotwin as ht
 from tests.face.command_line import hydrotwin
 
 TOO_TIGHT = "arm_angle.rmse < 0.0001 deg"
@@ -68,3 +71,25 @@ def test_a_reference_that_the_run_replaces_is_told(recordings, tmp_path):
         answer = hydrotwin(*words, *how)
         assert answer.code == 0 and "the next one is held against this one" in " ".join(answer.said.split())
     assert "replaces it" not in " ".join(hydrotwin(*words, "--against", elsewhere).said.split())
+
+
+def test_what_recordings_lack_is_told_everywhere_and_once(recordings, tmp_path):
+    """Of a scenario file and of --validate alike: on the screen, on the page, in Markdown, JSON and JUnit."""
+    record = ht.read_record(recordings / "validate_1.csv").window(0.0, 4.0)
+    wrapped, holed = np.angle(np.exp(3j * record.time)), record["rod_position"].copy()
+    holed[50:80] = np.nan
+    signals = {"command": record["command"], "arm_angle": wrapped, "rod_position": holed}
+    units = {name: record.units[name] for name in signals}
+    path = ht.write_record(ht.Record(record.time, signals, units, "turning"), tmp_path / "turning.csv")
+    asked = 'accept = ["rod_position.rmse < 900 m"]\nmodes = ["free run"]\nmissing = "keep"\n'
+    (tmp_path / "s.toml").write_text(f'models = ["cehA"]\nvalidate = ["turning.csv"]\n{asked}')
+    by_words = ("--model", "cehA", "--validate", path, "--mode", "free run", "--missing", "keep", "--accept",
+                "rod_position.rmse < 900 m")  # fmt: skip
+    for k, words in enumerate([(tmp_path / "s.toml",), by_words]):
+        folder = tmp_path / f"out{k}"
+        answer = hydrotwin("compare", *words, "--out", folder, "--junit", folder / "criteria.xml")
+        assert answer.code == 0, answer.said
+        assert answer.said.count("seems to begin anew at every turn") == 1 and "rod_position" in answer.err
+        for file in ("report.html", "report.md", "compare.json", "criteria.xml"):
+            text = (folder / file).read_text(encoding="utf-8")
+            assert "seems to begin anew at every turn" in text and "no value of rod_position in 30" in text

@@ -56,3 +56,14 @@ def test_samples_that_were_not_measured_do_not_count():
     half = Moved(ROOT[1::2], OUTPUT.left)
     assert OUTPUT.chance(error) == pytest.approx(half.chance(error[1::2]))
     assert np.isnan(OUTPUT.chance(np.full(len(TIME), np.nan)))
+
+
+def test_rounding_at_rest_is_no_error():
+    """Of noise of half a step 8 % lie outside, or 1 %, by where between two steps an output rests: no chance of either
+    says that something is missing. An error of two steps does."""
+    rng, step = np.random.default_rng(3), 0.18
+    own = Moved(np.zeros((5000, 1)), float(np.hypot(0.1, step / np.sqrt(12))))
+    between = np.full(5000, step / 2)
+    reading = step * np.round((between + 0.1 * rng.standard_normal(5000)) / step)
+    assert own.chance(reading - between) < 1e-3 < 0.1 < own.chance(reading - between, step)
+    assert own.chance(reading - between + 2 * step, step) < 1e-6

@@ -63,6 +63,8 @@ def test_the_step_is_found_when_no_two_levels_are_neighbours():
     rng = np.random.default_rng(4)
     values = 0.1 + 0.05 * rng.choice([2, 5, 8, 14, 20, 26, 33], 1000)
     assert quantisation_step(values) == pytest.approx(0.05, rel=1e-6)
+    wide = 0.05 * np.round(rng.uniform(0.0, 2000.0, 2000))  # a fast movement over many steps: two in three are new
+    assert len(np.unique(wide)) > 0.6 * len(wide) and quantisation_step(wide) == pytest.approx(0.05, rel=1e-6)
 
 
 def test_single_precision_levels_keep_their_step():

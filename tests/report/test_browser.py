@@ -87,6 +87,20 @@ def test_plots_are_drawn_when_they_come_into_view(opened):
     assert curves >= 3 * 5
 
 
+def test_a_plot_is_an_image_with_words_beside_its_buttons(opened):
+    """A screen reader hears the picture once, as its sentence, and can reach the buttons: they are no part of it."""
+    parts = "Array.from(document.querySelectorAll('.plot[data-drawn=yes]'))"
+    images = opened.execute_script(
+        f"return {parts}.map(p => Array.from(p.querySelectorAll('[role=img]')).map(i => i.ariaLabel))"
+    )
+    assert images and all(len(words) == 1 and words[0].startswith("Plot of ") for words in images)
+    assert opened.execute_script(f"return {parts}.filter(p => p.role || p.ariaLabel).length") == 0
+    unheard = f"{parts}.flatMap(p => Array.from(p.querySelectorAll('.main-svg:not([role=img])')))"
+    assert opened.execute_script(f"return {unheard}.every(part => part.ariaHidden === 'true')")
+    within = opened.execute_script(f"return {parts}.flatMap(p => Array.from(p.querySelectorAll('[role=img] button')))")
+    assert within == []
+
+
 def test_a_tab_shows_another_recording(opened):
     opened.execute_script("document.querySelectorAll('.group')[0].querySelectorAll('button')[1].click()")
     wait_until(

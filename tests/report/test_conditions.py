@@ -6,8 +6,10 @@ import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from hydrotwin.comparison import Matrix, Variant, VariantRun, compare
+from hydrotwin.models.language.units import convert
 from hydrotwin.report import comparison_page, display_units
 from hydrotwin.report.figure import styles
 from hydrotwin.report.matrix_tables import grouped, tag_tables
@@ -49,3 +51,26 @@ def test_in_the_overview_such_a_condition_has_no_mean():
         "whole": False,
         "broken": True,
     }
+
+
+def test_every_recording_is_a_dot_in_its_condition_the_worst_first():
+    section = next(s for s in comparison_page(found()).sections if s.id == "conditions")
+    group = section.parts[0]
+    assert (group.id, [f.label for f in group.figures]) == ("by-load", ["arm_angle", "motor_speed", "pressure_cap"])
+    comparison, spec = found(), group.figures[1].spec
+    table = next(t for t in section.parts if t.id == "by_load_motor_speed").as_json()
+    assert spec["layout"]["xaxis"]["ticktext"] == [row["load"]["value"] for row in table["rows"]]
+    unit = display_units(comparison)["motor_speed"]
+    for trace in spec["data"]:
+        rows = [s for s in comparison.scores if (s.model, s.output) == (trace["name"], "motor_speed")]
+        assert sorted(trace["y"]) == pytest.approx(sorted(convert(s.rmse, s.unit, unit) for s in rows))
+        of = [spec["layout"]["xaxis"]["ticktext"][round(x)] for x in trace["x"]]
+        loads = {r.name: r.tags["load"] for r in RECORDS}
+        assert sorted(of) == sorted(loads[s.record] for s in rows)
+
+
+def test_one_condition_needs_no_plot():
+    alike = [dataclasses.replace(r, tags={"load": "1"}) for r in RECORDS]
+    page = comparison_page(compare([Toy("a", gain=121.0)], alike, modes=("free run",), repeats=0))
+    section = next(s for s in page.sections if s.id == "conditions")
+    assert section.parts and all(hasattr(part, "columns") for part in section.parts)

@@ -32,6 +32,7 @@ from hydrotwin.report import (
 )
 from hydrotwin.report.comparison_figures import error_range
 from hydrotwin.report.format import number_texts
+from hydrotwin.report.heat_map import heat_map
 
 
 def unpacked(array):
@@ -169,3 +170,11 @@ def test_axes_of_stacked_plots_do_not_overlap():
     assert plan["yaxis2"]["domain"][1] < plan["yaxis"]["domain"][0]
     assert plan["yaxis2"]["domain"][0] == pytest.approx(0.0)
     assert plan["xaxis"]["anchor"] == "y2"
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.014, 19.3), (1.0, 1.2), (0.3, 4.0), (1e-6, 1e3), (2.0, 2.0)])
+def test_the_bar_of_a_heat_map_has_a_few_marks_that_lie_in_it(low, high):
+    """The smallest map is a row high: marks of every decade would lie on each other."""
+    bar = heat_map("a", "a", (["r"], ["x", "y"]), np.array([[low, high]]), "deg").spec["data"][0]["colorbar"]
+    assert 1 <= len(bar["tickvals"]) <= 6 and len(set(bar["ticktext"])) == len(bar["ticktext"])
+    assert all(np.log10(low) <= mark <= np.log10(high) for mark in bar["tickvals"])

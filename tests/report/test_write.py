@@ -17,7 +17,7 @@ from plotly.offline import get_plotlyjs
 from hydrotwin.comparison import Wanted, acceptance, compare
 from hydrotwin.identification.fit import Finding
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.report import Note, comparison_page, display_units, styles, write_report
+from hydrotwin.report import Note, answer, comparison_page, display_units, styles, write_report
 from hydrotwin.report.comparison_figures import overlay_groups
 from hydrotwin.report.fit import fit_section, fit_warning
 from hydrotwin.report.provenance import command_line
@@ -338,3 +338,13 @@ def test_the_origin_of_a_model_is_told_in_rows_for_people(tmp_path):
 def test_python_m_hydrotwin_is_told_as_hydrotwin(monkeypatch):
     monkeypatch.setattr(sys, "argv", ["/somewhere/hydrotwin/__main__.py", "demo", "--out", "my demo"])
     assert command_line() == "hydrotwin demo --out 'my demo'"
+
+
+def test_who_is_level_with_the_best_is_not_called_the_best():
+    """The table marks the one with the smallest number; the sentence must not say another one."""
+    found = compare([Toy("a", gain=121.0), Toy("b", gain=121.0)], [recording(1)], modes=("free run",), repeats=0)
+    means = [dataclasses.replace(s, rmse=s.rmse * (0.999 if (s.model, s.output) == ("b", "motor_speed") else 1.0))
+             for s in found.means]  # fmt: skip
+    said = answer(dataclasses.replace(found, means=tuple(means)), display_units(found))
+    assert said.startswith("In free run, a is best or level with the best on all 3 outputs: arm_angle")
+    assert answer(found, display_units(found)).startswith("In free run, a is best on all 3 outputs: arm_angle")

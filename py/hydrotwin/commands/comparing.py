@@ -18,7 +18,7 @@ from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
 from .exporting import equations_told
 from .recording_evidence import known_of, recorded_as
-from .recordings import read_all, reads, told_in
+from .recordings import reads, told_in
 from .shared import (
     InitialStatesOption,
     InterpolationOption,
@@ -151,7 +151,6 @@ def compare(
         described = read_scenario(scenario)
         described = replace(described, wanted=asked.over(described.wanted))
     else:
-        read_all(validate, reading)  # tells gaps before a long run
         described = Scenario(
             title=title or "Comparison of models",
             models=tuple(entry(m) for m in models),

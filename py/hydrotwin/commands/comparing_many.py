@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 
+from .recordings import tell_read
 from .shared import err, mark, out, progress_bar, table
 
 KEPT = ".runs"  # folder of finished runs, where they are many: a second call makes only what is new
@@ -50,7 +51,7 @@ def run(described, resolve: Callable[[str], object], output: Path, how: Runs):
 
     try:
         with executor_for(spec, how.workers) as pool, telling(how.silent) as told:
-            where = Where(pool, memory, told, CURVES)
+            where = Where(pool, memory, told, CURVES, tell_read)
             matrix = run_matrix(described, resolve, where, on_variant=done if described.variants else None)
     except KeyboardInterrupt:
         if memory is not None:
@@ -101,14 +102,14 @@ def write(matrix, output: Path, several: bool) -> dict[str, Path]:
 
 
 def notes(matrix) -> list[str]:
-    """What a user must know of inputs that nobody recorded, of starts that were estimated, and of recordings that a
-    model was made from, which variants are the same, and what else to doubt; but for variants of the base."""
+    """What a user must know of inputs that nobody recorded, of starts that were estimated, which variants are the same,
+    and what `notices` tell that was not told yet; but for variants of the base."""
     from hydrotwin.export.fmu_settings import AT_REST
-    from hydrotwin.report import doubts, seen_before, twins
+    from hydrotwin.report import remarks, twins
 
     found = [f"{e.name}: {e.provenance[AT_REST]}" for e in matrix.base.entrants if e.provenance.get(AT_REST)]
-    found += [str(started) for started in matrix.base.starts] + seen_before(matrix.base)
-    return found + twins(matrix.runs) + doubts(matrix.base)
+    found += [str(started) for started in matrix.base.starts]
+    return found + twins(matrix.runs) + remarks(matrix.base)
 
 
 def print_matrix(matrix) -> None:

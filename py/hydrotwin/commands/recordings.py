@@ -94,20 +94,25 @@ def told_in(reading: Reading | None) -> list[str]:
 
 
 def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> list[Record]:
-    """Read recordings. Told is how each was understood, and gaps, unknown samples, angles that begin anew."""
-    records, understood = [], {}
-    for path in paths or []:
-        record = read_record(path, reading)
+    """Read recordings, and tell of them what `tell_read` does."""
+    records = [read_record(path, reading) for path in paths or []]
+    require_once(records)
+    tell_read(records)
+    return records
+
+
+def tell_read(records: Sequence[Record]) -> None:
+    """How each recording was understood, and its gaps, unknown samples, and angles that begin anew."""
+    understood: dict[str, list] = {}
+    for record in records:
+        path = record.source or record.name
         understood.setdefault(record.understood, []).append(path)
         for doubt in (*record.holes, *turned_back(record)):
             mark(err, "note", f"{path}: {doubt}")
-        records.append(record)
-    require_once(records)
     for words, files in understood.items():
         if words:
             more = f" and {len(files) - 1} more" if len(files) > 1 else ""
             err.print(f"read {files[0]}{more}: {words}", style="dim")
-    return records
 
 
 def constants_among(

@@ -28,12 +28,23 @@
       const thumb = plot.querySelector(".thumb");
       library();
       if (thumb) thumb.remove();
-      library().newPlot(plot, spec.data, spec.layout, config).then(function () { plot.dataset.drawn = "yes"; });
+      library().newPlot(plot, spec.data, spec.layout, config).then(function () { name(plot); plot.dataset.drawn = "yes"; });
     } catch (error) {
       plot.dataset.drawn = "no";
       plot.textContent = "This browser cannot draw the plot; a newer one can. The tables are complete. (" + error.message + ")";
       console.error(error);
     }
+  }
+
+  /* The picture keeps the words; buttons beside it are no part of an image, and its own letters say nothing alone. */
+  function name(plot) {
+    const words = plot.getAttribute("aria-label");
+    plot.querySelectorAll(".main-svg").forEach(function (part, k) {
+      if (k) part.setAttribute("aria-hidden", "true");
+      else { part.setAttribute("role", "img"); part.setAttribute("aria-label", words); }
+    });
+    plot.removeAttribute("role");
+    plot.removeAttribute("aria-label");
   }
 
   function choose(group, index) {

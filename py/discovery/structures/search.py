@@ -254,14 +254,17 @@ class Search:
         """Fit the best structure with what promises most beside it, once, where it explains much and not all.
 
         What is missing beside it may show in long runs alone, in which nothing else is seen as long as it is missing.
+        What a fit leaves that has not come to its end says nothing of that: it goes on first.
         """
         table = self.table
         best = min((e for e in table.fitted if e.members), key=table.score, default=None)
-        if not best or len(best.key) >= self.most or best.key in self.grown:
+        if not best or len(best.key) >= self.most or best.key in self.grown or table.share(best) > EARLY:
             return
-        if table.explained() or table.share(best) > EARLY:
-            return
+        if not (best.fitted.converged or table.explained()):
+            table.keep_better(best, self._ran([self.jobs.further(best)])[0])
         self.grown.add(best.key)
+        if table.explained() or not best.fitted.converged:
+            return
         more = beside(self.jobs, best, self.first, self.effort.together)
         entries = [table.entry(m) for c in more if compatible(m := (*best.members, c))]
         entries = [e for e in entries if e.open and table.usable(e)]

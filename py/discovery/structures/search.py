@@ -326,7 +326,8 @@ class Search:
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self.table.keep_better(entry, found)
         self._free_base(known)
-        worse = [(e, part) for e in known if e.fitted and (part := self._better_part(e))]
+        again = [] if self.table.explained() else known  # else they are asked from where that ended: see `Alternatives`
+        worse = [(e, part) for e in again if e.fitted and (part := self._better_part(e))]
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self.table.keep_better(entry, found)
         self._wonder(known)

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.identification import descent, horizon
+from hydrotwin.identification.least_squares import DampedStep
+from hydrotwin.identification.shooting import WEAK_PRIOR
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 from hydrotwin.simulation.library import Library
@@ -141,3 +143,21 @@ def test_a_run_that_costs_more_than_its_limit_is_given_up():
     squares, *_ = t.propagator.expansions(*asked)  # what was given up is not remembered
     assert np.isnan(given_up[0]).all() and np.isfinite(squares).all()
     np.testing.assert_array_equal(given_up[1], squares[1])
+
+
+def test_a_start_that_is_forgotten_before_its_first_residual_keeps_to_its_guess():
+    """While a delay line fills, a fast drive forgets how fast it was: a step of thousands of nominals cost nothing."""
+    t = task(dead_time=True, start={"delay": 0.13, "motor.time_constant": 0.003})
+    blind = tuple(dataclasses.replace(r, y=r.y * [np.nan, 1.0]) for r in t.recordings)
+    t = dataclasses.replace(t, recordings=blind)
+    q = t.free.scaled(t.free.start) + 0.1
+    shooting, z = windows_of(t, q)
+    fills = np.array([s.begin < s.first for s in shooting.segments])
+    at = shooting.linearise(q, z)
+    assert 0 < fills.sum() < len(fills)
+    known = np.einsum("sii->si", at.hessian)[:, len(q) :]
+    assert np.all(known[fills] >= WEAK_PRIOR**2) and np.all(known[~fills, 0] > 100 * WEAK_PRIOR**2)
+    step = DampedStep(at, len(q), np.einsum("sii->si", at.hessian), 1e-3)
+    dq, dz = step.towards(at.gradient, np.full(len(q), -0.5), np.full(len(q), 0.5))
+    assert np.abs(dz).max() < 1.0
+    assert shooting.cost(q + dq, z + dz) < at.cost

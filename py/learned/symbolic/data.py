@@ -28,7 +28,8 @@ HELPS = 0.95  # of the error without: what the sample before must leave, where a
 class Prepared:
     """Series with the pieces to fit, the scales of the block, and the lags (static: none).
 
-    folds : pairs of pieces, those on which constants are fitted and those on which they are judged.
+    folds : pairs of pieces, those on which constants are fitted and those on which they are judged. Both run from the
+    first sample of a recording, as a block does: what an output that integrates drifts by counts for as long as that.
     """
 
     shape: NarxShape | StaticShape
@@ -69,11 +70,11 @@ class Prepared:
 
         Targets: increments to the next sample, over the increment scale; of static outputs these themselves.
         """
+        parts = [(self.series[p.series], slice(*counted)) for p in pieces for counted in p.ranges]
         if self.static:
-            parts = [(self.series[p.series], slice(p.first, p.last)) for p in pieces]
             return tuple(np.concatenate([getattr(s, name)[k] for s, k in parts]) for name in ("z", "y"))
         ratio, y = self.bounds.ratio, range(self.shape.outputs)
-        z = [self.series[p.series].z[p.first : p.last] for p in pieces]
+        z = [s.z[k] for s, k in parts]
         return np.concatenate([v[:-1] for v in z]), np.concatenate([np.diff(v[:, y], axis=0) for v in z]) / ratio
 
 
@@ -95,7 +96,7 @@ def prepare(
     """
     u, y = zip(*(_columns(r, inputs, outputs, period) for r in records), strict=True)
     judged = [_columns(r, inputs, outputs, period) for r in select]
-    scales = _scales(np.concatenate(u), list(y), next_value)
+    scales = _scales([np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs)], y, next_value)
 
     def normal(part: str, values: np.ndarray) -> np.ndarray:
         return (values - scales[f"{part}_centre"]) / scales[f"{part}_scale"]
@@ -121,13 +122,15 @@ def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Pie
         cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
         begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
         return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
-    parts = [[_part(p, k) for p in fit] for k in range(FOLDS)]
-    return fit, [([p for j, part in enumerate(parts) if j != k for p in part], parts[k]) for k in range(FOLDS)]
+    return fit, [tuple(list(side) for side in zip(*(_apart(p, k) for p in fit), strict=True)) for k in range(FOLDS)]
 
 
-def _part(piece: Piece, k: int) -> Piece:
-    cuts = np.linspace(0, piece.last, FOLDS + 1).astype(int)
-    return Piece(piece.series, int(cuts[k]), int(cuts[k + 1]), k == 0)
+def _apart(piece: Piece, k: int) -> tuple[Piece, Piece]:
+    """A recording without its part ``k``, and that part, both run from the first sample on."""
+    cuts = [round(share * piece.last / FOLDS) for share in range(FOLDS + 1)]
+    begin, end = cuts[k], cuts[k + 1]
+    others = tuple((a, b) for a, b in ((0, begin), (end, piece.last)) if b > a)
+    return replace(piece, last=others[-1][1], counted=others), replace(piece, last=end, counted=((begin, end),))
 
 
 def prepare_static(
@@ -210,9 +213,9 @@ def _enough(record: Record, samples: int, period: float) -> None:
         )
 
 
-def _scales(u: np.ndarray, runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
-    input_centre, input_scale = _readable(u)
-    output_centre, output_scale = _readable(np.concatenate(runs))
+def _scales(recorded: Sequence[np.ndarray], runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
+    """From the inputs and outputs as recorded, the same at every period, and from the outputs at the period."""
+    (input_centre, input_scale), (output_centre, output_scale) = (_readable(part) for part in recorded)
     return {
         "input_centre": input_centre,
         "input_scale": input_scale,

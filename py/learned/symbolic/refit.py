@@ -25,12 +25,21 @@ class Series:
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples ``first`` to ``last`` of a series; ``rest``: it starts standing still, as a block does."""
+    """Samples ``first`` to ``last`` of a series; ``rest``: it starts standing still, as a block does.
+
+    counted : (begin, end) of the samples that are fitted or judged, all others are only run through; empty: all.
+    """
 
     series: int
     first: int
     last: int
     rest: bool
+    counted: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """What is counted."""
+        return self.counted or ((self.first, self.last),)
 
 
 @dataclass(frozen=True)
@@ -207,7 +216,8 @@ def laid_out(series: Sequence[Series], pieces: Sequence[Piece], own: Sequence[in
         runs.known[i, :n] = z[p.first : p.last, known]
         runs.known[i, n:] = z[p.last - 1, known]
         runs.target[i, :n] = y[p.first : p.last, own]
-        runs.inside[i, :n] = True
+        for begin, end in p.ranges:
+            runs.inside[i, begin - p.first : end - p.first] = True
     return runs
 
 

@@ -21,7 +21,7 @@ KEPT = "Trained again on all recordings, it ran worse over what had been held ou
 
 FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # the options of a kind that say what a provenance tells was chosen
     "network": lambda told: (
-        {key: told["form"][key] for key in ("period", "delay", "integrates", "hidden")}
+        {key: told["form"][key] for key in ("period", "delay", "substeps", "integrates", "hidden")}
         | {"lags": (told["form"]["output_lags"], told["form"]["input_lags"])}
     ),
     "gaussian_feedback": lambda told: (

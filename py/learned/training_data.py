@@ -139,13 +139,14 @@ def choose_period(records: Sequence[Record]) -> float:
     recorded = max(r.period for r in records)
     chosen = recorded
     for factor in (2, 3, 4, 5, 8, 10, 16, 20, 32, 50):
-        if not all(_resolved(r, factor * recorded) for r in records):
+        if not all(resolved(r, factor * recorded) for r in records):
             break
         chosen = factor * recorded
     return float(f"{chosen:.9g}")  # the median of printed times carries rounding
 
 
-def _resolved(record: Record, period: float) -> bool:
+def resolved(record: Record, period: float) -> bool:
+    """Whether every signal of a recording is found again between samples that are ``period`` apart."""
     if record.duration < 50 * period:
         return False
     floors = noise_floor(record)

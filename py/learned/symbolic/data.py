@@ -12,7 +12,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..network.narx import NarxShape
-from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, on_period, smoothed
+from ..substeps import at_period
+from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, smoothed
 from .block import Formula
 from .refit import Bounds, FreeRun, Piece, Run, Runs, Series, StaticRun, laid_out
 from .static_block import StaticShape
@@ -26,7 +27,7 @@ HELPS = 0.95  # of the error without: what the sample before must leave, where a
 
 @dataclass(frozen=True)
 class Prepared:
-    """Series with the pieces to fit, the scales of the block, and the lags (static: none).
+    """Series with the pieces to fit, the scales of the block, the lags (static: none), and the steps of a period.
 
     folds : pairs of pieces, those on which constants are fitted and those on which they are judged. Both run from the
     first sample of a recording, as a block does: what an output that integrates drifts by counts for as long as that.
@@ -37,6 +38,7 @@ class Prepared:
     series: list[Series]
     fit: list[Piece]
     folds: list[tuple[list[Piece], list[Piece]]]
+    steps: int = 1
 
     @property
     def judged(self) -> list[Piece]:
@@ -87,15 +89,17 @@ def prepare(
     lags: tuple[int, int | None],
     next_value: bool,
     smooth: bool = True,
+    steps: int = 1,
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
     select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples), unless ``smooth`` is False, and increments.
+    steps : of a period, over which inputs are means (`substeps`).
     """
-    u, y = zip(*(_columns(r, inputs, outputs, period) for r in records), strict=True)
-    judged = [_columns(r, inputs, outputs, period) for r in select]
+    u, y = zip(*(_columns(r, inputs, outputs, period, steps) for r in records), strict=True)
+    judged = [_columns(r, inputs, outputs, period, steps) for r in select]
     scales = _scales([np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs)], y, next_value)
 
     def normal(part: str, values: np.ndarray) -> np.ndarray:
@@ -108,7 +112,7 @@ def prepare(
     as_it_is = next_value or not smooth
     series = [_series(normal("input", a), normal("output", b), shape, ratio, as_it_is) for a, b in all_runs]
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value))
+    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value), steps)
 
 
 def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Piece], list]:
@@ -199,8 +203,8 @@ def _plain(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array([float(f"{c:.6g}") for c in centre]), np.array([float(f"{s:.6g}") for s in scale])
 
 
-def _columns(record: Record, inputs, outputs, period: float) -> tuple[np.ndarray, np.ndarray]:
-    even = on_period(record, period, inputs)
+def _columns(record: Record, inputs, outputs, period: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    even = at_period(record, period, inputs, steps)
     _enough(record, len(even), period)
     return _array(even, inputs), _array(even, outputs)
 

@@ -161,9 +161,21 @@ class FreeRun(Run):
         key = (step.name(), count, length)
         if key not in self._cache:
             self._cache[key] = step.mapaccum("walk", length, 1).map(count)
-        known = runs.known.reshape(count * length, -1).T
-        constants = np.array(constants, dtype=float).reshape(-1, 1)
-        return self._cache[key](start.T, known, constants)[1].full().T.reshape(count, length, -1)
+        walk = self._cache[key]
+        return _called(walk, (start, runs.known, np.tile(constants, count * length)), 1).reshape(count, length, -1)
+
+
+def _called(function: ca.Function, arguments: Sequence[np.ndarray], result: int) -> np.ndarray:
+    """One dense result as a flat array, by columns; arguments by columns. Nothing is copied through lists."""
+    held = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+    answer = np.empty(function.numel_out(result))
+    buffer, call = function.buffer()
+    for k, a in enumerate(held):
+        if a.size:
+            buffer.set_arg(k, memoryview(a))
+    buffer.set_res(result, memoryview(answer))
+    call()
+    return answer
 
 
 class StaticRun(Run):

@@ -15,13 +15,12 @@ from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock
 from ..interruption import INTERRUPTED
-from ..linear.arx import choose
-from ..linear.orders import Asked
+from ..linear.periods import affordable_period
 from ..needs import needed_to_train
 from ..options import check_counts, check_known, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
 from ..substeps import chosen_substeps, with_steps
-from ..training_data import checked_recordings, choose_period, named, usable
+from ..training_data import checked_recordings, named, usable
 from .block import SUBTRACT, VARIABLE, Formula
 from .data import Prepared, is_static, prepare, prepare_static
 
@@ -29,7 +28,6 @@ FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
 SELECTED_ON = "parts of every training recording, each with constants fitted on the others"
 FEWEST_NODES, SAMPLES_PER_NODE = 5, 20  # few samples get short formulas
-MANY = 20_000  # samples over all recordings: free runs over more cost minutes for every formula
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
 
@@ -75,8 +73,8 @@ def learn_symbolic(
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
         static: the outputs are functions of the inputs at the same moment; None: where `is_static` finds it.
-        period: s between steps; None: the longest that loses nothing worth having (`choose_period`); where this is more
-            than `MANY` samples, the one at which an ARX equation runs best on what is held out.
+        period: s between steps; None: the longest that loses nothing worth having and is not too many samples
+            (`affordable_period`).
         substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
             not show what the inputs do in between, those of the recordings (`substeps_step`).
         validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.
@@ -115,7 +113,7 @@ def learn_symbolic(
         period, data = float(period or recorded), prepare_static(records, select, inputs, outputs)
     else:
         asked = period
-        period = float(period or (recorded if paper else _period((records, select), inputs, outputs)))
+        period = float(period or (recorded if paper else affordable_period((records, select), inputs, outputs)))
         steps = 1 if paper else chosen_substeps(substeps, asked, [*records, *select], inputs, period)
         data = prepare(records, select, inputs, outputs, period, (0, 1) if paper else lags, paper, steps=steps)
     started = time.monotonic()
@@ -149,15 +147,6 @@ def learn_symbolic(
     block = replace(block, description=text, provenance=provenance)
     block = with_steps(replace(block, certificate=deploy.certify(block, formula)), data.steps)
     return block if static else steady_where_it_integrates(block, records, outputs, published=paper)
-
-
-def _period(both, inputs, outputs) -> float:
-    """The longest period that loses nothing worth having; where that is more than `MANY` samples, the one of ARX."""
-    records, _ = both
-    period = choose_period(records)
-    if sum(r.duration for r in records) <= MANY * period:
-        return period
-    return max(period, choose(both, inputs, outputs, None, Asked(), 0).period)
 
 
 def _rules(searching, paper: bool, functions, counts):

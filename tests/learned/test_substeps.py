@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from hydrotwin.export import export_fmu, read_fmu
-from hydrotwin.learned import learn_narx, read_block, train_network, write_block
+from hydrotwin.learned import learn, learn_narx, read_block, train_network, write_block
 from hydrotwin.learned.substeps import at_period, chosen_substeps, substeps_of
+from hydrotwin.learned.training_data import MANY, finest_period
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -119,3 +120,19 @@ def test_formulas_take_means_too():
     found = learn_narx([machine(1)], ["u"], ["y"], period=STEPS * FINE, substeps=STEPS, degree=1, terms=3)
     assert found.structure["substeps"] == STEPS and found.period == pytest.approx(FINE)
     assert rms(found, machine(2)) < 5e-3 and found.certificate.holds
+
+
+def test_the_card_says_what_of_long_recordings_was_not_trained_on():
+    long = machine(6, 1.5 * MANY * FINE)
+    found = learn("arx", [long], ["u"], ["y"])
+    assert (
+        f"Of {len(long)} samples one every {found.period:.3g} s was trained on" in found.provenance["free_run"]["says"]
+    )
+    short = learn("arx", [machine(1)], ["u"], ["y"])
+    assert "was trained on" not in short.provenance["free_run"]["says"]
+
+
+def test_the_finest_period_leaves_no_more_samples_than_are_run_over():
+    assert finest_period([machine(1)], FINE) == pytest.approx(FINE)
+    long = machine(6, 1.5 * MANY * FINE)
+    assert finest_period([long], FINE) == pytest.approx(2 * FINE)

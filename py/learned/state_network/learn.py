@@ -82,8 +82,8 @@ def learn_state_network(
     Args:
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
-        period: s between steps; None: the longest that loses nothing worth having (`choose_period`) and leaves
-            `PLENTY` samples, or that of the recordings.
+        period: s between steps; None: the longest that loses nothing worth having, is not too many samples
+            (`affordable_period`) and leaves `PLENTY` of them, or that of the recordings.
         validate: checked, but nothing is selected on them. select: recordings that choose in place of parts held out;
             nothing is fitted to them.
         hidden_states: beside the outputs; None: 1 to 3 are tried.

@@ -24,6 +24,7 @@ from hydrotwin.models.language.writing import toml_values, write_whole
 from hydrotwin.simulation.block import Block, TrainingDomain
 
 from .steady_step import steadied, steady_arrays
+from .substeps_step import STEPS, slow_structure, with_substeps
 
 Shapes = Mapping[str, tuple[int, ...]]
 
@@ -94,19 +95,33 @@ def assemble(
 
     Raises `DataError` when an array is missing, misshapen or not finite.
     """
-    where = where or frame["name"]
+    where, slow, steps = where or frame["name"], slow_structure(structure), _substeps(structure, where)
     try:
-        expected = kind.shapes(structure, len(frame["inputs"]), len(frame["outputs"]))
+        expected = kind.shapes(slow, len(frame["inputs"]), len(frame["outputs"]))
     except TypeError:
         raise DataError(f"{where}: not the counts of a {kind.name} (got {dict(structure)}). Train it again.") from None
     checked = {name: _checked_array(arrays, name, shape, where) for name, shape in expected.items()}
-    step, start = kind.functions(checked, structure)
+    step, start = kind.functions(checked, slow)
+    if steps > 1:
+        step, start = with_substeps(step, start, frame["states"], frame["inputs"], steps)
     _check_sizes(step, frame, where)
     steady = steady_arrays(arrays, len(frame["inputs"]), frame["states"], where)
     if steady:
         checked |= steady
         step = steadied(step, steady, frame["inputs"], frame["outputs"], frame["states"], frame["period"])
     return LearnedBlock(step=step, start=start, kind=kind.name, structure=dict(structure), arrays=checked, **frame)
+
+
+def _substeps(structure: Mapping[str, int], where: str) -> int:
+    steps = structure.get(STEPS, 1)
+    if not (isinstance(steps, int) and steps >= 1):
+        raise DataError(f"{where}: {STEPS} must be a whole number from 1 up (got {steps}). Write the block again.")
+    return steps
+
+
+def kind_of(block: LearnedBlock) -> LearnedKind:
+    """The registered kind of a block."""
+    return _KINDS[block.kind]
 
 
 def write_block(block: LearnedBlock, path: str | Path) -> tuple[Path, Path]:

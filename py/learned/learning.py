@@ -31,7 +31,9 @@ from .polynomial.learn import learn_narx
 from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
+from .substeps_step import STEPS as SUBSTEPS
 from .symbolic.learn import learn_symbolic
+from .training_data import MANY
 from .validation import judges, validated
 
 KINDS: Mapping[str, Callable] = {
@@ -167,7 +169,7 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
     bad += [*one_way(records, named[0]), *_of_ending(block)]
-    notes += [*_of_drift(block), *_of_seeds(block)]
+    notes += [*_of_drift(block), *_of_seeds(block), *_of_thinning(block, records)]
     if not split.parts:
         return card(split, [], Words(bad, notes))
     more = yardsticks(block.provenance.get("kind", ""), split, *named)
@@ -221,6 +223,18 @@ def _of_seeds(block: Block) -> list[str]:
     apart = max(errors) / min(errors)
     told = f"{apart:.2g} times the error of the best" if np.isfinite(apart) else "diverged"
     return [f"Of {len(errors)} seeds the worst {'had ' if np.isfinite(apart) else ''}{told} where they were chosen."]
+
+
+def _of_thinning(block: Block, records: Sequence[Record]) -> list[str]:
+    """What of long recordings a training did not run over."""
+    steps = getattr(block, "structure", {}).get(SUBSTEPS, 1)
+    all_, period = sum(len(r) for r in records), steps * block.period
+    taken = sum(r.duration for r in records) / period
+    if all_ <= MANY or taken > all_ / 2:
+        return []
+    means = "; the inputs are their means in between" if steps > 1 else ""
+    return [f"Of {all_} samples one every {period:.3g} s was trained on{means}: more than {MANY} take too long. Give "
+            "period=... for another."]  # fmt: skip
 
 
 def _of_drift(block: Block) -> list[str]:

@@ -19,9 +19,11 @@ from .validation import validated
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 KEPT = "Trained again on all recordings, it ran worse over what had been held out: the block as it was judged is kept."
 
+NETWORK = ("period", "delay", "substeps", "integrates", "hidden")  # blocks of an older version lack some
+
 FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # the options of a kind that say what a provenance tells was chosen
     "network": lambda told: (
-        {key: told["form"][key] for key in ("period", "delay", "integrates", "hidden")}
+        {key: told["form"][key] for key in NETWORK if key in told["form"]}
         | {"lags": (told["form"]["output_lags"], told["form"]["input_lags"])}
     ),
     "gaussian_feedback": lambda told: (

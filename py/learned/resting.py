@@ -31,20 +31,27 @@ class Rests:
     fastest: np.ndarray
 
 
-def rests(records: Sequence[Record], commands: Sequence[Signal], outputs: Sequence[Signal]) -> Rests:
-    """The commands at which the machine rests, those it rested at for longest first."""
+def rests(
+    records: Sequence[Record], commands: Sequence[Signal], outputs: Sequence[Signal], period: float = 0.0
+) -> Rests:
+    """The commands at which the machine rests, those it rested at for longest first.
+
+    period : s, of the block; where recordings are denser, a stretch is so many of its periods: where a smooth command
+    turns, many dense samples are near to each other, and nothing rests.
+    """
     width = _width(records, commands)
     stretches: dict[tuple, list] = {}
     fastest = np.zeros(len(outputs))
     for record in records:
         u, y = (record.array([s.name for s in part]) for part in (commands, outputs))
         keys = np.round(u / width).astype(np.int64)
-        for first, last in _runs(keys):
+        shortest = SHORTEST * max(1, round(period / record.period))
+        for first, last in _runs(keys, shortest):
             part = slice((first + last) // 2, last)
             rates = np.array([slope_and_error(record.time[part], column) for column in y[part].T])
             told = (last - first, u[first:last].mean(axis=0), rates)
             stretches.setdefault(tuple(keys[first]), []).append(told)
-        fastest = np.maximum(fastest, _fastest(record.time, y))
+        fastest = np.maximum(fastest, _fastest(record.time, y, shortest // 2))
     still = [s for s in stretches.values() if _stands(np.array([rates for *_, rates in s]), fastest)]
     still.sort(key=lambda found: -sum(n for n, *_ in found))
     levels = [np.average([u for _, u, _ in found], axis=0, weights=[n for n, *_ in found]) for found in still[:MOST]]
@@ -59,18 +66,17 @@ def _width(records, commands) -> np.ndarray:
     return np.clip(4 * noise, NEAR * ranges, NOISY * ranges)
 
 
-def _runs(keys: np.ndarray):
+def _runs(keys: np.ndarray, shortest: int):
     """(first, last) of every stretch of equal keys that is long enough."""
     ends = np.flatnonzero(np.any(np.diff(keys, axis=0) != 0, axis=1)) + 1
     for first, last in zip(np.append(0, ends), np.append(ends, len(keys)), strict=True):
-        if last - first >= SHORTEST:
+        if last - first >= shortest:
             yield int(first), int(last)
 
 
-def _fastest(time: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The largest mean rate over half of the shortest stretch."""
-    n = SHORTEST // 2
-    return np.abs((y[n:] - y[:-n]) / (time[n:] - time[:-n])[:, None]).max(axis=0)
+def _fastest(time: np.ndarray, y: np.ndarray, n: int) -> np.ndarray:
+    """The largest mean rate over ``n`` samples; none where there are not so many."""
+    return np.abs((y[n:] - y[:-n]) / (time[n:] - time[:-n])[:, None]).max(axis=0, initial=0.0)
 
 
 def _stands(rates: np.ndarray, fastest: np.ndarray) -> bool:

@@ -34,11 +34,13 @@ from .steady_step import (
     near_rest,
     steadied,
 )
+from .substeps_step import STEPS as SUBSTEPS
 
 STEPS = 200  # of a block at a held command, over which its drift is looked at
 PLACES = 9  # of each output's range, at which the drift is looked at
 ROOM = 1.5  # times the largest drift seen is what the block is held against
 LARGEST = 0.1  # of the fastest rate: a block that drifts faster at rest is not to be mended by holding it
+COSTS = 1.1  # times the error in free run without being held at rest: more than that is not worth it
 REPAYS = 0.9  # of the error without a curve: what it must come to with one, where it was not fitted
 MOST = 4000  # samples that a curve is fitted on, over all recordings
 
@@ -63,9 +65,30 @@ def steady_block(block: LearnedBlock, records: Sequence[Record], what: Steady) -
     if not kept:
         return block
     deciding = [s for s in block.inputs if what.commands is None or s.name in what.commands]
-    found = rests(records, deciding, kept)
+    slow = block.period * block.structure.get(SUBSTEPS, 1)
+    found = rests(records, deciding, kept, slow)
     held = _held(block, found, kept, deciding)
+    if held.step is not block.step and not _as_exact(held, block, records, [s.name for s in kept]):
+        told = {**held.provenance["rest"], "held": []}
+        held = replace(block, provenance={**block.provenance, "rest": told})
     return _curved(held, records, kept, block.step) if what.curve else held
+
+
+def _as_exact(held: LearnedBlock, block: LearnedBlock, records: Sequence[Record], names: Sequence[str]) -> bool:
+    """Whether the block that is held at rest runs as well over the recordings as without.
+
+    Slow motion through the commands of a rest is held, too, and what a trained block loses there is not made up for.
+    """
+    try:
+        errors = [_rms(np.concatenate([simulate(b, r).array(names) - r.array(names) for r in records]))
+                  for b in (held, block)]  # fmt: skip
+    except Diverged:
+        return True
+    return bool(np.all(errors[0] <= COSTS * errors[1]))
+
+
+def _rms(miss: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(miss**2, axis=0))
 
 
 def steady_where_it_integrates(

@@ -13,6 +13,7 @@ from hydrotwin.records import Record, noise_floor, require
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
+MANY = 20_000  # samples over all recordings that are run over for every candidate; more cost minutes for each
 HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
@@ -139,13 +140,20 @@ def choose_period(records: Sequence[Record]) -> float:
     recorded = max(r.period for r in records)
     chosen = recorded
     for factor in (2, 3, 4, 5, 8, 10, 16, 20, 32, 50):
-        if not all(_resolved(r, factor * recorded) for r in records):
+        if not all(resolved(r, factor * recorded) for r in records):
             break
         chosen = factor * recorded
     return float(f"{chosen:.9g}")  # the median of printed times carries rounding
 
 
-def _resolved(record: Record, period: float) -> bool:
+def finest_period(records: Sequence[Record], recorded: float) -> float:
+    """The shortest whole multiple of ``recorded`` [s] at which the recordings are no more than `MANY` samples."""
+    total = sum(r.duration for r in records)
+    return float(f"{recorded * max(1, int(np.ceil(total / recorded / MANY))):.9g}")
+
+
+def resolved(record: Record, period: float) -> bool:
+    """Whether every signal of a recording is found again between samples that are ``period`` apart."""
     if record.duration < 50 * period:
         return False
     floors = noise_floor(record)

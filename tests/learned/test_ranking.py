@@ -79,6 +79,7 @@ def test_a_block_may_be_trained_again_on_all_and_keeps_the_card_of_what_had_not_
 
 
 FORM = {"period": 0.1, "output_lags": 1, "input_lags": 4, "delay": 2, "integrates": True, "places": True, "hidden": 3}
+FORM |= {"substeps": 2}
 PROCESS = {"period": 0.2, "kernel": "linear+rbf", "level": 1, "increments": 1, "samples": 3}
 
 
@@ -88,7 +89,7 @@ PROCESS = {"period": 0.2, "kernel": "linear+rbf", "level": 1, "increments": 1, "
         (
             "nn",
             {"kind": "network", "form": FORM},
-            {"period": 0.1, "lags": (1, 4), "delay": 2, "integrates": True, "hidden": 3},
+            {"period": 0.1, "lags": (1, 4), "delay": 2, "integrates": True, "hidden": 3, "substeps": 2},
         ),
         (
             "gp",

@@ -11,12 +11,12 @@ from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..training_data import choose_period
+from ..training_data import choose_period, finest_period
 from .feedback_run import Lags
 from .feedback_training import Data, Effort, Form, Trained, at_period, prepared, stages
 from .kernels import Kernel
 
-PERIODS = (1, 2, 3, 5, 10, 20, 40)  # times the recorded one, that are tried
+PERIODS = (1, 2, 3, 5, 10, 20, 40)  # times the recorded one, or `finest_period`, that are tried
 FEWEST = 60  # samples of a recording at a period
 FIRST = ((1, 1, 3), (0, 1, 3))  # (level, increments, samples of the inputs) that periods are tried with
 LAGS = ((1, 0, 2), (1, 1, 2), (0, 1, 2), (1, 2, 3), (0, 2, 3), (1, 2, 6), (0, 0, 5), (0, 1, 6))
@@ -173,7 +173,8 @@ def _score(scored: tuple[float, list[Trained]]) -> float:
 def periods_of(records: Sequence[Record], period: float | None) -> list[float]:
     """The periods that are tried; raises `DataError` where the recordings are too short for the shortest."""
     recorded = max(r.period for r in records) if all(r.uniform for r in records) else choose_period(records)
-    periods = [float(period)] if period else [float(f"{k * recorded:.9g}") for k in PERIODS]
+    finest = finest_period(records, recorded)
+    periods = [float(period)] if period else [float(f"{k * finest:.9g}") for k in PERIODS]
     kept = [p for p in periods if min(r.duration for r in records) >= FEWEST * p]
     if not kept:
         short = min(records, key=lambda r: r.duration)

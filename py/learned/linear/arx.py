@@ -16,7 +16,7 @@ from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..options import check_counts, check_lags, check_positive
-from ..training_data import checked_recordings, named, training_box, usable
+from ..training_data import checked_recordings, finest_period, named, training_box, usable
 from .arx_block import ARX, arx_states
 from .orders import NOTHING, SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
 from .output_error import refined
@@ -25,7 +25,6 @@ from .regressors import Rows, Sampled, Scales
 FACTORS = (1, 2, 4, 8, 16, 32)  # of the sampling period that are tried
 LONGER = 1.05  # times what a longer period leaves must be left by a shorter one, where only one part judges
 LATEST = 40  # of the shortest period: a dead time is no longer because the period is
-MOST = 20_000  # samples over all recordings that are fitted on; longer ones are taken at a longer period
 LEAST = 30  # samples over all recordings
 SAMPLES = 40  # of the shortest recording that must be left at a longer period
 TOLERANCE = 1e-9  # of an output's range: deployed free run against the fit's own
@@ -170,8 +169,7 @@ def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0
 
 def periods_of(records: Sequence[Record]) -> list[float]:
     """The sampling period and multiples, with neither too many samples over all recordings nor too few in one."""
-    recorded, total = max(r.period for r in records), sum(r.duration for r in records)
-    finest = recorded * max(1, int(np.ceil(total / recorded / MOST)))
+    finest = finest_period(records, max(r.period for r in records))
     shortest = min(r.duration for r in records)
     return [float(f"{finest * f:.9g}") for f in FACTORS if f == 1 or shortest / (finest * f) >= SAMPLES]
 

@@ -15,6 +15,7 @@ from hydrotwin.records import Record
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..options import check_counts, check_positive
 from ..steady import steady_where_it_integrates
+from ..substeps import with_steps
 from ..training_data import checked_recordings, named, training_box
 from .form import Form
 from .free_run import Scales, next_step, weight_arrays
@@ -37,6 +38,7 @@ def train_network(
     select: Sequence[Record] = (),
     lags: tuple[int | None, int | None] = (None, None),
     delay: int | None = None,
+    substeps: int | None = None,
     integrates: bool | None = None,
     hidden: int | None = None,
     seed: int = 0,
@@ -62,6 +64,8 @@ def train_network(
         select: recordings to choose by.
         lags: past increments of the outputs, samples of the inputs. delay: newest samples of the inputs that are not
             looked at; they are among those samples. integrates: whether the linear part is blind to the outputs' level.
+        substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
+            not show what the inputs do in between, those of the recordings (`substeps_step`).
         hidden: tanh units; 0: the best linear model in free run.
         seed, starts: seeds ``seed ... seed + starts - 1`` are trained; ``provenance["seeds"]`` has what each comes to.
         effort: scales the number of iterations. budget: time limit in s, after which the best so far is taken.
@@ -75,11 +79,11 @@ def train_network(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     counts = {"lags[0]": (lags[0], 0), "lags[1]": (lags[1], 1), "delay": (delay, 0), "hidden": (hidden, 0)}
-    check_counts("train_network", counts | {"starts": (starts, 1)})
+    check_counts("train_network", counts | {"starts": (starts, 1), "substeps": (substeps, 1)})
     check_positive("train_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, validate = checked_recordings("train_network", records, inputs, outputs, validate)
     select = checked_recordings("train_network", records, inputs, outputs, select)[3]
-    asked = Asked(period, *lags, delay, integrates, hidden, seed, starts, effort)
+    asked = Asked(period, *lags, delay, integrates, hidden, seed, starts, effort, substeps)
     meter = Meter(budget, progress)
     search = Search(records, select, inputs, outputs, asked, meter)
     _check_size(search, asked)
@@ -104,7 +108,7 @@ def train_network(
             "kind": "network",
             "trained_on": named(records),
             "selected_on": named(select) or f"{PARTS} parts of the training recordings, held out in turn",
-            "form": found.form.told(),
+            "form": found.form.told() | {"substeps": search.steps(found.form.period)},
             "seed": found.seed,
             "seeds": search.seeds,
             "held_out_error": found.error,
@@ -115,6 +119,7 @@ def train_network(
         },
     )
     block = replace(block, certificate=certify(block, weights, problem.shape))
+    block = with_steps(block, search.steps(found.form.period))
     return steady_where_it_integrates(block, records, outputs, commands=commands, curve=True)
 
 

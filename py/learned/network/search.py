@@ -16,6 +16,7 @@ import numpy as np
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
+from ..substeps import chosen_substeps
 from .form import Form
 from .series import Series, series, squares
 from .training import Ended, Meter, Problem, Stage
@@ -49,6 +50,7 @@ class Asked:
     seed: int = 0
     starts: int = 3
     effort: float = 1.0
+    substeps: int | None = None
 
     def stages(self, stages: Sequence[Stage]) -> list[Stage]:
         """With that effort."""
@@ -126,8 +128,15 @@ class Search:
     def series(self, period: float) -> Series:
         """The recordings at a period."""
         if period not in self._series:
-            self._series[period] = series(self.records, self.select, self.inputs, self.outputs, period)
+            given = self.records, self.select, self.inputs, self.outputs
+            self._series[period] = series(*given, period, self.steps(period))
         return self._series[period]
+
+    def steps(self, period: float) -> int:
+        """Steps of a period, over which inputs are means."""
+        return chosen_substeps(
+            self.asked.substeps, self.asked.period, [*self.records, *self.select], self.inputs, period
+        )
 
     # -- linear forms --------------------------------------------------------------------------------------------------
     def _linear(self) -> list[Candidate]:

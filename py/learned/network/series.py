@@ -10,7 +10,8 @@ import numpy as np
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..training_data import LIMIT_OVER_SEEN, free_run_bounds, increment_spread, on_period, smoothed
+from ..substeps import at_period
+from ..training_data import LIMIT_OVER_SEEN, free_run_bounds, increment_spread, smoothed
 from .free_run import Run, Scales, Stretches, cut, free_run, gather
 from .narx import NarxShape
 
@@ -84,9 +85,13 @@ def series(
     inputs: Sequence[Signal],
     outputs: Sequence[Signal],
     period: float,
+    steps: int = 1,
 ) -> Series:
-    """Recordings at ``period`` [s], normalised; the scales are those of ``records``."""
-    even, judged = ([on_period(r, period, inputs) for r in part] for part in (records, select))
+    """Recordings at ``period`` [s], normalised; the scales are those of ``records``.
+
+    steps : of a period, over which inputs are means (`substeps`).
+    """
+    even, judged = ([at_period(r, period, inputs, steps) for r in part] for part in (records, select))
     u, y = ([r.array([s.name for s in part]) for r in even] for part in (inputs, outputs))
     arrays = _scales(np.concatenate(u), np.concatenate(y), y)
 

@@ -20,6 +20,7 @@ from ..needs import needed_to_train
 from ..network.narx import NarxShape
 from ..options import check_counts, check_lags, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
+from ..substeps import chosen_substeps, with_steps
 from ..symbolic.data import Prepared, prepare
 from ..training_data import checked_recordings, choose_period, named, on_period, usable
 from .selection import Selected, select
@@ -46,6 +47,7 @@ def learn_narx(
     degree: int = DEGREE,
     lags: tuple[int, int] | None = None,
     delay: int | None = None,
+    substeps: int | None = None,
     terms: int = MOST_TERMS,
     tolerance: float = 0.05,
     select: Sequence[Record] = (),
@@ -69,6 +71,8 @@ def learn_narx(
         period: s between steps; None: chosen. degree: of the products, 1 to 3.
         lags: (past increments of the outputs, samples of every input); None: chosen. delay: periods before an input
             acts; None: chosen. terms: of an equation, at most.
+        substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
+            not show what the inputs do in between, those of the recordings (`substeps_step`).
         select: recordings that choose in place of parts held out; nothing is fitted to them.
         validate: checked, and used for nothing. seed: of the rows that terms are selected on, and of the short runs.
         budget: s; None: no limit. Fewer polynomials are refitted when it ends.
@@ -85,7 +89,9 @@ def learn_narx(
     began = perf_counter()
     with needed_to_train("learn_narx"):
         from ..symbolic import deploy
-    check_counts("learn_narx", {"degree": (degree, 1), "terms": (terms, 1), "delay": (delay, 0)})
+    check_counts(
+        "learn_narx", {"degree": (degree, 1), "terms": (terms, 1), "delay": (delay, 0), "substeps": (substeps, 1)}
+    )
     check_positive("learn_narx", period=period, budget=budget)
     check_tolerance("learn_narx", tolerance)
     check_lags("learn_narx", lags, "past increments", "1,3")
@@ -96,7 +102,7 @@ def learn_narx(
     asked = Asked(None, None, lags[1] if lags else None, delay)
     both = records, chosen_by
     found = _best(both, choose(both, inputs, outputs, period, asked, 0), (inputs, outputs),
-                  _Options(period, degree, lags, terms, tolerance, seed, budget), progress)  # fmt: skip
+                  _Options(period, substeps, degree, lags, terms, tolerance, seed, budget), progress)  # fmt: skip
     data, formula = found.data, found.formula
     block = deploy.formula_block(formula, data, records, inputs, outputs, found.period, name)
     told = _told(found, inputs, outputs)
@@ -115,7 +121,7 @@ def learn_narx(
         "versions": {package: metadata.version(package) for package in ("numpy", "scipy", "sympy", "casadi")},
     }
     block = replace(block, description=_describe(told), provenance=provenance)
-    block = replace(block, certificate=deploy.certify(block, formula))
+    block = with_steps(replace(block, certificate=deploy.certify(block, formula)), found.data.steps)
     return steady_where_it_integrates(block, records, outputs)
 
 
@@ -124,6 +130,7 @@ class _Options:
     """What was asked for."""
 
     period: float | None
+    substeps: int | None
     degree: int
     lags: tuple[int, int] | None
     terms: int
@@ -162,7 +169,9 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
 
     inputs, outputs = signals
     past, first, last = _lags(arx, period, options.lags)
-    data = prepare(*both, inputs, outputs, period, (past, last), False, smooth=_noisy(both[0], signals, period))
+    steps = chosen_substeps(options.substeps, options.period, [*both[0], *both[1]], inputs, period)
+    how = {"smooth": _noisy(both[0], signals, period), "steps": steps}
+    data = prepare(*both, inputs, outputs, period, (past, last), False, **how)
     rng = np.random.default_rng(options.seed)
     paths = [_selected(data, i, first, options, rng) for i in range(len(outputs))]
     counts = COUNTS if _samples(both[0], period) <= MANY else FEW

@@ -15,9 +15,10 @@ from hydrotwin.records import Record
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED, CtrlC
+from ..linear.periods import affordable_period
 from ..options import check_counts, check_positive
 from ..steady import steady_where_it_integrates
-from ..training_data import ROOM, checked_recordings, choose_period, named, on_period, training_box, usable
+from ..training_data import ROOM, checked_recordings, named, on_period, training_box, usable
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
 from .climbing import Run, Stage
 from .equations import STATE_NETWORK, StateShape, network_states
@@ -81,8 +82,8 @@ def learn_state_network(
     Args:
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
-        period: s between steps; None: the longest that loses nothing worth having (`choose_period`) and leaves
-            `PLENTY` samples, or that of the recordings.
+        period: s between steps; None: the longest that loses nothing worth having, is not too many samples
+            (`affordable_period`) and leaves `PLENTY` of them, or that of the recordings.
         validate: checked, but nothing is selected on them. select: recordings that choose in place of parts held out;
             nothing is fitted to them.
         hidden_states: beside the outputs; None: 1 to 3 are tried.
@@ -103,8 +104,8 @@ def learn_state_network(
     check_counts("learn_state_network", counts)
     check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
-    period, began = float(period or _period(records)), time.monotonic()
-    select = usable(select, (*inputs, *outputs)) if select else []
+    select, began = usable(select, (*inputs, *outputs)) if select else [], time.monotonic()
+    period = float(period or _period((records, select), inputs, outputs))
     data = _normalised((records, select), inputs, outputs, period)
     forms = _forms(data, hidden_states, hidden)
     with CtrlC() as ctrl_c:
@@ -169,11 +170,12 @@ def _stepped(net: Network, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     return free_run(net, s, x)[1, :, : shape.order]
 
 
-def _period(records: Sequence[Record]) -> float:
+def _period(both, inputs, outputs) -> float:
     """The period of the network [s]."""
+    records, _ = both
     recorded = max(r.period for r in records)
     most = max(1, int(sum(r.duration for r in records) / recorded / PLENTY))
-    return float(f"{min(choose_period(records), most * recorded):.9g}")
+    return float(f"{min(affordable_period(both, inputs, outputs), most * recorded):.9g}")
 
 
 def _normalised(both, inputs, outputs, period: float) -> _Normalised:

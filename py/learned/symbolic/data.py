@@ -12,7 +12,8 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..network.narx import NarxShape
-from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, on_period, smoothed
+from ..substeps import at_period
+from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, smoothed
 from .block import Formula
 from .refit import Bounds, FreeRun, Piece, Run, Runs, Series, StaticRun, laid_out
 from .static_block import StaticShape
@@ -26,9 +27,10 @@ HELPS = 0.95  # of the error without: what the sample before must leave, where a
 
 @dataclass(frozen=True)
 class Prepared:
-    """Series with the pieces to fit, the scales of the block, and the lags (static: none).
+    """Series with the pieces to fit, the scales of the block, the lags (static: none), and the steps of a period.
 
-    folds : pairs of pieces, those on which constants are fitted and those on which they are judged.
+    folds : pairs of pieces, those on which constants are fitted and those on which they are judged. Both run from the
+    first sample of a recording, as a block does: what an output that integrates drifts by counts for as long as that.
     """
 
     shape: NarxShape | StaticShape
@@ -36,6 +38,7 @@ class Prepared:
     series: list[Series]
     fit: list[Piece]
     folds: list[tuple[list[Piece], list[Piece]]]
+    steps: int = 1
 
     @property
     def judged(self) -> list[Piece]:
@@ -69,11 +72,11 @@ class Prepared:
 
         Targets: increments to the next sample, over the increment scale; of static outputs these themselves.
         """
+        parts = [(self.series[p.series], slice(*counted)) for p in pieces for counted in p.ranges]
         if self.static:
-            parts = [(self.series[p.series], slice(p.first, p.last)) for p in pieces]
             return tuple(np.concatenate([getattr(s, name)[k] for s, k in parts]) for name in ("z", "y"))
         ratio, y = self.bounds.ratio, range(self.shape.outputs)
-        z = [self.series[p.series].z[p.first : p.last] for p in pieces]
+        z = [s.z[k] for s, k in parts]
         return np.concatenate([v[:-1] for v in z]), np.concatenate([np.diff(v[:, y], axis=0) for v in z]) / ratio
 
 
@@ -86,16 +89,18 @@ def prepare(
     lags: tuple[int, int | None],
     next_value: bool,
     smooth: bool = True,
+    steps: int = 1,
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
     select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples), unless ``smooth`` is False, and increments.
+    steps : of a period, over which inputs are means (`substeps`).
     """
-    u, y = zip(*(_columns(r, inputs, outputs, period) for r in records), strict=True)
-    judged = [_columns(r, inputs, outputs, period) for r in select]
-    scales = _scales(np.concatenate(u), list(y), next_value)
+    u, y = zip(*(_columns(r, inputs, outputs, period, steps) for r in records), strict=True)
+    judged = [_columns(r, inputs, outputs, period, steps) for r in select]
+    scales = _scales([np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs)], y, next_value)
 
     def normal(part: str, values: np.ndarray) -> np.ndarray:
         return (values - scales[f"{part}_centre"]) / scales[f"{part}_scale"]
@@ -107,7 +112,7 @@ def prepare(
     as_it_is = next_value or not smooth
     series = [_series(normal("input", a), normal("output", b), shape, ratio, as_it_is) for a, b in all_runs]
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value))
+    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value), steps)
 
 
 def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Piece], list]:
@@ -121,13 +126,15 @@ def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Pie
         cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
         begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
         return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
-    parts = [[_part(p, k) for p in fit] for k in range(FOLDS)]
-    return fit, [([p for j, part in enumerate(parts) if j != k for p in part], parts[k]) for k in range(FOLDS)]
+    return fit, [tuple(list(side) for side in zip(*(_apart(p, k) for p in fit), strict=True)) for k in range(FOLDS)]
 
 
-def _part(piece: Piece, k: int) -> Piece:
-    cuts = np.linspace(0, piece.last, FOLDS + 1).astype(int)
-    return Piece(piece.series, int(cuts[k]), int(cuts[k + 1]), k == 0)
+def _apart(piece: Piece, k: int) -> tuple[Piece, Piece]:
+    """A recording without its part ``k``, and that part, both run from the first sample on."""
+    cuts = [round(share * piece.last / FOLDS) for share in range(FOLDS + 1)]
+    begin, end = cuts[k], cuts[k + 1]
+    others = tuple((a, b) for a, b in ((0, begin), (end, piece.last)) if b > a)
+    return replace(piece, last=others[-1][1], counted=others), replace(piece, last=end, counted=((begin, end),))
 
 
 def prepare_static(
@@ -196,8 +203,8 @@ def _plain(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array([float(f"{c:.6g}") for c in centre]), np.array([float(f"{s:.6g}") for s in scale])
 
 
-def _columns(record: Record, inputs, outputs, period: float) -> tuple[np.ndarray, np.ndarray]:
-    even = on_period(record, period, inputs)
+def _columns(record: Record, inputs, outputs, period: float, steps: int) -> tuple[np.ndarray, np.ndarray]:
+    even = at_period(record, period, inputs, steps)
     _enough(record, len(even), period)
     return _array(even, inputs), _array(even, outputs)
 
@@ -210,9 +217,9 @@ def _enough(record: Record, samples: int, period: float) -> None:
         )
 
 
-def _scales(u: np.ndarray, runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
-    input_centre, input_scale = _readable(u)
-    output_centre, output_scale = _readable(np.concatenate(runs))
+def _scales(recorded: Sequence[np.ndarray], runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
+    """From the inputs and outputs as recorded, the same at every period, and from the outputs at the period."""
+    (input_centre, input_scale), (output_centre, output_scale) = (_readable(part) for part in recorded)
     return {
         "input_centre": input_centre,
         "input_scale": input_scale,

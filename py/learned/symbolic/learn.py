@@ -15,10 +15,12 @@ from hydrotwin.records import Record
 
 from ..block_file import LearnedBlock
 from ..interruption import INTERRUPTED
+from ..linear.periods import affordable_period
 from ..needs import needed_to_train
 from ..options import check_counts, check_known, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
-from ..training_data import checked_recordings, choose_period, named, usable
+from ..substeps import chosen_substeps, with_steps
+from ..training_data import checked_recordings, named, usable
 from .block import SUBTRACT, VARIABLE, Formula
 from .data import Prepared, is_static, prepare, prepare_static
 
@@ -37,6 +39,7 @@ def learn_symbolic(
     fit: str = "default",
     static: bool | None = None,
     period: float | None = None,
+    substeps: int | None = None,
     validate: Sequence[Record] = (),
     select: Sequence[Record] = (),
     lags: tuple[int, int | None] = (1, None),
@@ -70,7 +73,10 @@ def learn_symbolic(
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
         static: the outputs are functions of the inputs at the same moment; None: where `is_static` finds it.
-        period: s between steps; None: the longest that loses nothing worth having (`choose_period`).
+        period: s between steps; None: the longest that loses nothing worth having and is not too many samples
+            (`affordable_period`).
+        substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
+            not show what the inputs do in between, those of the recordings (`substeps_step`).
         validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.
         lags: past increments of the outputs, samples of the inputs (None: chosen, `choose_input_lags`).
         functions: of add, sub, mul, div, sin, cos, tanh, exp, log (of the absolute value), sqrt (as well), square.
@@ -95,6 +101,7 @@ def learn_symbolic(
         from . import select as selecting
         from . import text as printing
     counts = {"starts": starts, "population": population, "generations": generations, "nodes": nodes}
+    counts["substeps"] = substeps
     _check_options(fit, static, lags, counts, {"tolerance": tolerance, "budget": budget, "period": period})
     inputs, outputs, records, select = checked_recordings("learn_symbolic", records, inputs, outputs, select)
     if validate:
@@ -105,8 +112,10 @@ def learn_symbolic(
     if static:
         period, data = float(period or recorded), prepare_static(records, select, inputs, outputs)
     else:
-        period = float(period or (recorded if paper else choose_period(records)))
-        data = prepare(records, select, inputs, outputs, period, (0, 1) if paper else lags, paper)
+        asked = period
+        period = float(period or (recorded if paper else affordable_period((records, select), inputs, outputs)))
+        steps = 1 if paper else chosen_substeps(substeps, asked, [*records, *select], inputs, period)
+        data = prepare(records, select, inputs, outputs, period, (0, 1) if paper else lags, paper, steps=steps)
     started = time.monotonic()
     end = started + (np.inf if budget is None else budget)
     samples = sum(p.last - p.first for p in data.folds[0][0])
@@ -136,7 +145,7 @@ def learn_symbolic(
     text, latex = deploy.equation(formula, data, inputs, outputs, whole_value=paper)
     provenance = _provenance(fit, records, select, seed, told) | {"equation": text, "latex": latex}
     block = replace(block, description=text, provenance=provenance)
-    block = replace(block, certificate=deploy.certify(block, formula))
+    block = with_steps(replace(block, certificate=deploy.certify(block, formula)), data.steps)
     return block if static else steady_where_it_integrates(block, records, outputs, published=paper)
 
 
@@ -215,7 +224,7 @@ def _check_options(fit, static, lags, counts: dict, amounts: dict) -> None:
         raise DeclarationError("learn_symbolic: static data and fit paper do not go together (got static=True). "
                                "The paper learns the next value. Leave out one of the two.")  # fmt: skip
     n, m = lags
-    least = {"lags[0]": 0, "lags[1]": 1, "starts": 1, "population": 20, "generations": 1, "nodes": 3}
+    least = {"lags[0]": 0, "lags[1]": 1, "starts": 1, "population": 20, "generations": 1, "nodes": 3, "substeps": 1}
     given = {"lags[0]": n, "lags[1]": m, **counts}
     check_counts("learn_symbolic", {option: (value, least[option]) for option, value in given.items()})
     check_positive("learn_symbolic", budget=amounts["budget"], period=amounts["period"])

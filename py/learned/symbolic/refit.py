@@ -25,12 +25,21 @@ class Series:
 
 @dataclass(frozen=True)
 class Piece:
-    """Samples ``first`` to ``last`` of a series; ``rest``: it starts standing still, as a block does."""
+    """Samples ``first`` to ``last`` of a series; ``rest``: it starts standing still, as a block does.
+
+    counted : (begin, end) of the samples that are fitted or judged, all others are only run through; empty: all.
+    """
 
     series: int
     first: int
     last: int
     rest: bool
+    counted: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """What is counted."""
+        return self.counted or ((self.first, self.last),)
 
 
 @dataclass(frozen=True)
@@ -152,9 +161,21 @@ class FreeRun(Run):
         key = (step.name(), count, length)
         if key not in self._cache:
             self._cache[key] = step.mapaccum("walk", length, 1).map(count)
-        known = runs.known.reshape(count * length, -1).T
-        constants = np.array(constants, dtype=float).reshape(-1, 1)
-        return self._cache[key](start.T, known, constants)[1].full().T.reshape(count, length, -1)
+        walk = self._cache[key]
+        return _called(walk, (start, runs.known, np.tile(constants, count * length)), 1).reshape(count, length, -1)
+
+
+def _called(function: ca.Function, arguments: Sequence[np.ndarray], result: int) -> np.ndarray:
+    """One dense result as a flat array, by columns; arguments by columns. Nothing is copied through lists."""
+    held = [np.ascontiguousarray(a, dtype=float) for a in arguments]
+    answer = np.empty(function.numel_out(result))
+    buffer, call = function.buffer()
+    for k, a in enumerate(held):
+        if a.size:
+            buffer.set_arg(k, memoryview(a))
+    buffer.set_res(result, memoryview(answer))
+    call()
+    return answer
 
 
 class StaticRun(Run):
@@ -207,7 +228,8 @@ def laid_out(series: Sequence[Series], pieces: Sequence[Piece], own: Sequence[in
         runs.known[i, :n] = z[p.first : p.last, known]
         runs.known[i, n:] = z[p.last - 1, known]
         runs.target[i, :n] = y[p.first : p.last, own]
-        runs.inside[i, :n] = True
+        for begin, end in p.ranges:
+            runs.inside[i, begin - p.first : end - p.first] = True
     return runs
 
 

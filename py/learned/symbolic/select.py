@@ -11,7 +11,7 @@ import numpy as np
 from ..interruption import INTERRUPTED
 from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
 from .data import Prepared
-from .refit import cut
+from .refit import Piece, cut
 from .text import simplified
 
 STRETCH = 100  # samples of the short free runs in which all candidates are refitted
@@ -212,7 +212,8 @@ def _brief(data: Prepared, seed: int) -> Prepared:
     stretches = cut(data.fit, STRETCH)
     drawn = np.sort(np.random.default_rng(seed).permutation(len(stretches))[:FEW_STRETCHES])
     each = max(FEW_SAMPLES // len(data.judged), STRETCH)
-    begun = [replace(p, last=min(p.last, p.first + each)) for p in data.judged]
+    parts = [(p, begin, min(end, begin + each)) for p in data.judged for begin, end in p.ranges]
+    begun = [Piece(p.series, begin, end, p.rest and begin == p.first) for p, begin, end in parts]
     few = [stretches[k] for k in drawn]
     return replace(data, fit=few, folds=[(few, begun)])
 

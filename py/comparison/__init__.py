@@ -29,7 +29,7 @@ from .meaning import criteria_of, criterion
 from .metrics import Errors, errors_of
 from .residual import Residual, explain
 from .run import compare
-from .running import Where, load_contenders, run_scenario
+from .running import Where, load_contenders, run_scenario, things_of
 from .scenario import ModelEntry, Scenario, read_scenario
 from .starts import Started
 from .tags import Tags
@@ -87,5 +87,6 @@ __all__ = [
     "replay",
     "run_matrix",
     "run_scenario",
+    "things_of",
     "worst",
 ]

@@ -12,6 +12,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError
 
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
+from .band import made_from
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, worst
@@ -130,6 +131,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
         doubt=_doubt(comparison, model, about),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
+        seen=_seen(comparison, model, holding),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
@@ -156,6 +158,12 @@ def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple
     failed += [f"{u.record}: {u.output} is {u.reason}" for u in comparison.unscored
                if (u.model, u.output) == (model, about.output) and u.record in holding]  # fmt: skip
     return failed[0] if failed else ""
+
+
+def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
+    known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
+    return tuple(r.name for r in comparison.records if r.name in holding and r.digest and r.digest in known)
 
 
 def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:

@@ -77,12 +77,13 @@ def held_here(bands: Sequence[Band], held: Mapping[str, Sequence[Held]]) -> tupl
 
 def _held(band: Band, held: Sequence[Held]) -> Band:
     known = [one for one in held if not np.isnan(one.inside)]
-    if band.trusted is False or not known:
+    if not known or (band.trusted is False and band.source == SENSITIVITIES):
         return band
     mean = float(np.mean([one.inside for one in known]))
     if any(np.isnan(one.chance) for one in known):
         why = f"only {100 * mean:.2g} % of what was measured here lies in it"
-        return replace(band, trusted=False, why=why) if mean < FEW_INSIDE else band
+        before = f"{band.why.rstrip('.')}; " if band.trusted is False else ""
+        return replace(band, trusted=False, why=before + why) if mean < FEW_INSIDE else band
     low = [one for one in known if one.inside < LEAST_INSIDE and one.chance < CHANCE / len(known)]
     if not low:
         return band

@@ -57,7 +57,8 @@ class Judged:
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
     a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
     earlier comparison that it is held against, in sentences. among : of an overall criterion all outputs that it is
-    about, of which this is the worst; left_out : what it was not judged on, in words.
+    about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that it was
+    judged on and that the model was made from.
     """
 
     criterion: Criterion
@@ -73,6 +74,7 @@ class Judged:
     otherwise: tuple[str, ...] = ()
     among: tuple[str, ...] = ()
     left_out: str = ""
+    seen: tuple[str, ...] = ()
 
     @property
     def which(self) -> str:
@@ -112,6 +114,8 @@ class Judged:
         if self.without:
             holds = "holds" if len(self.without) == 1 else "hold"
             told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
+        if self.seen:
+            told.append(f"judged on {some_of(self.seen)}, which the model was made from")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         if self.uneven:

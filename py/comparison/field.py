@@ -11,7 +11,7 @@ from hydrotwin.records import NoiseFloor, Record
 
 from .rating import LONGEST, SHIFT, rating
 from .residual import uniform
-from .rest import inputs_rest, rests, settling
+from .rest import at_rest, settling
 from .shift import lag
 
 NAN = float("nan")
@@ -24,8 +24,9 @@ class FieldMetrics:
     r2        1 - sum((y - p)^2) / sum((y - mean y)^2)
     theil     Theil's inequality coefficient rms(y - p) / (rms y + rms p), 0 to 1
     lag       s that p comes after y, where they correlate most
-    settling  s that p takes longer than y to settle after the inputs have moved
-    steady    mean(p - y) where inputs and y rest, in the unit of the signal
+    settling  s that p takes longer than y to settle after the inputs have moved: mean size over the moves, sign of the
+              mean
+    steady    mean(p - y) of every rest of inputs and y: mean size over the rests, sign of the mean; unit of the signal
     u_val     rms of the standard deviation of the model's band, in the unit of the signal (ASME V&V 20)
     vv20      rmse over u_val
     iso18571  overall rating of ISO/TS 18571, 0 to 1; corridor, phase, magnitude, slope : what it is made of.
@@ -68,14 +69,13 @@ def field_metrics(
     known = np.isfinite(measured) & np.isfinite(found.values)
     time, y, p = record.time[known], measured[known], found.values[known]
     inputs = [n for n in inputs if n in record.signals]
-    resting = (rests(record, [found.output], noise) & inputs_rest(record, inputs, noise))[known]
     u_val, rmse = _validation_uncertainty(found.deviation, known), _rms(p - y)
     return FieldMetrics(
         r2=r_squared(y, p),
         theil=theil(y, p),
         lag=_lag(time, y, p),
         settling=settling(record, found.output, found.values, inputs, noise) if inputs else NAN,
-        steady=float(np.mean((p - y)[resting])) if resting.any() else NAN,
+        steady=at_rest(record, found.output, found.values, inputs, noise),
         u_val=u_val,
         vv20=rmse / u_val if u_val > 0 else NAN,
         **(_rated(time, y, p) if rated else {}),

@@ -57,13 +57,14 @@ def _bridged(record: Record, names: Sequence[str]) -> Record:
 def settling(
     record: Record, output: str, predicted: np.ndarray, inputs: Sequence[str], noise: Mapping[str, NoiseFloor]
 ) -> float:
-    """Mean time [s] that a prediction (n,) of an output takes longer than the measurement to settle.
+    """Time [s] that a prediction (n,) of an output takes longer than the measurement to settle.
 
     Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
     from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
     measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
-    A move that ends inside a hole of an input, nobody knows when, is left out. NaN where the measurement never settles
-    after a move.
+    A move that ends inside a hole of an input, nobody knows when, is left out. It is the mean size over the moves, so
+    that one that settles too late does not make up for one that settles too soon, with the sign of the mean. NaN where
+    the measurement never settles after a move.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
     width, measured, found = _width(record), record[output], []
@@ -78,13 +79,39 @@ def settling(
             continue
         band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2)
         found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
-    return float(np.mean(found)) if found else float("nan")
+    return _signed_size(found, np.ones(len(found)))
+
+
+def at_rest(
+    record: Record, output: str, predicted: np.ndarray, inputs: Sequence[str], noise: Mapping[str, NoiseFloor]
+) -> float:
+    """Size of the mean error of a prediction (n,) at rest, wherever the inputs rest; its mean over these, by samples.
+
+    Errors of either sign do not make up for each other; the sign is that of all together. NaN where nothing rests.
+    """
+    error, held = predicted - record[output], inputs_rest(record, inputs, noise)
+    still = rests(record, [output], noise) & np.isfinite(error)
+    parts = [error[first:end][still[first:end]] for first, end in _stretches(held)]
+    known = [part for part in parts if len(part)]
+    return _signed_size([part.mean() for part in known], [len(part) for part in known])
+
+
+def _signed_size(values: Sequence[float], weights: Sequence[float]) -> float:
+    """The mean size of values, with the sign of their mean; NaN of none."""
+    if not len(values):
+        return float("nan")
+    return float(np.copysign(np.average(np.abs(values), weights=weights), np.average(values, weights=weights)))
+
+
+def _stretches(still: np.ndarray) -> list[tuple[int, int]]:
+    """First sample and end of every stretch of true ones."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _after_moves(still: np.ndarray, width: int) -> Iterator[slice]:
     """Samples from where something that had moved rests to where it moves again; still : (n,), as of `rests`."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    for first, end in zip(edges[::2], edges[1::2], strict=True):
+    for first, end in _stretches(still):
         if first > width // 2:  # else it rests from the beginning of the recording
             yield slice(first - width // 2, end + width // 2)
 

@@ -18,6 +18,7 @@ from .contender import PhysicalContender
 from .variants import Variant
 
 SAME = 1e-12  # relative: the same number, read in one unit or another
+_OF_NO_FIT = {"sigma": None, "source": "set for this comparison"}
 _VALUE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
 
 
@@ -47,7 +48,7 @@ def varied(one: Thing, variant: Variant) -> object:
 
 
 def with_values(thing, values: Mapping[str, object]) -> object:
-    """The model with these values, in SI or as a text with a unit.
+    """The model with these values, in SI or as a text with a unit. What a fit said of a value that is set is gone.
 
     Raises DeclarationError for a text that is no number, and what the model raises for what it cannot take.
     """
@@ -55,7 +56,7 @@ def with_values(thing, values: Mapping[str, object]) -> object:
         return thing.with_values(values)
     settings = {path: _setting(path, value) for path, value in values.items()}
     if isinstance(thing, Model):
-        return thing.with_settings(settings)
+        return thing.with_settings({path: {**_OF_NO_FIT, **change} for path, change in settings.items()})
     units = {p.name: p.unit for p in thing.parameters}
     for path in (path for path in settings if path not in units):
         raise DeclarationError(f"{thing.name}: no parameter '{path}'. {nearest(path, list(units))}")

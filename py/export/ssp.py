@@ -11,7 +11,7 @@ from pathlib import Path
 
 from hydrotwin.models.language.credibility import Credibility
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.flat import Signal, StateVariable
 from hydrotwin.models.language.units import compatible
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
@@ -44,6 +44,7 @@ class SystemPart:
     nominal : parameter -> value [SI] it was shipped with, where ``thing`` has others since.
     equations : what a learned block computes, in words, for the documentation of its FMU.
     credibility : of its model file, for the record of its FMU and the traceability of its values.
+    starts : recording -> state -> start value [SI] that was estimated there; others start as measured.
     """
 
     name: str
@@ -51,6 +52,11 @@ class SystemPart:
     nominal: Mapping[str, float] = field(default_factory=dict)
     equations: str = ""
     credibility: Credibility | None = None
+    starts: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+
+    def knows(self, state: StateVariable, record: Record) -> bool:
+        """Whether a recording tells where a state starts: as estimated, or as measured."""
+        return state.name in self.starts.get(record.name, {}) or state.measured_by in record.signals
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,8 @@ def export_ssp(
     Parameter sets, in ``resources/``: ``nominal.ssv`` has the shipped values of all physical models, ``identified.ssv``
     those found by identification; the second is bound where there is one. ``start_<recording>.ssv`` has the values with
     which the models start as they do in the comparison; the first recording's is bound. Start parameters stand for what
-    all ``records`` measure. The recordings lie beside them as CSV, inputs and measured outputs in SI.
+    all ``records`` measure, or what was estimated of all of them. The recordings lie beside them as CSV, inputs and
+    measured outputs in SI.
 
     Identified values carry their interval of 95 % as an annotation.
 
@@ -122,7 +129,9 @@ def export_ssp(
         )
     inputs = _shared_inputs(fmus)
     bound = _put_parameter_sets(files, [p for p in parts if p.name in fmus], names, version)
-    bound += _put_records(files, records, fmus, names, inputs, version)
+    columns = dict.fromkeys([*inputs, *(s.name for fmu in fmus.values() for s in fmu.outputs)])
+    starts = [(names[p.name], fmus[p.name], p.starts) for p in parts if p.name in fmus]
+    bound += _put_records(files, records, list(columns), starts, version)
     files["SystemStructure.ssd"] = _structure(title, fmus, names, inputs, bound, records, _Edition(version, recorded))
     return SystemArchive(write_archive(path, files), {n: names[n] for n in fmus}, tuple(left_out))
 
@@ -144,7 +153,7 @@ def _fmu_of(part: SystemPart, path: Path, records: Sequence[Record], platforms) 
     given = None
     if not isinstance(part.thing, Block) and records:
         states = getattr(part.thing, "flat", part.thing).states
-        given = [s.name for s in states if s.measured_by and all(s.measured_by in r.signals for r in records)]
+        given = [s.name for s in states if all(part.knows(s, r) for r in records)]
     export_fmu(
         part.thing, path, given=given, platforms=platforms, equations=part.equations, credibility=part.credibility
     )
@@ -238,22 +247,31 @@ def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping
     return bound
 
 
-def _put_records(files: dict, records, fmus, names, inputs, version: str) -> list[str]:
-    """Write the recordings and the start values they give; returns the start values of the first."""
+def _put_records(files: dict, records, columns: Sequence[str], starts: Sequence[tuple], version: str) -> list[str]:
+    """Write the recordings and the start values they give; returns the start values of the first.
+
+    starts : of every component its name, its FMU and what was estimated of it, as in `SystemPart`.
+    """
     bound: list[str] = []
-    known = dict.fromkeys([*inputs, *(s.name for fmu in fmus.values() for s in fmu.outputs)])
     for record, plain in zip(records, _plain_names([r.name for r in records], "recording").values(), strict=True):
-        files[f"resources/{plain}.csv"] = _csv([n for n in known if n in record.signals], record)
-        starts = [
-            Parameter(f"{names[model]}.{variable}", value, own_unit(variable, fmu.description))
-            for model, fmu in fmus.items()
-            for variable, value in fmu.starts_of(record).items()
+        files[f"resources/{plain}.csv"] = _csv([n for n in columns if n in record.signals], record)
+        values = [
+            Parameter(f"{element}.{variable}", value, own_unit(variable, fmu.description))
+            for element, fmu, estimated in starts
+            for variable, value in _starts_of(fmu, record, estimated.get(record.name, {})).items()
         ]
-        if starts:
+        if values:
             path = f"resources/start_{plain}.ssv"
-            files[path] = parameter_set(f"start of {record.name}", tool_name(), starts, version)
+            files[path] = parameter_set(f"start of {record.name}", tool_name(), values, version)
             bound = bound or [path]
     return bound
+
+
+def _starts_of(fmu: FmuBlock, record: Record, estimated: Mapping[str, float]) -> dict[str, float]:
+    """Start parameters of an FMU for a recording; estimated : state -> value [SI], the unit of FMUs made here."""
+    known = {v.name for v in fmu.description.source.modelVariables}
+    own = {f"{state}.start": value for state, value in estimated.items() if f"{state}.start" in known}
+    return fmu.starts_of(record) | own
 
 
 def _csv(columns: Sequence[str], record: Record) -> str:

@@ -278,5 +278,7 @@ def _known(told: Mapping) -> KnownBand | None:
         return None
     if source == CONFORMAL and not (isinstance(wide, (int, float)) and np.isfinite(wide) and wide > 0):
         return None
-    says = f"{100 * inside:.0f} % of what was held out lay in it"
+    says = f"{100 * inside:.3g} % of what was held out lay in it"
+    if not GOOD[0] <= inside <= GOOD[1]:
+        says += f", and a right one of {100 * LEVEL:.0f} % holds {100 * GOOD[0]:.0f} to {100 * GOOD[1]:.0f} %"
     return KnownBand(source, told.get("trustworthy") is True, says, float(wide) if source == CONFORMAL else None)

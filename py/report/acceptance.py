@@ -44,9 +44,10 @@ def _careful(judged: Sequence[Judged]) -> tuple[str, ...]:
     return (f"Careful with “{first.criterion.text}”: {first.caution}.{more}",)
 
 
-def _says(one: Judged) -> tuple[bool, int]:
-    """How much a criterion with a caution says: least where its band counts and is doubted, then by its samples."""
-    return not (one.doubt and METRICS[one.criterion.metric].of_band), one.samples or 0
+def _says(one: Judged) -> tuple[bool, bool, int]:
+    """How much a criterion with a caution says: least where its band counts and is doubted, then where the model had
+    seen what judges it, then by its samples."""
+    return not (one.doubt and METRICS[one.criterion.metric].of_band), not one.seen, one.samples or 0
 
 
 def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:

@@ -43,14 +43,15 @@ DEFINITIONS = (
         "Settling",
         "settling",
         "how much longer p takes to settle than y: from where the inputs, after a move, rest, to where it stays within "
-        "5 % of its largest distance from its final value, or rests; mean over the moves after which y rests",
+        "5 % of its largest distance from its final value, or rests; mean size over the moves after which y rests, "
+        "with the sign of their mean",
         "Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4",
     ),
     (
         "At rest",
         "steady",
-        "mean(p − y) where inputs and measurement rest: each within 0.5 % of its range, or its noise, for 2 % of the "
-        "recording and 20 samples",
+        "mean(p − y) of every rest of inputs and measurement: each within 0.5 % of its range, or its noise, for 2 % of "
+        "the recording and 20 samples; mean size over the rests by their samples, with the sign of their mean",
         "own definition",
     ),
     (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import threading
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable
@@ -26,7 +25,6 @@ ALIGNED = os.name != "nt"  # gcc does not align long vectors on the stack of Win
 DRIVER = ("-O2", "-ftree-vectorize", "-fopenmp-simd")
 
 _kept: OrderedDict = OrderedDict()
-_kept_lock = threading.Lock()
 
 
 def engine_of(flat: FlatModel, to: equations.Directions, implicit: bool, interpreted: bool):
@@ -46,19 +44,16 @@ def lanes_of(flat: FlatModel) -> LanesLibrary | None:
     return _kept_for(flat, ("lanes",), lambda: _compiled_lanes(flat))
 
 
+@equations.alone
 def _kept_for(flat: FlatModel, asked: tuple, make: Callable):
     scales = tuple(s.nominal for s in (*flat.states, *flat.parameters))
     key = (id(flat.ode), flat.inputs, scales, tuple(equations.delays(flat)), *asked)
-    with _kept_lock:
-        if key in _kept:
-            _kept.move_to_end(key)
-            return _kept[key][0]
-    made = make()
-    with _kept_lock:
-        _kept[key] = made, flat.ode  # the function is kept alive: its id is the key
-        while len(_kept) > 24:
-            _kept.popitem(last=False)
-    return made
+    if key not in _kept:
+        _kept[key] = make(), flat.ode  # the function is kept alive: its id is the key
+    _kept.move_to_end(key)
+    while len(_kept) > 24:
+        _kept.popitem(last=False)
+    return _kept[key][0]
 
 
 def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):

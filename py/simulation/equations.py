@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import functools
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
@@ -13,6 +15,23 @@ from hydrotwin.models.language.flat import FlatModel
 
 RELATIVE_TOLERANCE, ABSOLUTE_TOLERANCE = 1e-9, 1e-10  # of its implicit method; states and time in nominal units
 TANGENT_TOLERANCE = 1e-8  # of its sensitivities, in nominal units of states and parameters
+
+_one_at_a_time = threading.RLock()
+
+
+def alone(function: Callable) -> Callable:
+    """``function`` while no other thread is in one that is marked so.
+
+    CasADi releases the interpreter lock, and expressions that two threads build or drop at once crash the process.
+    What is built already may be evaluated in any thread.
+    """
+
+    @functools.wraps(function)
+    def one_at_a_time(*given, **named):
+        with _one_at_a_time:
+            return function(*given, **named)
+
+    return one_at_a_time
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ CHUNK = 100  # substeps per call of the virtual machine
 class VirtualMachine:
     """Runs one model with CasADi's interpreter: the answers of the compiled library, ten times slower.
 
-    Threads may share it, but do not gain from it: the interpreter lock is held.
+    Threads may share it, but do not gain from it: one runs at a time, for functions are built as they are needed.
     """
 
     def __init__(self, flat: FlatModel, to: Directions, implicit: bool):
@@ -34,6 +34,7 @@ class VirtualMachine:
         self._output = equations.output(flat)
         self.substep = _smooth(equations.implicit_substep(flat)) if implicit else equations.rk4_substep(flat)
 
+    @equations.alone
     def propagate(self, time, u, p, control, x0, restart=None):
         """``(status, where, y, x)`` as the C driver's ``propagate``; where: time and last finite state of a stop."""
         walk = _Walk(self, time, u, p, control)
@@ -50,6 +51,7 @@ class VirtualMachine:
         y = self._output(time[None, :], x.T, self._seen(time, u, p).T, p).full().T
         return *_checked(time, x, y), y, x
 
+    @equations.alone
     def propagate_tangent(self, time, u, p, control, x0, dx0, with_states=True):
         """``(status, where, y, dy, x, dx)`` as the C driver's ``propagate_tangent``."""
         walk = _Walk(self, time, u, p, control)

@@ -47,6 +47,7 @@ def decaying_modes(flat: FlatModel, time, x, u, p) -> np.ndarray:
     return _decaying(_jacobians(flat, time, x, u, p))
 
 
+@equations.alone
 def _jacobians(flat: FlatModel, time, x, u, p) -> np.ndarray:
     """df/dx (m, nx, nx) in nominal units; zeros where it is not finite."""
     arguments = equations.symbols(flat)

@@ -50,6 +50,19 @@ def run(folder, *models, **wanted):
     return comparison, acceptance(comparison, asked.wanted)
 
 
+def test_a_criterion_that_is_judged_on_what_the_model_was_made_from_says_so(folder):
+    accept = ("motor_speed.rmse < 3 rad/s", "load=1: motor_speed.rmse < 3 rad/s")
+    comparison, plain = run(folder, "good", "bad", accept=accept)
+    own = [{"role": "train", "sha256": r.digest} for r in comparison.records if r.tags["load"] == "2"]
+    made = [dataclasses.replace(e, provenance={"recordings": own}) for e in comparison.entrants if e.name == "good"]
+    seen = dataclasses.replace(comparison, entrants=(*made, *comparison.entrants[1:]))
+    overall, other = acceptance(seen, Wanted(accept)).judged
+    assert overall.caution == "judged on load2_stroke1, load2_stroke2, which the model was made from"
+    assert not other.caution and not any(one.caution for one in plain.judged)
+    assert acceptance_data(acceptance(seen, Wanted(accept)))["acceptance"]["criteria"][0]["caution"] == overall.caution
+    assert not any(one.seen for one in acceptance(seen, Wanted(accept, model="bad")).judged)
+
+
 def test_criteria_are_judged_over_all_recordings_and_by_condition(folder):
     comparison, found = run(
         folder,

@@ -75,7 +75,9 @@ def test_a_band_that_did_not_hold_what_was_held_out_is_told_on_the_page_and_in_t
     found = compare([as_contender(bad, "bad"), Toy("toy", outputs=OUTPUTS[:1])], [recording(1)], modes=[FREE_RUN])
     files = write_report(found, tmp_path)
     text = files["markdown"].read_text(encoding="utf-8")
-    assert "The bands of bad cannot be trusted for arm_angle: 70 % of what was held out lay in it." in text
+    assert (
+        "The bands of bad cannot be trusted for arm_angle: 70 % of what was held out lay in it, and a right one" in text
+    )
     assert "| conformal | no |" in text and "| none |" in text
     fine = compare([as_contender(judged(arx, coverage=0.95, trustworthy=True), "fine")], [toy_record(3)])
     assert fine.entrants[0].bands[0].trusted and "cannot be trusted" not in write_report(fine, tmp_path / "fine")[
@@ -94,6 +96,14 @@ def test_own_deviations_are_told_and_doubted_where_they_had_to_be_stretched():
     assert (band.source, band.trusted, band.why) == ("own", False, "It errs by other means.")
     block.provenance = {"band": {"arm_angle": row | {"trustworthy": True}}, "free_run": block.provenance["free_run"]}
     assert bands_of(block)[0].trusted and bands_of(block)[0].why == "95 % of what was held out lay in it"
+
+
+def test_a_band_that_held_too_much_says_what_a_right_one_holds():
+    """Alone, '100 % of what was held out lay in it' reads as if that were good."""
+    told = {"source": "own", "coverage": 0.999, "trustworthy": False}
+    block = SimpleNamespace(outputs=(ANGLE, Signal("arm_angle.sd", "rad")), provenance={"band": {"arm_angle": told}})
+    (band,) = bands_of(block)
+    assert band.why == "99.9 % of what was held out lay in it, and a right one of 95 % holds 90 to 99 %"
 
 
 def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_had_seen_it():
@@ -116,7 +126,8 @@ def test_a_band_that_misses_what_is_measured_here_is_not_trusted():
     told = {name: [Held("run", inside)] for name, inside in {"arm": 0.1, "rod": 0.9, "p": 0.0}.items()}
     arm, rod, p = held_here(before, told)
     assert arm.trusted is False and "only 10 % of what was measured here" in arm.why
-    assert (rod, p) == before[1:] and held_here(before, {}) == before
+    assert p.trusted is False and p.why == "known; only 0 % of what was measured here lies in it"
+    assert rod == before[1] and held_here(before, {}) == before
 
 
 def test_a_band_of_a_fit_is_doubted_where_chance_does_not_explain_what_lies_outside():

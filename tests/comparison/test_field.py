@@ -37,6 +37,17 @@ def test_at_rest_counts_what_rests_and_not_the_motion_between():
     assert np.isnan(metrics_of(np.sin(2 * np.pi * TIME), STEPS).steady)
 
 
+def test_errors_at_rest_of_either_sign_do_not_make_up_for_each_other():
+    """A gain 20 % too large, up and down: 0.2 off at either level, and nothing on the mean."""
+    u, y = answers(0.1)
+    both = u - 0.5  # between -0.5 and 0.5
+    found = field_of(both, y - 0.5, 1.2 * (y - 0.5))
+    assert abs(found.steady) == pytest.approx(0.1, abs=1e-3)
+    level = np.where(u > 0.5, 0.3, -0.3)  # it is up for longer
+    assert field_of(both, y - 0.5, y - 0.5 + level).steady == pytest.approx(0.3)
+    assert field_of(both, y - 0.5, y - 0.5 - level).steady == pytest.approx(-0.3)
+
+
 def answer(held, T):
     """Of first order to an input that is held over every sample."""
     y, kept = np.zeros(len(TIME)), np.exp(-np.diff(TIME) / T)
@@ -66,6 +77,8 @@ def test_settling_is_the_difference_of_the_settling_times():
     assert settling_of(u, y, y) == 0.0
     assert settling_of(u, y, slower) == pytest.approx(0.15 * np.log(20), abs=0.015)
     assert settling_of(u, y, faster) == pytest.approx(-0.1 * np.log(20), abs=0.015)
+    opposite = np.where(TIME < 4, slower, faster)
+    assert settling_of(u, y, opposite) == pytest.approx(-(0.15 + 0.1 + 0.1) / 3 * np.log(20), abs=0.015)
     noise = 0.01 * np.random.default_rng(1).standard_normal(len(TIME))
     assert settling_of(u, y + noise, slower) == pytest.approx(0.15 * np.log(20), abs=0.06)
 

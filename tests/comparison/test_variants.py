@@ -7,12 +7,23 @@ import tomllib
 import pytest
 
 from hydrotwin.comparison.variants import BASE, MOST_RUNS, MOST_VARIANTS, Variant, check_many, read_variants
+from hydrotwin.comparison.varied import with_values
+from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError
 
 
 def variants(text: str) -> tuple[Variant, ...]:
     table = tomllib.loads(text)
     return read_variants(table.get("variants"), table.get("matrix"), "scenario.toml")
+
+
+def test_a_value_that_is_set_has_no_deviation_of_a_fit():
+    """An archive would tell its interval around the value that somebody chose."""
+    fitted = cehA.model().with_settings({"motor.gain": {"sigma": 2.0, "source": "identified"}})
+    by_name = {p.name: p for p in with_values(fitted, {"motor.gain": "110 rad/(s.V)"}).flat.parameters}
+    assert (by_name["motor.gain"].value, by_name["motor.gain"].sigma) == (110.0, None)
+    assert "identified" not in by_name["motor.gain"].source
+    assert {p.name: p.sigma for p in fitted.flat.parameters}["motor.gain"] == 2.0
 
 
 def test_a_scenario_without_variants_has_none():

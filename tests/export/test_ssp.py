@@ -192,6 +192,22 @@ def test_a_component_computes_what_the_comparison_did(parts, record, packed, unp
         assert found[name] == pytest.approx(expected[name], abs=1e-6 * np.ptp(expected[name])), name
 
 
+def test_a_component_starts_where_the_start_was_estimated(systems, record, tmp_path):
+    """As the comparison did, states without a sensor too; of a recording without an estimate as measured."""
+    later = Record(record.time, dict(record.signals), dict(record.units), "run 2")
+    starts = {"arm.angle": 0.2, "motor.speed": 5.0}
+    one = SystemPart("cehA", systems["cehA"], starts={record.name: starts})
+    export_ssp([one], tmp_path / "both.ssp", records=[record, later])
+    export_ssp([one], tmp_path / "first.ssp", records=[record])
+
+    def found(name, plain):
+        told = read_ssv(tmp_path / name, resource=f"resources/start_{plain}.ssv")
+        return {p.name: float(p.value) for p in told.parameters}
+
+    assert found("both.ssp", "run_2") == {"cehA.arm.angle.start": pytest.approx(record["arm_angle"][0])}
+    assert found("first.ssp", "run_1_short") == {f"cehA.{state}.start": value for state, value in starts.items()}
+
+
 def test_the_recordings_lie_in_the_archive(record, unpacked):
     read = read_record(unpacked / "resources/run_1_short.csv")
     assert list(read) == ["command", "arm_angle", "angle"]

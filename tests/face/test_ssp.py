@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 
 import numpy as np
@@ -54,6 +55,25 @@ def test_nominal_is_the_machine_as_shipped_without_the_effect(packed):
     assert (identified["identified.motor.gain"], nominal["identified.motor.gain"]) == (117.0, shipped["motor.gain"])
     assert (identified[leak], nominal[leak]) == (pytest.approx(2e-14), 0.0)
     assert next(b.source for b in read_ssd(packed[0]).system.parameterBindings) == "resources/identified.ssv"
+
+
+def test_what_a_scenario_sets_and_estimates_is_in_the_archive(packed, recordings, tmp_path):
+    """As the comparison ran them: a component with the values of another model would give other numbers."""
+    (recordings / "set.toml").write_text(
+        'models = [{model = "cehA", name = "soft", set = {"cylinder.oil.bulk_modulus" = "900 MPa"}}, "cehA", '
+        '{model = "vendor.fmu", name = "bought", set = {motor_speed = "3 rad/s"}}]\n'
+        'validate = ["validate_*.csv"]\nmodes = ["free run"]\ninitial_states = "auto"\n'
+    )
+    archive = tmp_path / "set.ssp"
+    answer = hydrotwin("compare", recordings / "set.toml", "--out", tmp_path / "r", "--ssp", archive)
+    assert answer.code == 0, answer.said
+    nominal, start = values(archive, "nominal"), values(archive, "start_validate_2")
+    assert nominal["soft.cylinder.oil.bulk_modulus"] == 900e6 != nominal["cehA.cylinder.oil.bulk_modulus"]
+    told = json.loads((tmp_path / "r" / "compare.json").read_text(encoding="utf-8"))["starts"]
+    (estimated,) = (row for row in told if (row["model"], row["record"]) == ("soft", "validate_2"))
+    assert estimated["states"]
+    for state in estimated["states"]:
+        assert start[f"soft.{state['name']}.start"] == state["value"]
 
 
 def test_each_recording_brings_its_start(packed, recordings):

@@ -248,16 +248,18 @@ def check_ssp_version(path: Path | None, version: str) -> None:
 
 def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path:
     """The models of a comparison as an SSP archive; those that cannot be in it are named."""
-    from hydrotwin.comparison import load_contenders
+    from hydrotwin.comparison import load_contenders, things_of
     from hydrotwin.export import SystemPart, export_ssp
 
-    parts = []
+    parts, things = [], {one.name: one.thing for one in things_of(scenario, loaded)}
     for row, contender in zip(scenario.models, load_contenders(scenario, loaded), strict=True):
-        thing = loaded.get(row.model, contender)
+        thing = things.get(contender.name, contender)
         if scenario.loop:
             thing = getattr(contender, "block", contender)  # the model under the controller
         known = None if row.settings or scenario.loop else known_of(row.model)
-        parts.append(SystemPart(contender.name, thing, shipped_values(row.model, thing), equations_told(thing), known))
+        told = shipped_values(row.model, thing), equations_told(thing), known
+        starts = {s.estimate.record: s.estimate.values for s in comparison.starts if s.model == contender.name}
+        parts.append(SystemPart(contender.name, thing, *told, starts))
     archive = export_ssp(parts, path, records=comparison.records, title=comparison.title, version=version)
     for sentence in archive.left_out:
         mark(err, "note", f"{path}: {sentence}")

@@ -296,18 +296,22 @@ class Search:
         best.fitted = found if isinstance(found, Fitted) else None
         if best.fitted and table.share(best) > table.promise(best):
             best.fitted = None
+        self._settle([best])
 
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
-        Ends when what is left promises less than the best did and reached; where that explains too little, a few later.
+        Ends when what is left promises less than the best did and reached, or reached where it explains all; where it
+        explains too little, a few later.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)
-            level = SAME + max(table.share(best), table.promise(best)) if best else -1.0
-            near = [e for e in waiting if table.promise(e) < level]
+            reached = table.share(best) if best else -1.0
+            if best and not table.explained():  # else what looked no better than the best did is asked from there
+                reached = max(reached, table.promise(best))
+            near = [e for e in waiting if table.promise(e) < SAME + reached]
             if not near and (self.table.explained() or beyond >= self.effort.fits):
                 return
             chosen = (near or waiting)[: self.effort.together]
@@ -322,12 +326,17 @@ class Search:
         """
         known = [e for e in entries if e.open and self.table.usable(e)]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
+        self._settle(known)
+
+    def _settle(self, known: Sequence[Entry]) -> None:
+        """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""
         bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained([e])]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self.table.keep_better(entry, found)
         self._free_base(known)
-        again = [] if self.table.explained() else known  # else they are asked from where that ended: see `Alternatives`
-        worse = [(e, part) for e in again if e.fitted and (part := self._better_part(e))]
+        worse = [(e, part) for e in known if e.fitted and (part := self.table.better_part(e))]
+        if self.table.explained():  # by something else: they are asked from there, see `Alternatives`
+            worse = [(e, part) for e, part in worse if self.table.explained([part])]
         for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
             self.table.keep_better(entry, found)
         self._wonder(known)
@@ -379,12 +388,6 @@ class Search:
                 entry.fitted = found
             else:
                 entry.failed = found
-
-    def _better_part(self, entry: Entry) -> Entry | None:
-        """A structure that this one contains and that leaves less."""
-        parts = self.table.parts(entry)
-        best = min(parts, key=self.table.score, default=None)
-        return best if best and self.table.score(best) < self.table.score(entry) - 1.0 else None
 
     def _ran(self, jobs: Sequence[Job], function: Callable | None = None) -> list:
         if not jobs:

@@ -109,6 +109,11 @@ class Table:
         """Known structures with some of its effects, nothing included, fitted."""
         return [e for e in self.entries.values() if e.fitted and set(e.key) < set(entry.key)]
 
+    def better_part(self, entry: Entry) -> Entry | None:
+        """A structure that this one contains and that leaves less."""
+        best = min(self.parts(entry), key=self.score, default=None)
+        return best if best and self.score(best) < self.score(entry) - 1.0 else None
+
     def seen_all(self) -> bool:
         """Whether every single effect was looked at, fitted, or cannot be."""
         return self._seen() == len(self.candidates)

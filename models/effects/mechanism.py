@@ -180,11 +180,15 @@ class EndStop(Effect):
 
     @classmethod
     def probes_for(cls, seen) -> list[dict]:
-        """One end or both, so deep in the range of the positions seen: a stiff stop that is barely reached shows."""
+        """Ends so deep in the range of the positions seen, the other one barely reached, then both as deep.
+
+        An end that nothing reaches would stay where it is, though the machine has it: no derivative leads there. One
+        that is barely reached and not there moves out of the way.
+        """
         low, high = (levels(seen["flange.s"], DEPTHS, ()) for levels in (fallen_below, exceeded))
-        both = [{"low": e, "high": h} for e, h in zip(low, high, strict=True)][1:-1:2]
-        ends = [{"low": -FAR, "high": h} for h in high] + [{"low": e, "high": FAR} for e in low]
-        return [*ends, *both]
+        ends = [*zip(low, high[:1] * len(low), strict=True), *zip(low[:1] * len(high), high, strict=True)]
+        both = list(zip(low, high, strict=True))[2:-1:2]
+        return [{"low": e, "high": h} for e, h in dict.fromkeys([*ends, *both])]
 
 
 class LateLoad(OnBody):

@@ -103,11 +103,11 @@ def test_a_stop_never_pulls(s, v):
     assert (y["flange_f"] == 0) == (s == 0.0 or (s > 0.1 and v <= -0.1) or (s < -0.1 and v >= 0.1))
 
 
-def test_stops_are_looked_for_inside_the_positions_seen():
-    for probe in EndStop.probes_for({"flange.s": np.linspace(0.1, 0.5, 1001)}):
-        near = [e for e in (probe["low"], probe["high"]) if abs(e) < 100]
-        assert near and all(0.1 < e < 0.5 for e in near)
-        assert probe["low"] < probe["high"]
+def test_stops_are_looked_for_inside_the_positions_seen_and_no_end_where_nothing_reaches_it():
+    probes = EndStop.probes_for({"flange.s": np.linspace(0.1, 0.5, 1001)})
+    assert all(0.1 < probe["low"] < probe["high"] < 0.5 for probe in probes)
+    deepest = 0.5 - min(probe["high"] for probe in probes), max(probe["low"] for probe in probes) - 0.1
+    assert deepest == pytest.approx((0.04, 0.04))
 
 
 @pytest.mark.parametrize("force", (-500.0, 300.0, 2000.0))

@@ -32,7 +32,7 @@ def start_values(variables: Sequence[ScalarVariable], reader: Reader):
     wrong = sorted(np.flatnonzero(~near), key=lambda k: not _given(asked[k]))
     if not wrong:
         return PASS, f"{len(asked)} parameters and states start as declared"
-    told = ", ".join(f"'{asked[k].name}' {found[k]:g}, declared {declared[k]:g}" for k in wrong[:NAMED])
+    told = ", ".join(f"'{asked[k].name}' {found[k]:.9g}, declared {declared[k]:.9g}" for k in wrong[:NAMED])
     more = f" and {len(wrong) - NAMED} more" if len(wrong) > NAMED else ""
     told = f"another start value in the binary: {told}{more}. The binary is what runs: export the model again with it"
     return FAIL if _given(asked[wrong[0]]) else REMARK, told

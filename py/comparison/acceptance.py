@@ -108,7 +108,8 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
     if not wanted.against:
         return Acceptance(model, comparison.modes[0], tuple(judged))
     before = _earlier(wanted.against, variant)
-    changes, otherwise = before.against(comparison), () if variant else before.otherwise(comparison)
+    changes = before.against(comparison)
+    otherwise = () if variant else (*before.scored_otherwise(comparison), *before.otherwise(comparison))
     return Acceptance(model, comparison.modes[0], tuple(judged), *changes, otherwise)
 
 

@@ -82,7 +82,7 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
     mean = float(np.mean([one.inside for one in known]))
     if any(np.isnan(one.chance) for one in known):
         why = f"only {100 * mean:.2g} % of what was measured here lies in it"
-        before = f"{band.why.rstrip('.')}; " if band.trusted is False else ""
+        before = f"{band.why.rstrip('.')}; " if band.why else ""
         return replace(band, trusted=False, why=before + why) if mean < FEW_INSIDE else band
     low = [one for one in known if one.inside < LEAST_INSIDE and one.chance < CHANCE / len(known)]
     if not low:
@@ -94,8 +94,12 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
 def made_from(provenance: Mapping) -> frozenset[str]:
     """SHA-256 of the recordings that a model was fitted to or a block trained on, as far as its provenance says it."""
     rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
-    rows += [r for r in provenance.get("trained_on", ()) if isinstance(r, Mapping)]
-    return frozenset(r["sha256"] for r in rows if r.get("sha256"))
+    known = frozenset(r["sha256"] for r in rows if r.get("sha256"))
+    return known | _hashes(provenance, "trained_on") | _hashes(provenance, "physics_trained_on")
+
+
+def _hashes(provenance: Mapping, key: str) -> frozenset[str]:
+    return frozenset(r["sha256"] for r in provenance.get(key, ()) if isinstance(r, Mapping) and r.get("sha256"))
 
 
 def _known(contender) -> dict[str, Band]:
@@ -103,8 +107,7 @@ def _known(contender) -> dict[str, Band]:
     if hasattr(contender, "deviations") and SPREAD in told:
         return _of_fit(told[SPREAD])
     found = _of_block({s.name for s in contender.outputs}, told, getattr(contender, "half_widths", {}))
-    physics = getattr(getattr(contender, "block", None), "model", None)  # of a hybrid
-    if made_from(getattr(physics, "provenance", None) or {}) & made_from(told):
+    if _hashes(told, "physics_trained_on") & _hashes(told, "trained_on"):  # of a hybrid
         return {n: replace(band, why=f"{band.why}{SEEN}") for n, band in found.items()}
     return found
 

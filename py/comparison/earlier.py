@@ -50,6 +50,18 @@ class Earlier:
                 found.append(f"The start of {', '.join(some)} was estimated {words}: errors may differ by that alone.")
         return (*found, *self._held_otherwise(comparison), *self._read_otherwise(comparison))
 
+    def scored_otherwise(self, comparison: Comparison) -> Iterator[str]:
+        """Outputs and modes in which only one of the two scored the models of both: nothing tells how those changed."""
+        now = {(s.model, s.output, s.mode) for s in comparison.scores if s.model in {model for model, *_ in self.means}}
+        then = {key for key in self.means if key[0] in comparison.models}
+        asked = (), [s.name for s in comparison.outputs], comparison.modes  # scored now where no model failed
+        for at, what in ((1, "Outputs"), (2, "Modes")):
+            before, after = dict.fromkeys(k[at] for k in sorted(then)), dict.fromkeys(k[at] for k in sorted(now))
+            if gone := [name for name in before if name not in asked[at]]:
+                yield f"{what} no longer compared: {some_of(gone)}."
+            if new := [name for name in after if then and name not in before]:
+                yield f"{what} new against the earlier comparison: {some_of(new)}."
+
     def varied_otherwise(self, variants: Sequence[Variant]) -> Iterator[str]:
         """Variants that only one of the two has, and those of one name that changed something else then."""
         now = {v.name: json.loads(json.dumps(v.changes)) for v in variants if v.name != BASE}

@@ -110,9 +110,9 @@ def check_fmu(
 
     Read without running its code: the schema and the encoding, interfaces, units, types, variables and whatever they
     refer to, names, model structure, sources, terminals, files, platforms. Run in a child process with a limit of
-    ``time_limit`` [s] for each probe: loading, a short run, reading every variable, reset, a second instance,
-    saving the state, intermediate update and early return, declared dependencies against perturbed inputs,
-    directional derivatives, and what it does with NaN, an unknown variable and a step too early.
+    ``time_limit`` [s] for each probe: loading, a short run, reading every variable, the start values that the binary
+    has, reset, a second instance, saving the state, intermediate update and early return, declared dependencies against
+    perturbed inputs, directional derivatives, and what it does with NaN, an unknown variable and a step too early.
     Of Model Exchange: a run with FMPy's CVode, nominal values, the number and the order of states, stale answers after
     setting time, states and inputs in any order, reset, saving the state, dependencies, directional derivatives and
     NaN. An FMU with both is tried as both.

@@ -14,7 +14,7 @@ from .child_process import HANG, Patience, start_child
 from .fmu_process.exchange_probes import EXCHANGE_PROBES
 from .fmu_process.gates import GATES
 from .fmu_process.probes import PROBES
-from .fmu_process.probing import GATES_GROUP, LOADS, READING, RUNS, STATES
+from .fmu_process.probing import GATES_GROUP, LOADS, READING, RUNS, START_VALUES, STATES
 from .fmu_process.verdicts import FAIL, GOOD, NOT_TRIED, REMARK
 from .standard import NOT_ALLOWED
 
@@ -43,7 +43,7 @@ def plan_of(md: ModelDescription) -> list[dict[str, str]]:
 
 
 def _rows(group: str, probes, suffix: str) -> list[dict[str, str]]:
-    needs = {LOADS: "", RUNS: LOADS + suffix, READING: LOADS + suffix, STATES: LOADS + suffix}
+    needs = {LOADS: "", **dict.fromkeys((RUNS, READING, START_VALUES, STATES), LOADS + suffix)}
     return [
         {"row": name + suffix, "group": group, "probe": name, "needs": needs.get(name, RUNS + suffix)}
         for name in (LOADS, *probes)

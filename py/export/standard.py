@@ -21,6 +21,7 @@ SECTIONS = {
     "sources": {2: "2.3 FMU Distribution", 3: "2.4.10 Build Configurations"},
     "terminals": {2: "2.3 FMU Distribution; FMI 3.0.2, 2.4.9 Terminals and Icons", 3: "2.4.9 Terminals and Icons"},
     "reading": _GETTING,
+    "start values": _VARIABLES,
     "names": {2: "2.2.9 Variable Naming Conventions", 3: "2.4.7.5.1 Variable Naming Conventions"},
     "model structure": _STRUCTURE,
     "units": _UNITS,

@@ -17,6 +17,7 @@ from hydrotwin.identification import Spread, identify
 from hydrotwin.identification.bands import SPREAD
 from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
+from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.report import write_report
 from tests.comparison.toys import OUTPUTS, Toy, recording
@@ -106,7 +107,7 @@ def test_a_band_that_held_too_much_says_what_a_right_one_holds():
     assert band.why == "99.9 % of what was held out lay in it, and a right one of 95 % holds 90 to 99 %"
 
 
-def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_had_seen_it():
+def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_had_seen_it(tmp_path):
     from tests.identification.drive import drive, recorded
 
     records = [recorded(drive(), k, noise={"position": 2e-3}) for k in (1, 2)]
@@ -118,6 +119,8 @@ def test_a_hybrid_has_the_band_of_what_was_held_out_and_says_where_its_physics_h
     assert band.source == "conformal" and band.why.endswith(SEEN)
     assert contender.to_travel().half_widths == {"position": band.half_width}
     assert not [b for b in bands_of(contender) if b.output != "position"], "what is not corrected was not judged"
+    write_hybrid(block, tmp_path / "h.toml", "drive.py:drive")
+    assert bands_of(as_contender(read_hybrid(tmp_path / "h.toml", None), "hybrid")) == bands_of(contender)
 
 
 def test_a_band_that_misses_what_is_measured_here_is_not_trusted():

@@ -127,3 +127,15 @@ def test_models_that_only_one_of_two_comparisons_has_are_on_the_screen_and_the_p
     text = write_report(good, tmp_path / "now", accepted=found)["markdown"].read_text(encoding="utf-8")
     for sentence in ("New against the earlier comparison: m.", "No longer compared: old."):
         assert sentence in text and any(sentence in line for line in lines_of(found))
+
+
+def test_outputs_that_only_one_of_two_comparisons_scored_are_told(good, failing, tmp_path):
+    """What a comparison of fewer outputs leaves out did not stay "as before"."""
+    few = compare([Toy("m")], RECORDS, repeats=0, modes=("free run",), outputs=["arm_angle"])
+    assert acceptance(few, Wanted(against=written(good, tmp_path))).otherwise == (
+        "Outputs no longer compared: motor_speed, pressure_cap.",
+    )
+    found = acceptance(good, Wanted(against=written(few, tmp_path)))
+    assert found.otherwise == ("Outputs new against the earlier comparison: motor_speed, pressure_cap.",)
+    assert any("Outputs new" in text for text in lines_of(found))
+    assert not acceptance(failing, Wanted(against=written(good, tmp_path))).otherwise

@@ -21,13 +21,14 @@ from tests.export.test_description import read
 
 ROWS = {
     "readable", "schema", "interfaces", "unit definitions", "type definitions", "other definitions", "variables",
-    "names", "model structure", "sources", "files", "platforms", "units", "loads", "runs", "reading", "reset",
-    "second instance", "state", "intermediate update", "dependencies", "directional derivatives", "NaN input",
-    "unknown value reference", "step before initialization", "FMPy Co-Simulation", "libcosimpy", "reference",
+    "names", "model structure", "sources", "files", "platforms", "units", "loads", "runs", "reading", "start values",
+    "reset", "second instance", "state", "intermediate update", "dependencies", "directional derivatives",
+    "NaN input", "unknown value reference", "step before initialization", "FMPy Co-Simulation", "libcosimpy",
+    "reference",
 }  # fmt: skip
 OF_EXCHANGE = {
-    "loads", "runs", "reading", "number of states", "nominal values", "order of states", "order of setting",
-    "any order of calls", "reset", "state", "dependencies", "directional derivatives", "NaN input",
+    "loads", "runs", "reading", "start values", "number of states", "nominal values", "order of states",
+    "order of setting", "any order of calls", "reset", "state", "dependencies", "directional derivatives", "NaN input",
 }  # fmt: skip
 
 

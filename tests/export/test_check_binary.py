@@ -1,4 +1,5 @@
-"""A binary must give what its description declares: every variable can be read, every state is listed."""
+"""A binary must give what its description declares: every variable can be read, every state is listed, starts are
+those declared."""
 
 from __future__ import annotations
 
@@ -62,3 +63,14 @@ def test_a_state_whose_derivative_is_not_listed_anywhere_is_found_in_the_binary(
     check = check_fmu(rewritten(good, tmp_path / "x.fmu", xml=dict.fromkeys(gone, "")))
     assert "number of states" in [row.name for row in check.failures], str(check)
     assert f"not listed: {name}" in check["number of states"].detail
+
+
+@pytest.mark.parametrize(("fmi", "kind"), [(2, "cs"), (2, "me"), (3, "cs"), (3, "me")])
+def test_a_start_value_that_was_edited_in_the_description_alone_is_found(variants, tmp_path, fmi, kind):
+    good = variants["clocked mass", ("kind", kind), ("fmi", fmi)]
+    assert check_fmu(good)["start values"].verdict == "pass"
+    [row] = re.findall(r'(?s)name="mass.m".*?start="[^"]*"', read(good))
+    edited = row[: row.rindex("start=")] + 'start="2.5"'
+    check = check_fmu(rewritten(good, tmp_path / "x.fmu", xml={row: edited}))
+    assert [one.name for one in check.failures] == ["start values"], str(check)
+    assert "declared 2.5" in check["start values"].detail

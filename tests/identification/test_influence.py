@@ -66,6 +66,23 @@ def test_shares_of_a_linear_course_are_those_of_its_terms():
     assert exact == pytest.approx([share(slice(None)), 1 - share(slice(None))], rel=1e-9)
 
 
+@pytest.mark.parametrize("of", ["course", "deviation"])
+def test_recordings_count_by_their_samples_however_few_are_kept(of):
+    """A long recording in which a acts alone, and one of a fiftieth of it in which b does: the shares are those of sums
+    over all samples, of whose variances a has nearly all; as many instants each would give b two thirds."""
+    runs = [record("long", seconds=50.0, u=1.0, v=0.0), record("short", seconds=1.0, u=0.0, v=1.0)]
+    found = sensitivity(weighted(), runs, **ALL, over="10%", samples=256, stretches=2, of=of).sobol.whole
+    of_a, of_b = 0.01 * 50.0, 0.04 * 1.0
+    if of == "course":
+        assert found.total[0] == pytest.approx([of_a / (of_a + of_b), of_b / (of_a + of_b)], abs=0.02)
+        assert found.spread[0] == pytest.approx(np.sqrt((of_a + of_b) / 3 / 51.0), rel=0.02)
+    else:  # of sqrt(50 x^2 + 4 y^2), x and y uniform in 0 to 0.1, by a sum over a grid
+        x = (np.arange(400) + 0.5) / 4000
+        distance = np.sqrt(50 * x[:, None] ** 2 + 4 * x**2)
+        parts = [distance.var(axis=axis).mean() / distance.var() for axis in (0, 1)]
+        assert found.total[0] == pytest.approx(parts, abs=0.03)
+
+
 def test_indices_of_courses_of_many_shapes_are_those_of_all_instants():
     """Against the integrals over the intervals: E(y | a) = sin(a t), E(y | b) = b times the mean of sin(a t)."""
     run, intervals = record(seconds=4.0), {"a": (2.0, 20.0), "b": (0.2, 1.8)}

@@ -12,6 +12,7 @@ from .exchanger import LATER, SAMPLES, SECONDS, Exchanger, ExchangeTrial, contin
 from .master import abilities_of
 from .probes import gives_up, not_finite
 from .reading import Reader, every_variable
+from .start_values import start_values
 from .states import number_of_states
 from .trial import REPEATS, SHARE, TINY, off, real_inputs, refused, same
 from .verdicts import FAIL, PASS, REMARK, NotTried
@@ -41,10 +42,18 @@ def _runs(trial: ExchangeTrial):
 
 
 def _reading(trial: ExchangeTrial):
+    return every_variable(trial.description.modelVariables, _reader(trial))
+
+
+def _start_values(trial: ExchangeTrial):
+    return start_values(trial.description.modelVariables, _reader(trial))
+
+
+def _reader(trial: ExchangeTrial) -> Reader:
     def computes(instance):
         instance.rates() if instance.count else instance.fmu.setTime(0.0)
 
-    return every_variable(trial.description.modelVariables, Reader(trial.exchange, computes))
+    return Reader(trial.exchange, computes)
 
 
 def _nominals(trial: ExchangeTrial):
@@ -315,6 +324,7 @@ def _nan_input(trial: ExchangeTrial):
 EXCHANGE_PROBES = {
     "runs": _runs,
     "reading": _reading,
+    "start values": _start_values,
     "number of states": number_of_states,
     "nominal values": _nominals,
     "order of states": _order_of_states,

@@ -13,6 +13,7 @@ from fmpy.model_description import ScalarVariable
 
 from .master import Slave, abilities_of, look_size
 from .reading import Reader, every_variable
+from .start_values import start_values
 from .trial import REPEATS, STEPS, Trial, in_time, off, same, size_of
 from .verdicts import FAIL, PASS, REMARK, NotTried
 
@@ -41,8 +42,15 @@ def _runs(trial: Trial):
 
 
 def _reading(trial: Trial):
-    computes = partial(Slave.step, time=0.0, size=trial.step)
-    return every_variable(trial.description.modelVariables, Reader(trial.instance, computes))
+    return every_variable(trial.description.modelVariables, _reader(trial))
+
+
+def _start_values(trial: Trial):
+    return start_values(trial.description.modelVariables, _reader(trial))
+
+
+def _reader(trial: Trial) -> Reader:
+    return Reader(trial.instance, partial(Slave.step, time=0.0, size=trial.step))
 
 
 def gives_up(failure: Exception, inputs):
@@ -255,6 +263,7 @@ def _returned(asked: list[float]) -> str:
 PROBES = {
     "runs": _runs,
     "reading": _reading,
+    "start values": _start_values,
     "reset": _reset,
     "second instance": _second_instance,
     "state": _state,

@@ -27,7 +27,7 @@ from .trial import Trial
 from .verdicts import FAIL, GOOD, NOT_TRIED, PASS, NotTried
 
 LOADS, RUNS, GATES_GROUP = "loads", "runs", "gates"
-READING, STATES = "reading", "number of states"
+READING, START_VALUES, STATES = "reading", "start values", "number of states"
 LACKS = re.compile(
     r"(?P<library>[^\s:/]+): cannot open shared object file|version `|executable stack|cannot allocate|"
     r"Library not loaded|image not found|WinError 126"

@@ -4,7 +4,7 @@
 
 S_k is the share of the variance that parameter k makes alone, T_k with everything that it acts in. Parameters are
 independent and uniform over their intervals. A course is many numbers: V is the sum of their variances over a stretch
-of time, so an index is the mean over the instants, weighed by the variances there. Of a linear model the S_k add up to
+of time, so an index is the mean over the samples, weighed by the variances there. Of a linear model the S_k add up to
 one. SALib samples; the runs go side by side. With y from base samples A and B and from A with column k of B (AB), all
 about their mean,
 
@@ -139,7 +139,8 @@ def sobol(
     whole = np.concatenate([part for parts in stretches for part in parts], axis=1)
     found = _Indices(len(intervals), sampling, _scales(whole))
     by_stretch = tuple(tuple(found.of(part) for part in parts) for parts in stretches)
-    return Global(found.of(whole), by_stretch, len(cube), lost, reason, int(groups.sum()), sampling)
+    weighed = found.of(whole * _weights(runs.runs, share)[:, None])
+    return Global(weighed, by_stretch, len(cube), lost, reason, int(groups.sum()), sampling)
 
 
 def _sampled(count: int, sampling: Sampling) -> np.ndarray:
@@ -206,6 +207,17 @@ def _kept(run: Run, share: int) -> np.ndarray:
     """Samples at which outputs are kept: in every stretch as many, evenly spread."""
     pairs = itertools.pairwise(run.edges)
     return np.concatenate([np.linspace(a, b - 1, min(share, b - a)).astype(int) for a, b in pairs])
+
+
+def _weights(runs: Sequence[Run], share: int) -> np.ndarray:
+    """Factors of the kept instants of all runs, of mean square one: each stands for as many samples as lie around it.
+
+    Variances are squares, so those of courses times these are sums over all samples, whatever was kept of a recording.
+    """
+    lengths = np.concatenate([np.diff(run.edges) for run in runs])
+    kept = np.minimum(share, lengths)
+    around = np.repeat(lengths / np.maximum(kept, 1), kept)
+    return np.sqrt(around / around.mean())
 
 
 def _cut(courses: np.ndarray, run: Run, share: int) -> list[np.ndarray]:

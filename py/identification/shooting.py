@@ -4,8 +4,8 @@
 
 z are the start states a segment is free to choose. A first sample is a measurement like any other: a start state that
 an output measures is free, and the first residual is its prior, so noise in it does not bias the parameters. Where it
-has none, for nothing measures it, or not then, or what was measured first lies behind a delay line's filling, a weak
-prior stands for it: of a body that sticks at once nothing later tells how fast it was.
+has none (not measured, or not then, or while a delay line fills), a weak prior stands for it: of a body that sticks at
+once nothing later tells how fast it was.
 """
 
 from __future__ import annotations
@@ -368,18 +368,14 @@ class Shooting:
         return x0, seeds
 
     def _start_prior(self, i: int, z: np.ndarray):
-        weight = self._start_weight[i]
-        away = z - self.centre[i]
+        weight, away = self._start_weight[i], z - self.centre[i]
         return 0.5 * float(weight @ away**2), (weight * away), weight
 
     @cached_property
     def _start_weight(self) -> np.ndarray:
         """Per segment and start state, what is known of it beside its residuals (segments, nz)."""
-        by = self.start.measured
-        told = [
-            seen[0, by] & (by >= 0) & (s.first == s.begin)
-            for s, seen in zip(self.segments, self._measured, strict=True)
-        ]
+        by, begins = self.start.measured, [s.first == s.begin for s in self.segments]
+        told = [seen[0, by] & (by >= 0) & at for seen, at in zip(self._measured, begins, strict=True)]
         return np.where(told, 0.0, WEAK_PRIOR**2)
 
     def _over_segments(self, work) -> list:

@@ -25,10 +25,10 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
         return ""
     if elsewhere:
         return _not_excited(said.table.base.flat, data, elsewhere)
-    best, table = said.best, said.table
+    best, table, several, names = said.best, said.table, len(said.order) > 1, _words(said.order)
     if refuted is not None:
         return (
-            f"Something is missing that gets no name yet: {_words(best.members)} would explain it where the model was "
+            f"Something is missing that gets no name yet: {names} would explain it where the model was "
             f"fitted, but closes only {100 * max(refuted, 0.0):.0f} % of the gap in the recordings that judge. Record "
             "more runs that move like those, and give them to be fitted to."
         )
@@ -36,20 +36,22 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
         "" if search.complete else " The time limit ended the search; a longer one would try more (--time-limit)."
     )
     if said.part:
-        verb = "is a part" if len(best.members) == 1 else "are parts"
+        verb = "are parts" if several else "is a part"
         return (
-            f"{capitalised(_words(best.members))} {verb} of what is missing: {percent(closed(table, best))} of the gap "
+            f"{capitalised(names)} {verb} of what is missing: {percent(closed(table, best))} of the gap "
             f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"
         )
     if best is not None and table.explained([best]):
         return (
-            f"{capitalised(_words(best.members))} explains all that is missing, but most other effects were not asked "
-            f"whether they explain as much ({percent(said.posterior.unseen)}). It gets no name yet.{unfinished}"
+            f"{capitalised(names)} {'explain' if several else 'explains'} all that is missing, but most other effects "
+            f"were not asked whether they explain as much ({percent(said.posterior.unseen)}). It gets no name yet."
+            f"{unfinished}"
         )
     if best is not None and table.share(best) < WORTH:
+        closest = "come closest, and leave" if several else "comes closest, and leaves"
         return (
-            f"Something is missing, and no effect of the catalogue explains all of it: {_words(best.members)} comes "
-            f"closest, and leaves {_times(said):.2g} times the noise. It gets no name.{unfinished}"
+            f"Something is missing, and no effect of the catalogue explains all of it: {names} {closest} "
+            f"{_times(said):.2g} times the noise. It gets no name.{unfinished}"
         )
     return f"Something is missing, and nothing that was fitted explains it.{unfinished}" if unfinished else ""
 

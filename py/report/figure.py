@@ -13,6 +13,7 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7
 MEASURED = "#1b1b1b"
 _DASHES = ("solid", "dash", "dot", "dashdot")
 HOLE = 5.0  # times the usual distance of known samples: a line ends there
+FINE = 1e-5  # of the range of an array: what rounding may move it in a plot, a fiftieth of the pixels of a wide screen
 
 
 @dataclass(frozen=True)
@@ -171,8 +172,26 @@ def band(
 
 
 def packed(values: np.ndarray) -> dict:
-    """An array as Plotly's base64 of 32-bit floats: four times smaller than text."""
-    return {"dtype": "f4", "bdata": base64.b64encode(np.asarray(values, "<f4").tobytes()).decode("ascii")}
+    """An array as Plotly's base64 of 32-bit floats: four times smaller than text.
+
+    Of 64 bits where its range is small beside its size: seconds since 1970 would all be one instant.
+    """
+    kind = "f4" if _survives(np.asarray(values, float)) else "f8"
+    return {"dtype": kind, "bdata": base64.b64encode(np.asarray(values, f"<{kind}").tobytes()).decode("ascii")}
+
+
+def unpacked(values: Mapping) -> np.ndarray:
+    """The array that `packed` was given, rounded as it was."""
+    return np.frombuffer(base64.b64decode(values["bdata"]), np.dtype(values["dtype"]).newbyteorder("<"))
+
+
+def _survives(values: np.ndarray) -> bool:
+    """Whether 32 bits tell the values of an array apart as far as a plot does."""
+    known = values[np.isfinite(values)]
+    largest = float(np.abs(known).max()) if len(known) else 0.0
+    if largest > np.finfo(np.float32).max:
+        return False
+    return bool(np.spacing(np.float32(largest)) <= FINE * np.ptp(known)) if len(known) and np.ptp(known) else True
 
 
 def layout(x_title: str, y_titles: Sequence[str], shares: Sequence[float] | None = None, height: int = 420) -> dict:

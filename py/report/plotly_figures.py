@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from hydrotwin.comparison import Comparison, Matrix
 from hydrotwin.discovery.answer.discovery import Discovery
 from hydrotwin.identification import Fit, Profiles, Sensitivity
 from hydrotwin.models.language.errors import DeclarationError
 
-from .figure import Figure, FigureGroup
+from .figure import Figure, FigureGroup, unpacked
 from .fit import fit_section
 from .gap import gap_page
 from .matrix import matrix_page
@@ -31,8 +28,8 @@ def figures(
 ) -> dict[str, plotly.graph_objects.Figure]:
     """The figures that the report of ``found`` shows, by their names on the page, in the units it shows.
 
-    Curves are those of the page: at most a few thousand points, 32-bit, every peak kept. Raises DeclarationError for
-    an object without figures.
+    Curves are those of the page: at most a few thousand points, 32-bit where that tells them apart, every peak kept.
+    Raises DeclarationError for an object without figures.
     """
     import plotly.graph_objects as go
 
@@ -70,7 +67,7 @@ def _drawn(sections: tuple[Section, ...]) -> Iterator[Figure]:
 def _unpacked(spec):
     """The specification with numpy arrays where the page has base64, see `figure.packed`."""
     if isinstance(spec, dict) and "bdata" in spec:
-        return np.frombuffer(base64.b64decode(spec["bdata"]), np.dtype(spec["dtype"]).newbyteorder("<"))
+        return unpacked(spec)
     if isinstance(spec, dict):
         return {key: _unpacked(value) for key, value in spec.items()}
     return [_unpacked(value) for value in spec] if isinstance(spec, list) else spec

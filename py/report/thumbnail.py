@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
 
-from .figure import HOLE, decimate
+from .figure import HOLE, decimate, unpacked
 
 WIDE, HIGH, POINTS = 400, 100, 160  # units of the picture, and points of a curve
 MOST = 8  # curves
@@ -46,7 +45,7 @@ def _points(trace: Mapping, axes: Sequence[str | None]) -> tuple[np.ndarray, np.
 def _numbers(values: Mapping | Sequence, axis: str | None) -> np.ndarray:
     """Numbers of a trace, packed or not, as far along their axis; names stand for nothing."""
     if isinstance(values, Mapping):
-        found = np.frombuffer(base64.b64decode(values["bdata"]), "<f4").astype(float)
+        found = unpacked(values).astype(float)
     else:
         found = np.array([v if isinstance(v, float | int) else np.nan for v in values], dtype=float)
     with np.errstate(divide="ignore", invalid="ignore"):

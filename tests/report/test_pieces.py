@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import doctest
 import json
 
@@ -31,12 +30,9 @@ from hydrotwin.report import (
     texts,
 )
 from hydrotwin.report.comparison_figures import error_range
+from hydrotwin.report.figure import unpacked
 from hydrotwin.report.format import number_texts
 from hydrotwin.report.heat_map import heat_map
-
-
-def unpacked(array):
-    return np.frombuffer(base64.b64decode(array["bdata"]), "<f4")
 
 
 def test_the_examples_of_the_number_format_hold():
@@ -178,3 +174,13 @@ def test_the_bar_of_a_heat_map_has_a_few_marks_that_lie_in_it(low, high):
     bar = heat_map("a", "a", (["r"], ["x", "y"]), np.array([[low, high]]), "deg").spec["data"][0]["colorbar"]
     assert 1 <= len(bar["tickvals"]) <= 6 and len(set(bar["ticktext"])) == len(bar["ticktext"])
     assert all(np.log10(low) <= mark <= np.log10(high) for mark in bar["tickvals"])
+
+
+@pytest.mark.parametrize("first", [0.0, 1e5, 1.7e9])
+def test_a_curve_has_its_samples_wherever_its_clock_begins(first):
+    """Seconds since 1970 in 32 bits: twelve seconds at 100 Hz had been one instant."""
+    time = first + 0.01 * np.arange(1200)
+    drawn = line(time, 5e6 + np.sin(time - first), "arm", "#000")
+    np.testing.assert_allclose(unpacked(drawn["x"]) - first, time - first, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(unpacked(drawn["y"]), 5e6 + np.sin(time - first), rtol=0, atol=1e-4)
+    assert drawn["x"]["dtype"] == ("f4" if first == 0.0 else "f8")

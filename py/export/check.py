@@ -20,13 +20,14 @@ from .archive import file_names, read_file
 from .check_plan import SECOND, offers_both, plan_of, tried_rows
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
 from .fmu_process.verdicts import FAIL, GOOD, NOT_TRIED, PASS, REMARK
-from .foreign import Description, describe_fmu, unit_name
+from .foreign import Description, describe_fmu
 from .reader import FmuBlock, read_fmu
 from .related import MANIFEST
 from .replay import FILES, REPLAY, Replay, carried_rows
 from .rules import read_or_say, rule_rows
 from .rules.declared import Declared
 from .standard import paragraph
+from .unit_meanings import unit_name
 from .writer import AGREEMENT, OTHER_SOLVER, REFERENCE_FILE
 
 
@@ -200,6 +201,8 @@ def _units(description: Description) -> tuple[str, str]:
     if bare or description.unknown_units:
         strange = f"; not understood: {', '.join(description.unknown_units[:3])}" if description.unknown_units else ""
         return REMARK, f"{len(bare)} of {len(real)} inputs and outputs have no unit ({', '.join(bare[:3])}){strange}"
+    if description.redefined:
+        return REMARK, "; ".join(description.redefined)
     return PASS, f"all {len(real)} inputs and outputs have a unit"
 
 

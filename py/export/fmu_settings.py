@@ -17,6 +17,7 @@ from .foreign import Description, kind_of
 
 AT_REST = "inputs at their start values"
 LEFT_OUT = "outputs left out"
+REDEFINED = "units as the FMU defines them"
 _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from fmpy import read_model_description
-from fmpy.model_description import BaseUnit, ModelDescription
+from fmpy.model_description import ModelDescription
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
-from hydrotwin.models.language.units import parse_unit
+from hydrotwin.models.language.errors import DataError, DeclarationError
 
 from .archive import read_file
 from .fmu_process.master import inputs_of, interpolates, is_scalar, unfed_of
@@ -20,6 +19,7 @@ from .fmu_process.trial import start_of
 from .rules import read_or_say
 from .rules.archive_rules import why_not_here
 from .rules.declared import Declared
+from .unit_meanings import Meaning, meaning_of, redefined
 from .whole_numbers import Whole, whole_of
 
 
@@ -27,7 +27,8 @@ from .whole_numbers import Whole, whole_of
 class Description:
     """Names, units and abilities of an FMU.
 
-    scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``.
+    scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``. redefined : units that the FMU defines
+        otherwise than their names say, in sentences.
     starts : start parameter -> record name of the output whose first sample it takes.
     measured : the same of every start parameter that an output measures.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
@@ -58,6 +59,7 @@ class Description:
     clocks: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     elsewhere: str = ""
+    redefined: tuple[str, ...] = ()
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -72,7 +74,7 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         raise DeclarationError(
             f"{path}: it offers neither Co-Simulation nor Model Exchange. Ask its maker for one of the two."
         )
-    meanings = {v.name: _meaning(v, md, units.get(v.name)) for v in md.modelVariables}
+    meanings = {v.name: meaning_of(v, md, units.get(v.name)) for v in md.modelVariables}
     starts, measured, complete, period = _annotated(path)
     outputs = [v for v in md.modelVariables if v.causality == "output"]
     plain = [p.removesuffix(".start") for p in starts] if complete else []
@@ -83,9 +85,10 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         any_step=md.coSimulation is None or bool(md.coSimulation.canHandleVariableCommunicationStepSize),
         slopes=md.coSimulation is None or interpolates(md),
         record_names={v.name: names.get(v.name, v.name) for v in md.modelVariables},
-        units={n: m[0] for n, m in meanings.items()},
-        scales={n: (m[1], m[2]) for n, m in meanings.items()},
-        unknown_units=tuple(n for n, m in meanings.items() if m[3]),
+        units={n: m.si for n, m in meanings.items()},
+        scales={n: (m.factor, m.offset) for n, m in meanings.items()},
+        unknown_units=tuple(n for n, m in meanings.items() if m.guessed),
+        redefined=redefined(meanings),
         starts={p: names.get(o, o) for p, o in starts.items() if o},
         measured={p: names.get(o, o) for p, o in measured.items() if o},
         states=states,
@@ -100,10 +103,10 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
     )
 
 
-def _start(variable, meanings: Mapping[str, tuple]) -> float | None:
+def _start(variable, meanings: Mapping[str, Meaning]) -> float | None:
     """The start value of an input in SI."""
-    _, factor, offset, _ = meanings[variable.name]
-    return None if variable.start in (None, "") else factor * start_of(variable) + offset
+    one = meanings[variable.name]
+    return None if variable.start in (None, "") else one.factor * start_of(variable) + one.offset
 
 
 def kind_of(variable) -> str:
@@ -133,39 +136,6 @@ def read_description(path: Path) -> ModelDescription:
 
 def _is_output(md: ModelDescription, name: str) -> bool:
     return any(v.name == name and v.causality != "local" for v in md.modelVariables)
-
-
-def unit_name(variable) -> str | None:
-    """The unit of a variable, its own or its type's; None when there is none."""
-    declared = getattr(variable, "declaredType", None)
-    return variable.unit or (declared.unit if declared is not None else None)
-
-
-def _meaning(variable, md: ModelDescription, chosen: str | None) -> tuple[str, float, float, bool]:
-    """SI unit, factor, offset, and whether the unit is a guess."""
-    text = chosen or unit_name(variable)
-    if not text:
-        return "1", 1.0, 0.0, False
-    try:
-        unit = parse_unit(text)
-        return unit.si, unit.factor, unit.offset, False
-    except UnitError:
-        if chosen:
-            raise
-    for definition in md.unitDefinitions:
-        if definition.name == text and definition.baseUnit is not None:
-            base = definition.baseUnit
-            return _si_text(base), float(base.factor), float(base.offset), False
-    return "1", 1.0, 0.0, True
-
-
-def _si_text(base: BaseUnit) -> str:
-    """``kg.m2/s3`` from exponents, in the unit grammar of this project."""
-    powers = {n: int(getattr(base, n)) for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
-    above = [n if p == 1 else f"{n}{p}" for n, p in powers.items() if p > 0]
-    below = [n if p == -1 else f"{n}{-p}" for n, p in powers.items() if p < 0]
-    text = ".".join(above) or "1"
-    return parse_unit(f"{text}/({'.'.join(below)})" if below else text).si
 
 
 def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float | None]:

@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.units import convert
 
-from .foreign import Description, unit_name
+from .foreign import Description
 from .related import local, xml_of
 from .ssp_text import Unit
+from .unit_meanings import unit_name
 
 WORDS = {"true": 1.0, "false": 0.0}
 

@@ -20,7 +20,7 @@ from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
-from .fmu_settings import AT_REST, LEFT_OUT, at_rest, own_value, unrecorded
+from .fmu_settings import AT_REST, LEFT_OUT, REDEFINED, at_rest, own_value, unrecorded
 from .foreign import Description, describe_fmu, kind_of
 
 TIME_LIMIT = 120.0
@@ -326,7 +326,8 @@ def _notes(description: Description, outputs: Sequence[str] | None) -> tuple[str
     """What it has and no recording can hold."""
     fed = [f"no column can feed input {text}: its start value serves" for text in description.unfed]
     left = description.left_out if outputs is None else ()
-    return (*fed, *([f"outputs that hold no single number are left out: {', '.join(left)}"] if left else []))
+    left = [f"outputs that hold no single number are left out: {', '.join(left)}"] if left else []
+    return (*description.redefined, *fed, *left)
 
 
 def _outputs(path, md, names: Sequence[str] | None) -> list:
@@ -393,7 +394,6 @@ def _provenance(md, description: Description, outputs: Sequence[str]) -> dict:
     late = late_outputs(md, outputs, [v.name for v in inputs_of(md)])
     if late:
         facts[LATE] = ", ".join(late)
-    facts[LEFT_OUT] = ", ".join(description.left_out)
-    if description.unknown_units:
-        facts["units taken as 1"] = ", ".join(description.unknown_units)
+    facts |= {LEFT_OUT: ", ".join(description.left_out), REDEFINED: "; ".join(description.redefined)}
+    facts["units taken as 1"] = ", ".join(description.unknown_units)
     return {k: v for k, v in facts.items() if v}

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hydrotwin.comparison import FREE_RUN, ONE_STEP, Comparison, Score
-from hydrotwin.export.fmu_settings import AT_REST
+from hydrotwin.export.fmu_settings import AT_REST, REDEFINED
 from hydrotwin.export.reader import LATE
 
 from .copies import copies
@@ -56,7 +56,8 @@ def facts(comparison: Comparison, shown: Mapping[str, str]) -> tuple[str, ...]:
         for e in comparison.entrants
         if LATE in e.provenance
     ]
-    sentences += [f"Of {e.name}, {e.provenance[AT_REST]}." for e in comparison.entrants if AT_REST in e.provenance]
+    told = [(e.name, e.provenance.get(key)) for key in (REDEFINED, AT_REST) for e in comparison.entrants]
+    sentences += [f"Of {name}, {what}." for name, what in told if what]
     seconds = comparison.seconds_per_simulated_second
     times = {m: s for m, s in seconds.items() if m not in comparison.yardsticks}
     if len(times) > 1:

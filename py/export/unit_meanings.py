@@ -1,0 +1,120 @@
+"""What the unit of an FMU's variable means in SI: by the FMU's own definition, else by its name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+from fmpy.model_description import BaseUnit, ModelDescription
+
+from hydrotwin.models.language.errors import UnitError
+from hydrotwin.models.language.units import Unit, parse_unit
+
+ALIKE = 1e-4  # relative: factors nearer than that are one, written with few digits; offsets, of a kelvin or of one
+NAMED = 3  # variables that a sentence names
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """``SI = factor * value + offset`` in the unit ``si``.
+
+    guessed : nobody knows the unit. said : the unit as written, and in words what it is by a definition of the FMU that
+    is not what its name says; "" where both agree.
+    """
+
+    si: str = "1"
+    factor: float = 1.0
+    offset: float = 0.0
+    guessed: bool = False
+    said: str = ""
+
+
+def unit_name(variable) -> str | None:
+    """The unit of a variable, its own or its type's; None when there is none."""
+    declared = getattr(variable, "declaredType", None)
+    return variable.unit or (declared.unit if declared is not None else None)
+
+
+def meaning_of(variable, md: ModelDescription, chosen: str | None) -> Meaning:
+    """What the numbers of a variable stand for; chosen : the unit that a user says, in place of the FMU's.
+
+    The definition of a unit counts, as FMI has it, and not what other people call so: "C" may be a temperature, "bar" a
+    gauge pressure. A definition that says nothing (no exponent, no factor) leaves it to the name. Of a relative
+    quantity, a difference, the zero of the unit is left out. Raises UnitError for a chosen unit that is none.
+    """
+    text = chosen or unit_name(variable)
+    if not text:
+        return Meaning()
+    known = _known(text, strict=bool(chosen))
+    base = None if chosen else next((d.baseUnit for d in md.unitDefinitions if d.name == text), None)
+    found = _by_definition(text, base, known) if base is not None else _by_name(known)
+    return replace(found, offset=0.0) if _is_difference(variable) else found
+
+
+def redefined(meanings: Mapping[str, Meaning]) -> tuple[str, ...]:
+    """In sentences, units that an FMU defines otherwise than their names are understood, with whose they are."""
+    whose: dict[str, list[str]] = {}
+    for name, meaning in meanings.items():
+        if meaning.said:
+            whose.setdefault(meaning.said, []).append(name)
+    return tuple(f"{said} ({_some(names)}): the definition counts" for said, names in whose.items())
+
+
+def _some(names: Iterable[str]) -> str:
+    names = list(names)
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{more}"
+
+
+def _known(text: str, strict: bool) -> Unit | None:
+    try:
+        return parse_unit(text)
+    except UnitError:
+        if strict:
+            raise
+        return None
+
+
+def _by_name(known: Unit | None) -> Meaning:
+    return Meaning(guessed=True) if known is None else Meaning(known.si, known.factor, known.offset)
+
+
+def _by_definition(text: str, base: BaseUnit, known: Unit | None) -> Meaning:
+    factor, offset, si = float(base.factor), float(base.offset), _si_text(base)
+    own = Meaning(si, factor, offset)
+    if known is None:
+        return own
+    if si == "1" and (factor, offset) == (1.0, 0.0):  # what tools write that cannot say it
+        return _by_name(known)
+    alike = parse_unit(si).dimension == known.dimension
+    same = alike and _near(offset, known.offset, max(1.0, abs(known.offset)))
+    turns = 2 * math.pi if "rad" in known.si and not base.rad else 1.0  # a revolution may count as one
+    if same and any(_near(factor * by, known.factor, abs(known.factor)) for by in (1.0, turns)):
+        return _by_name(known)
+    own = replace(own, si=known.si) if alike and ("rad" in known.si) == bool(base.rad) else own  # Pa for kg/(m.s2)
+    return replace(own, said=f"unit '{text}' is {_words(own)} as the FMU defines it, and not {_words(_by_name(known))}")
+
+
+def _near(one: float, other: float, size: float) -> bool:
+    return abs(one - other) <= ALIKE * size
+
+
+def _words(meaning: Meaning) -> str:
+    zero = f" from {meaning.offset:g} {meaning.si} on" if meaning.offset else ""
+    return f"{meaning.factor:g} {meaning.si}{zero}"
+
+
+def _is_difference(variable) -> bool:
+    declared = getattr(variable, "declaredType", None)
+    own = getattr(variable, "relativeQuantity", False)
+    return bool(own or (declared is not None and getattr(declared, "relativeQuantity", False)))
+
+
+def _si_text(base: BaseUnit) -> str:
+    """``kg.m2/s3`` from exponents, in the unit grammar of this project."""
+    powers = {n: int(getattr(base, n)) for n in ("kg", "m", "s", "A", "K", "mol", "cd", "rad")}
+    above = [n if p == 1 else f"{n}{p}" for n, p in powers.items() if p > 0]
+    below = [n if p == -1 else f"{n}{-p}" for n, p in powers.items() if p < 0]
+    text = ".".join(above) or "1"
+    return parse_unit(f"{text}/({'.'.join(below)})" if below else text).si

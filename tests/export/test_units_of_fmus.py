@@ -1,0 +1,67 @@
+"""What the numbers of an FMU stand for: its own definitions of units count, as FMI has it, and not their names."""
+
+from __future__ import annotations
+
+import pytest
+from fmpy.model_description import BaseUnit, ModelDescription, ScalarVariable, SimpleType, Unit
+
+from hydrotwin.export import check_fmu, read_fmu
+from hydrotwin.export.unit_meanings import meaning_of, redefined
+from tests.export.foreign import rewritten
+
+
+def meaning(name: str, base: BaseUnit | None, relative: bool = False, chosen: str | None = None):
+    described = ModelDescription(unitDefinitions=[Unit(name, base)])
+    return meaning_of(ScalarVariable("x", 0, unit=name, relativeQuantity=relative), described, chosen)
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "expected"),
+    [
+        ("C", BaseUnit(K=1, offset=273.15), ("K", 1.0, 273.15)),  # no coulomb
+        ("bar", BaseUnit(kg=1, m=-1, s=-2, factor=1e5, offset=101325.0), ("Pa", 1e5, 101325.0)),  # over the ambient
+        ("g", BaseUnit(m=1, s=-2, factor=9.80665), ("m/s2", 9.80665, 0.0)),
+    ],
+)
+def test_a_definition_counts_where_the_name_says_another(name, base, expected):
+    found = meaning(name, base)
+    assert (found.si, found.factor, found.offset) == pytest.approx(expected)
+    assert redefined({"x": found}) == (f"{found.said} (x): the definition counts",) and f"'{name}'" in found.said
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "expected"),
+    [
+        ("psi", BaseUnit(kg=1, m=-1, s=-2, factor=6894.8), ("Pa", 6894.757293168361, 0.0)),  # few digits
+        ("degC", BaseUnit(K=1, offset=273.15), ("K", 1.0, 273.15)),
+        ("1/min", BaseUnit(rad=1, s=-1, factor=0.10471975511965977), ("rad/s", 0.10471975511965977, 0.0)),
+        ("bar", BaseUnit(), ("Pa", 1e5, 0.0)),  # defines nothing
+        ("bar", None, ("Pa", 1e5, 0.0)),
+        ("rad/s", BaseUnit(s=-1), ("rad/s", 1.0, 0.0)),
+        ("rpm", BaseUnit(s=-1, factor=1 / 60), ("rad/s", 0.10471975511965977, 0.0)),  # a revolution counts as one
+    ],
+)
+def test_a_definition_that_agrees_or_says_nothing_leaves_it_to_the_name(name, base, expected):
+    found = meaning(name, base)
+    assert (found.si, found.factor, found.offset) == pytest.approx(expected)
+    assert not found.said and not redefined({"x": found})
+
+
+def test_a_difference_has_no_zero_and_a_user_is_believed():
+    celsius = BaseUnit(K=1, offset=273.15)
+    assert meaning("degC", celsius, relative=True).offset == 0.0
+    typed = ScalarVariable("x", 0, unit="degC", declaredType=SimpleType("Rise", relativeQuantity=True))
+    assert meaning_of(typed, ModelDescription(), None).offset == 0.0
+    assert meaning("C", celsius, chosen="degF").said == "" and meaning("C", celsius, chosen="degF").si == "K"
+
+
+def test_an_fmu_tells_that_its_units_are_others(fmus, tmp_path):
+    other = {
+        '<Unit name="rad">\n      <BaseUnit rad="1" />': '<Unit name="rad">\n      <BaseUnit rad="1" factor="2" />'
+    }
+    fmu = rewritten(fmus["lag"], tmp_path / "turned.fmu", xml=other)
+    block = read_fmu(fmu)
+    assert block.description.scales["angle"] == (2.0, 0.0)
+    assert any("2 rad as the FMU defines it" in note for note in block.notes)
+    row = next(row for row in check_fmu(fmu).rows if row.name == "units")
+    assert row.verdict == "remark" and "2 rad" in row.detail

@@ -13,7 +13,8 @@ from hydrotwin.simulation.propagator import prepare
 
 from .lower import middle_of_training
 
-DURATION = 2.0  # s
+DURATION = 2.0  # s: of the trial run of a fast machine ...
+FEWEST = 40  # ... and of a slow one so many of its steps, or of the periods of a block
 SAMPLES = 200
 SHARES = 0.2, 0.02, 0.0  # of nominal: the size of the inputs' movement, the first that the model bears
 
@@ -54,16 +55,24 @@ def check_method(name: str, method: str, step: float | None = None) -> None:
         raise DeclarationError(f"{name}: the internal step must be positive (got {step:g} s). Give seconds, as 1e-3.")
 
 
-def excitation(system, period: float = DURATION / SAMPLES, share: float = SHARES[0]) -> Record:
-    """Two seconds of inputs that move a share of nominal around their defaults, each at a frequency of its own.
+def duration_of(pace: float) -> float:
+    """Seconds of a trial run of what moves every ``pace`` s: a block by its period, a model by its longest step."""
+    return max(DURATION, FEWEST * pace)
 
-    Those of a block that knows its training domain move around the middle of it. period [s] : of the samples.
+
+def excitation(system, period: float | None = None, share: float = SHARES[0]) -> Record:
+    """Seconds (`duration_of`) of inputs that move a share of nominal around their defaults, each at its own frequency.
+
+    Those of a block that knows its training domain move around the middle of it. period [s] : of the samples of a
+    block; a model has SAMPLES.
     """
-    time = np.arange(0.0, DURATION + period / 2, period).round(9)
-    moving = time > DURATION / 10
+    duration = duration_of(period or float(system.step))
+    period = period or duration / SAMPLES
+    time = np.arange(0.0, duration + period / 2, period).round(9)
+    moving, slower = time > duration / 10, DURATION / duration
     signals, units = {}, {}
     for k, signal in enumerate(system.inputs):
-        wave = share * signal.nominal * np.sin(2 * np.pi * (0.5 + 0.2 * k) * time) * moving
+        wave = share * signal.nominal * np.sin(2 * np.pi * (0.5 + 0.2 * k) * slower * time) * moving
         signals[signal.name] = middle_of_training(system, signal.name, signal.default) + wave
         units[signal.name] = signal.unit
     return Record(time, signals, units, "reference")

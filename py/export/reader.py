@@ -135,9 +135,10 @@ class FmuBlock:
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
         steps_over(np.ptp(record.time), period, self.name)
-        grid = np.arange(record.time[0], record.time[-1] + 1e-6 * period, period)
-        held = [s.name for s in self.inputs if s.held]
-        run = self._run(require(record, self.inputs, self.name).resample(times=grid, hold=held), record)
+        grid = np.arange(record.time[0], record.time[-1] + (1 - 1e-6) * period, period)  # to the end or beyond it
+        held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, record.time[-1])
+        known = require(record, self.inputs, self.name).resample(times=until, hold=held)
+        run = self._run(replace(known, time=grid), record)
         signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
 

@@ -2,7 +2,7 @@
 
 By FMI-LS-REF (see `related`): a smoke test and validation experiments with their inputs, start values and expected
 outputs, and ``credibility.toml``: what the model file says of where the model was fitted and judged, with the hash of
-the FMU's parameter values and of every file beside it.
+the FMU's parameter values, of every file beside it, and of all that the FMU computes with and says of itself.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import json
 import posixpath
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ from hydrotwin.models.language.credibility import KEY, Credibility, from_data
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
+from .archive import file_names, read_file
 from .experiments import TYPE, Experiment, experiments_text, series_text
 from .foreign import Description
 from .parameter_sets import own_unit
@@ -31,6 +32,7 @@ from .ssp_text import Parameter, parameter_set
 
 RECORD_FILE = f"{FOLDER}/credibility.toml"
 TOLD = "documentation/fmi-ls-ref.txt"
+MADE_OF = ("modelDescription.xml", "sources/", "binaries/")
 RECORD_FORMAT = "hydrotwin-credibility/1"  # its number goes up where keys change their meaning or go
 SMALL = 500_000  # bytes of text up to which the smoke test, which nobody asked for, goes along
 LARGEST = 20_000_000  # bytes of text of all experiments: an FMU is sent by mail
@@ -55,13 +57,18 @@ class Carried:
 
 @dataclass(frozen=True)
 class Inside:
-    """The record that an FMU carries along; ``contents`` : hash of the parameter values that it is of."""
+    """The record that an FMU carries along.
+
+    contents : hash of the parameter values that it is of. files : those beside it, by hash. made_of : the same of the
+    description, the sources and the binaries; older records do not have it.
+    """
 
     made_by: str
     model: str
     contents: str
     credibility: Credibility
     files: Mapping[str, str]
+    made_of: Mapping[str, str] = field(default_factory=dict)
 
 
 def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | bytes]:
@@ -82,7 +89,7 @@ def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | 
         told = "Inputs of recordings, and what the model gives for them"
         related.append(Related(f"{FOLDER}/validation.exp", VALIDATION, TYPE, told))
     if carried.credibility is not None:
-        files[RECORD_FILE] = _record_text(fmu, carried.credibility, files, tool)
+        files[RECORD_FILE] = _record_text(fmu, carried.credibility, (files, _made_of(path)), tool)
         told = "Where the model was fitted and judged: recordings by hash, criteria, results, versions"
         related.append(Related(RECORD_FILE, REPORT, "application/toml", told))
     return files | ({MANIFEST: manifest_text(related), TOLD: _told(related, carried)} if related else {})
@@ -149,13 +156,23 @@ def _tables(stem: str, record: Record, fmu: FmuBlock, tool: str) -> dict[str, st
     return files | ({f"{stem}-start.ssv": parameter_set(f"start of {record.name}", tool, values)} if values else {})
 
 
-def _record_text(fmu: FmuBlock, credibility: Credibility, files: Mapping[str, str | bytes], tool: str) -> str:
+def _made_of(path: Path) -> dict[str, bytes]:
+    """What an FMU computes with and says of itself: units, start values, equations."""
+    return {n: read_file(path, n) for n in file_names(path) if n.startswith(MADE_OF) and not n.endswith("/")}
+
+
+def _record_text(
+    fmu: FmuBlock, credibility: Credibility, files: tuple[Mapping[str, str | bytes], Mapping[str, bytes]], tool: str
+) -> str:
+    """files : those beside the record, and those that the FMU is made of."""
+    beside, made_of = ({name: _sha256(text) for name, text in sorted(some.items())} for some in files)
     content = {
         "format": RECORD_FORMAT,
         "made_by": tool,
         "model": fmu.name,
         "parameters_sha256": parameters_digest(fmu.description),
-        "files": {name: _sha256(text) for name, text in sorted(files.items())},
+        "files": beside,
+        "made_of": made_of,
     }
     return f"{tomlkit.dumps(content)}\n{credibility.as_toml()}"
 
@@ -180,18 +197,17 @@ def record_of(path: Path) -> Inside:
                 "hydrotwin, or export the FMU again."
             )
         own = (str(told["made_by"]), str(told["model"]), str(told["parameters_sha256"]))
-        return Inside(*own, from_data(told.get(KEY), RECORD_FILE), dict(told["files"]))
+        made_of = dict(told.get("made_of", {}))
+        return Inside(*own, from_data(told.get(KEY), RECORD_FILE), dict(told["files"]), made_of)
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error}). Export the FMU again.") from None
 
 
 def changed_files(path: Path, inside: Inside) -> list[str]:
-    """Files of the record that are no longer what it was made with, or gone."""
-    found = []
-    for name, digest in inside.files.items():
-        try:
-            same = _sha256(content_of(path, name)) == digest
-        except DataError:
-            same = False
-        found += [] if same else [name]
-    return found
+    """Files of the record that are no longer what it was made with, or gone.
+
+    Sources and binaries may be gone, for who passes an FMU on may leave them out.
+    """
+    here = set(file_names(path))
+    asked = {**inside.files, **{name: digest for name, digest in inside.made_of.items() if name in here}}
+    return [n for n, digest in asked.items() if n not in here or _sha256(content_of(path, n)) != digest]

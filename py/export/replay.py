@@ -144,7 +144,10 @@ def _record(path: Path, description: Description, wrong: str) -> tuple[str, str]
             f"judge the FMU: hydrotwin compare --model FMU --validate REC. It said: {_sentences(inside)}"
         )
     if changed := changed_files(path, inside):
-        return wrong, f"files beside it were changed or are gone: {', '.join(changed[:SHOWN])}. Export the model again."
+        return (
+            wrong,
+            f"files of the FMU were changed or are gone: {', '.join(changed[:SHOWN])}. Export the model again.",
+        )
     failed = [one for one in inside.credibility.evidence if one.passed is False]
     return (wrong if failed else PASS), f"{inside.model}, by {inside.made_by}: {_sentences(inside)}"
 

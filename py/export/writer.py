@@ -26,7 +26,7 @@ from .equations import equations_of
 from .icon import icon
 from .licences import licence_text, licences_of
 from .lower import Lowered, lower_block, lower_model
-from .method import choose_method
+from .method import choose_method, duration_of
 from .reference_files import Carried, reference_files
 from .sources import INTERFACES, source_files
 from .terminals import terminals_and_icons
@@ -63,7 +63,7 @@ def export_fmu(
     method: str = "auto",
     step: float | None = None,
     tolerance: float = 1e-10,
-    stop_time: float = 10.0,
+    stop_time: float | None = None,
     step_size: float | None = None,
     platforms: Sequence[str] | None = None,
     history: int = 1024,
@@ -93,7 +93,7 @@ def export_fmu(
         L-stable, for stiff models.
     step : longest internal step [s], the model's own by default.
     tolerance : of the adaptive method, in nominal units.
-    stop_time, step_size : of the default experiment [s].
+    stop_time, step_size : of the default experiment [s]; ten seconds by default, and more of what moves slowly.
     platforms : "linux64", "win64", "darwin64", "aarch64-linux", "aarch64-darwin", their names in FMI 3, or "all"; this
         machine's by default.
     history : pieces remembered of each input with a dead time.
@@ -115,6 +115,7 @@ def export_fmu(
         solver = _EXCHANGE if kind == "me" else f"{_EXCHANGE} Co-Simulation: {solver}"
     variables = variables_of(lowered, always_time=fmi == 3)
     size = step_size or (lowered.step if lowered.sampled else 10 * lowered.step)
+    stop_time = 5 * duration_of(lowered.step) if stop_time is None else stop_time
     sources = source_files(lowered, variables, _PENDING_GUID, history, fmi, kind)
     header = Header(
         lowered.name, _identifier(lowered.name), _PENDING_GUID, _first_sentence(lowered.description), tool_name(),

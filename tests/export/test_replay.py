@@ -291,6 +291,29 @@ def test_what_is_wrong_is_said_and_fails_where_it_is_to_be_run_again(without_smo
     assert row.startswith("replay bench") or told[row][0] == "remark"
 
 
+@pytest.mark.parametrize(
+    ("name", "before", "after"),
+    [
+        ("modelDescription.xml", '<BaseUnit m="1" />', '<BaseUnit m="1" factor="0.001" />'),  # the same numbers, in mm
+        ("modelDescription.xml", 'measured="place"', 'measured="power"'),  # where a comparison lets a state start
+        ("sources/model.c", "{", "{ "),  # of who compiles it elsewhere
+    ],
+)
+def test_an_fmu_that_says_or_computes_another_thing_has_no_record_any_more(
+    without_smoke, tmp_path, name, before, after
+):
+    path = edited(without_smoke, tmp_path / "m.fmu", {name: swapped(before, after)})
+    verdict, detail = rows_of(path, again=False)["record"]
+    assert verdict == "remark" and f"changed or are gone: {name}." in detail
+
+
+def test_an_fmu_may_be_passed_on_without_its_sources(without_smoke, tmp_path):
+    with zipfile.ZipFile(without_smoke) as archive:
+        sources = [name for name in archive.namelist() if name.startswith("sources/")]
+    path = edited(without_smoke, tmp_path / "m.fmu", dict.fromkeys(sources))
+    assert len(sources) > 5 and rows_of(path, again=False)["record"][0] == "pass"
+
+
 def test_a_missing_file_of_the_manifest_is_a_remark(fmu, tmp_path):
     path = edited(fmu, tmp_path / "m.fmu", {f"{INSIDE}validation.exp": None})
     verdict, detail = rows_of(path, again=False)["related files"]

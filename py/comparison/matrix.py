@@ -11,9 +11,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
+from hydrotwin.records.resampling import new_time_axis
 from hydrotwin.work.executor import executor_for
 
 from .acceptance import Acceptance, Wanted, acceptance
@@ -227,8 +230,17 @@ def _run(scenario: Scenario, one: _Prepared, read, where: Where, repeats: int, b
 
 
 def thinned(record: Record, period: float | None) -> Record:
-    """The recording at another sample time [s], the values of the new samples as they were recorded or on the line."""
-    return record if period is None or _sampled_so(record, period) else record.resample(period)
+    """The recording at about another sample time [s]: those of its samples that lie nearest to such times.
+
+    Values on the line between samples would have less noise, and a held input values that nobody had set.
+    """
+    if period is None or _sampled_so(record, period):
+        return record
+    times = new_time_axis(record.time, period, None, record.name)
+    at = np.searchsorted(record.time, times).clip(1, len(record) - 1)
+    at -= times - record.time[at - 1] <= record.time[at] - times  # of two as near the first
+    kept = np.unique(at)
+    return dataclasses.replace(record, time=record.time[kept], signals={n: v[kept] for n, v in record.signals.items()})
 
 
 def _sampled_so(record: Record, period: float) -> bool:

@@ -83,6 +83,7 @@ def compare(
     _require_lists(contenders=contenders, records=records, modes=modes, outputs=outputs or (), rates=rates)
     contenders = [as_contender(c) for c in contenders]
     records = measured_in(contenders, distinct(records)[0])
+    modes = tuple(dict.fromkeys(modes))  # one that is named twice counts once
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
     wanted = wanted_of(contenders, records, outputs)
@@ -269,7 +270,7 @@ def require_own_names(contenders: Sequence[Contender]) -> None:
 
 
 def wanted_of(contenders, records: Sequence[Record], outputs: Sequence[str] | None) -> list[Signal]:
-    """Signals to score. An asked-for name that no contender gives raises."""
+    """Signals to score, each once. An asked-for name that no contender gives raises."""
     given = {s.name: s for s in _signals(contenders)}
     if outputs is None:
         measured = [s for s in given.values() if any(s.name in r.signals for r in records)]
@@ -282,7 +283,7 @@ def wanted_of(contenders, records: Sequence[Record], outputs: Sequence[str] | No
     for name in outputs:
         if name not in given:
             raise DeclarationError(f"compare: no model has an output '{name}'. {nearest(name, given)}")
-    return [given[name] for name in outputs]
+    return [given[name] for name in dict.fromkeys(outputs)]
 
 
 def _signals(contenders) -> Iterator[Signal]:

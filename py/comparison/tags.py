@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import itertools
 import math
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
-from hydrotwin.models.language.units import compatible, convert
+from hydrotwin.models.language.units import compatible, convert, to_si
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
@@ -24,6 +25,7 @@ _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
 _QUANTITY = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>[^\W\d_].*|[%°].*)?")
 SAME = 1e-6  # relative: a column that changes less is one number, rounded
+DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K
 
 
 @dataclass(frozen=True)
@@ -129,19 +131,28 @@ def _plain(where: str, value: object) -> str:
 
 
 def _meaning(value: str) -> object:
-    """What a value of a tag says, however it is written: a number with its unit, a date, a time, or its words.
+    """What a value of a tag says, however it is written: a number, a quantity in SI, a date, a time, or its words.
 
     >>> _meaning("40") == _meaning("40.0") == _meaning("4e1"), _meaning("40degC") == _meaning("40 degC")
     (True, True)
+    >>> _meaning("2 t") == _meaning("2000 kg"), _meaning("40 degC") == _meaning("313.15 K"), _meaning("2 t") == "2 t"
+    (True, True, False)
     """
     if found := _QUANTITY.fullmatch(value):
-        return number_of(found["number"]), found["unit"] or ""
+        return _quantity(number_of(found["number"]), found["unit"] or "")
     for kind in (datetime.date, datetime.time, datetime.datetime):
         try:
             return kind.fromisoformat(value)
         except ValueError:
             continue
     return value
+
+
+def _quantity(number: float, unit: str) -> tuple[str, str]:
+    """A number and its unit, in SI where it is one, in as many digits as two ways of writing it share."""
+    with contextlib.suppress(UnitError):
+        number, unit = to_si(number, unit) if unit else (number, unit)
+    return f"{number + 0.0:.{DIGITS}g}", unit
 
 
 def check_tags(records: Sequence[Record]) -> None:
@@ -153,7 +164,8 @@ def check_tags(records: Sequence[Record]) -> None:
             if first != value:
                 raise DeclarationError(
                     f"tags: {tag} is {first} of {where} and {value} of {record.name}: one condition, or two? Write it "
-                    f"one way, or as words that differ: {{file = ..., tags = {{{tag} = 'no. {value}'}}}}."
+                    "one way (of a column, in one unit: COLUMN by 1 UNIT), or as words that differ: "
+                    f"{{file = ..., tags = {{{tag} = 'no. {value}'}}}}."
                 )
 
 

@@ -41,6 +41,14 @@ def test_every_model_output_recording_and_mode_is_scored_once():
     assert len(keys) == len(set(keys)) == 2 * 2 * 3 * 2
 
 
+def test_what_is_named_twice_counts_once():
+    """Means had been of two recordings where there was one, and tables had stood twice."""
+    twice = {"modes": [FREE_RUN] * 2, "outputs": ["arm_angle"] * 2, "rates": ["arm_angle"] * 2}
+    comparison = run([TRUE], [recording(1)], **twice)
+    assert [s.name for s in comparison.outputs] == ["arm_angle", "arm_angle.rate"] and comparison.modes == (FREE_RUN,)
+    assert [(s.output, s.recordings) for s in comparison.means] == [("arm_angle", 1), ("arm_angle.rate", 1)]
+
+
 def test_means_are_those_of_the_recordings():
     comparison = run([TRUE])
     each = scores(comparison, output="arm_angle", mode="free run")

@@ -151,7 +151,12 @@ def test_one_value_in_two_writings_is_asked_about(recording):
     file.write_text(text % "007")
     with pytest.raises(DeclarationError, match="load is 7 of run and 007 of other: one condition, or two"):
         read_all(read_scenario(file), Here())
+    file.write_text(text.replace("load=7}", 'load="2 t"}') % "2000 kg")  # half of a condition had met a criterion of it
+    with pytest.raises(DeclarationError, match="load is 2 t of run and 2000 kg of other: one condition, or two"):
+        read_all(read_scenario(file), Here())
     file.write_text(text % "7.5")
     records, _ = read_all(read_scenario(file), Here())
     assert of_group(records, "load=7.50") == ("other",)
+    hot = [replace(records[0], tags={"oil": "40 degC"})]
+    assert of_group(hot, "oil=313.15 K") == of_group(hot, "oil=104 degF") == ("run",) and of_group(hot, "oil=40") == ()
     assert of_group([replace(records[0], tags={})], "load=7") == ()

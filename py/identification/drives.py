@@ -18,7 +18,12 @@ from hydrotwin.models.language.flat import Signal
 from .problem import Recording
 
 SHORTEST, LONGEST = 10.0, 60.0  # s
+SLOW = 1200  # samples that an experiment on a slow machine may have, where they last longer than LONGEST
 SAMPLES = 4000  # of an experiment, at most
+SWEPT, SUMMED = (
+    0.05,
+    0.1,
+)  # of the sampling rate: frequencies of sweep and multisine stay below, so that samples show them
 PAUSE = 0.05  # of the experiment at rest before it begins
 LEVELS = (1.0, 0.7, 0.4, 0.15)  # of the largest amplitude seen
 PIECES = 20  # of an experiment that are run one after the other, until one leaves the range
@@ -65,7 +70,8 @@ def seen_limits(recordings: Sequence[Recording], j: int) -> Limits:
     amplitude = min(-low, high) if balanced else 0.5 * (high - low)
     rate = max(float(np.max(np.abs(np.diff(r.u[:, j]) / np.diff(r.time)))) for r in recordings)
     period = float(np.median(np.concatenate([np.diff(r.time) for r in recordings])))
-    length = float(np.clip(max(r.time[-1] - r.time[0] for r in recordings), SHORTEST, LONGEST))
+    longest = max(LONGEST, SLOW * period)
+    length = float(np.clip(max(r.time[-1] - r.time[0] for r in recordings), SHORTEST, longest))
     period = max(period, length / SAMPLES)
     return Limits(middle, amplitude, rate, np.arange(0.0, length, period))
 
@@ -74,7 +80,7 @@ def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
     """Triangles, steps, holds, sweeps, multisines and ramps within the limits of amplitude and rate."""
     time = limits.time
     length = float(time[-1])
-    begin = PAUSE * length
+    begin, rate = PAUSE * length, 1.0 / float(np.median(np.diff(time)))
     t = np.maximum(time - begin, 0.0)
     room = length - begin
     about = " through zero" if limits.middle == 0.0 else f" around {amount(limits.middle, unit)}"
@@ -83,21 +89,31 @@ def candidates(limits: Limits, unit: str) -> Iterator[Candidate]:
         around = f"of ±{amount(size, unit)}{about}"
         for count in (1, 2, 5):
             period = room / count
-            words = f"a {'slow ' if count < 5 else ''}triangle {around} with a period of {period:.2g} s"
+            words = f"a {'slow ' if count < 5 else ''}triangle {around} with a period of {seconds(period)}"
             yield _limited("triangle", words, size * _triangle(t / period), limits)
         for count in (3, 8):
-            words = f"steps {around} with pauses between them, {room / (4 * count):.2g} s each"
+            words = f"steps {around} with pauses between them, {seconds(room / (4 * count))} each"
             yield _limited("steps with pauses", words, size * _steps(t / room * count), limits)
-        words = f"levels up to ±{amount(size, unit)}{about}, each held for {room / 6:.2g} s"
+        words = f"levels up to ±{amount(size, unit)}{about}, each held for {seconds(room / 6)}"
         yield _limited("holding levels", words, size * _levels(t / room), limits)
-        high = min(10.0, 0.05 / float(np.median(np.diff(time))))
+        high = min(10.0, SWEPT * rate)
         words = f"a sweep {around} from {1 / room:.2g} to {high:.2g} Hz"
-        yield _limited("sweep", words, size * _sweep(t, room, 1.0 / room, high), limits)
-        for top in (0.5, 4.0):
+        if high > 1.0 / room:
+            yield _limited("sweep", words, size * _sweep(t, room, 1.0 / room, high), limits)
+        for top in dict.fromkeys(top for f in (0.5, 4.0) if (top := min(f, SUMMED * rate)) > 2.0 / room):
             words = f"a multisine {around} up to {top:.2g} Hz"
             yield _limited("multisine", words, size * _multisine(t, room, top), limits)
         words = f"a slow ramp over ±{amount(size, unit)}{about} and back"
         yield _limited("slow ramp", words, size * _ramp(t / room), limits)
+
+
+def seconds(time: float) -> str:
+    """A time [s] in two digits.
+
+    >>> seconds(9.34), seconds(189.7), seconds(0.0512)
+    ('9.3 s', '190 s', '0.051 s')
+    """
+    return amount(float(f"{time:.2g}"), "s")
 
 
 def _readable(size: float) -> float:

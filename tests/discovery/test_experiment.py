@@ -167,6 +167,24 @@ def test_the_input_stays_within_the_amplitude_and_rate_seen():
     assert kinds == {"triangle", "steps with pauses", "holding levels", "sweep", "multisine", "slow ramp"}
 
 
+@pytest.mark.parametrize(("period", "count", "lasts"), [(0.01, 3000, 30.0), (1.0, 1200, 1199.0), (20.0, 300, 5980.0)])
+def test_a_slow_machine_is_driven_as_long_as_it_was_recorded_and_no_faster_than_samples_show(period, count, lasts):
+    """A minute of 4 Hz in samples of a second is another input, and tells nothing of what takes ten minutes."""
+    time = period * np.arange(count)
+    recording = Recording("heat", None, time, sine(time / period / 100)[:, None], np.zeros((count, 1)))
+    limits = seen_limits([recording], 0)
+    assert limits.time[-1] == pytest.approx(lasts, abs=1.01 * period)
+    tried = list(candidates(limits, "V"))
+    tops = {float(m[1]) for c in tried if (m := re.search(r"(?:to|up to) ([\d.e+-]+) Hz", c.words))}
+    assert tops and max(tops) <= 0.1 / period * 1.01
+    for one in (c for c in tried if c.kind == "multisine"):
+        power = np.abs(np.fft.rfft(one.values - one.values.mean())) ** 2
+        seen = np.fft.rfftfreq(len(one.values), period)
+        assert power[seen < 0.15 / period].sum() > 0.95 * power.sum()  # none of it is another frequency
+    kept = [c.words for c in tried if c.kind == "multisine"]
+    assert len(set(kept)) == len(kept)
+
+
 def test_an_input_that_never_changed_sign_keeps_its_sign():
     time = np.arange(0.0, 30.0, 0.01)
     recording = Recording("lift", None, time, 3.0 + 2.0 * square(time)[:, None], np.zeros((3000, 1)))

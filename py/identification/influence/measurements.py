@@ -206,7 +206,7 @@ def _drives(ranking: _Ranking, told: Callable[[int, int], None]) -> list[Measure
             continue
         more = information_of([found], np.zeros(len(ranking.weights)), ranking.weights, ranking.slope)
         drive = Drive(signal.name, signal.unit, candidate.kind, limits.time, candidate.values)
-        words = f"{signal.name} with {candidate.words} for {limits.time[-1]:.3g} s"
+        words = f"{signal.name} with {candidate.words} for {limits.time[-1]:.4g} s"
         judged = ranking.judged("drive", words, more, drive=drive)
         if candidate.kind not in best or judged.score > best[candidate.kind].score:
             best[candidate.kind] = judged

@@ -264,6 +264,12 @@ class Model:
             refuse_idle(solved, self.additions, flat)
         return flat
 
+    @property
+    def written_in(self) -> dict[str, str]:
+        """Parameter -> the unit it is declared in, where that is not SI: of those a number alone may mean two."""
+        entries = self._solved.elaboration.parameters
+        return {e.path: e.declaration.written_in for e in entries if e.declaration.written_in}
+
     def _input(self, entry) -> Signal:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)

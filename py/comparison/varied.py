@@ -53,7 +53,7 @@ def with_values(thing, values: Mapping[str, object]) -> object:
     Raises DeclarationError for a text that is no number, and what the model raises for what it cannot take.
     """
     if hasattr(thing, "with_values"):
-        return thing.with_values(values)
+        return thing.with_values({path: _as_written(value) for path, value in values.items()})
     settings = {path: _setting(path, value) for path, value in values.items()}
     if isinstance(thing, Model):
         return thing.with_settings({path: {**_OF_NO_FIT, **change} for path, change in settings.items()})
@@ -63,6 +63,11 @@ def with_values(thing, values: Mapping[str, object]) -> object:
     return thing.with_parameters(
         {n: convert(s["value"], s.get("unit", units[n]), units[n]) for n, s in settings.items()}
     )
+
+
+def _as_written(value: object) -> str:
+    """A value of a scenario as a text, of which a unit is asked where a number alone may mean two."""
+    return value if isinstance(value, str) else str(value).lower()
 
 
 def run_as(contender, variant: Variant):

@@ -14,6 +14,7 @@ from hydrotwin.records import Record
 
 from .fmu_process.master import is_scalar
 from .foreign import Description, kind_of
+from .unit_meanings import unit_name
 
 AT_REST = "inputs at their start values"
 LEFT_OUT = "outputs left out"
@@ -22,9 +23,10 @@ _NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?"
 
 
 def own_value(name: str, given: float | str, description: Description):
-    """What an FMU takes for a value that a user gives: in SI without a unit, or "35 bar", true, the name of an item.
+    """What an FMU takes for a value that a user gives: a number in SI, or a text: "35 bar", true, the name of an item.
 
-    Raises DeclarationError or UnitError where the variable cannot be that.
+    A text without a unit is in SI, where the FMU has it in SI, too. Raises DeclarationError or UnitError where the
+    variable cannot be that.
     """
     variable = next(v for v in description.source.modelVariables if v.name == name)
     if variable.type == "String" and not variable.dimensions:
@@ -34,9 +36,14 @@ def own_value(name: str, given: float | str, description: Description):
         raise DeclarationError(f"{name}: it is {kind}, and only single numbers and texts can be set. Leave it out.")
     whole = description.whole.get(name)
     number, unit = _number(name, given, {t: n for n, t in whole.items.items()} if whole else {})
+    factor, offset = description.scales[name]
     if unit:
         number = convert(number, unit, description.units[name])
-    factor, offset = description.scales[name]
+    elif isinstance(given, str) and (factor, offset) != (1.0, 0.0):
+        own, si = unit_name(variable), description.units[name]
+        raise DeclarationError(
+            f"{name}: declared in {own}, so {given} alone may mean {own} or {si}. Give the unit: {name}={given}{own}."
+        )
     own = np.array([(number - offset) / factor])
     if whole:
         own = whole.rounded(own, lambda _: f"{name}: {given} is no {whole.kind}, which it must be")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import as_contender, compare, load_contenders, read_scenario
+from hydrotwin.comparison.varied import with_values as set_values
 from hydrotwin.export import StartValueWarning, check_fmu, read_fmu
 from hydrotwin.export.fmu_settings import AT_REST
 from hydrotwin.loading import load
@@ -93,6 +94,17 @@ def test_what_cannot_be_set_is_named(fmus, given, error, words):
     with pytest.raises(error) as failure:
         read_fmu(fmus["delayed mass"]).with_values(given)
     assert words in str(failure.value)
+
+
+def test_a_number_alone_says_nothing_of_what_the_fmu_has_in_another_unit(fmus, tmp_path):
+    grams = {'<Unit name="kg">': '<Unit name="g"><BaseUnit kg="1" factor="0.001" /></Unit><Unit name="kg">'}
+    grams |= {'unit="kg"': 'unit="g"'}
+    block = read_fmu(rewritten(fmus["delayed mass"], tmp_path / "grams.fmu", xml=grams))
+    with pytest.raises(DeclarationError, match=r"declared in g, so 2 alone may mean g or kg. Give the unit: mass.m=2g"):
+        block.with_values({"mass.m": "2"})
+    with pytest.raises(DeclarationError, match="may mean g or kg"):
+        set_values(block, {"mass.m": 2.0})  # of a scenario
+    assert block.with_values({"mass.m": 0.002}).values == block.with_values({"mass.m": "2 g"}).values  # SI in Python
 
 
 def test_simulate_tells_and_takes_settings(fmus, tmp_path):

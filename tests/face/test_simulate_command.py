@@ -76,3 +76,39 @@ def test_a_scale_turns_percent_into_volts(here, tmp_path):
     assert answer.code == 0, answer.err
     expected = ht.simulate(ht.load("cehA"), ht.read_record("validate_1.csv"))
     assert ht.read_record(tmp_path / "o.csv")["arm_angle"] == pytest.approx(expected["arm_angle"], abs=1e-9)
+
+
+WARM = '''
+from hydrotwin.models.language import Component, Input, Model, Output, Parameter, State, der
+
+
+class Wall(Component):
+    """A wall between a heater and a room."""
+
+    heater = Input("W", "heater")
+    wall = Output("degC", "wall")
+    room = Parameter(20.0, "degC", "room", bounds=(-40, 60), source="guess")
+    loss = Parameter(5.0, "W/K", "loss", bounds=(1, 100), source="guess")
+    capacity = Parameter(100.0, "J/K", "capacity", bounds=(1, 1e4), source="guess")
+    temperature = State(20.0, "degC", "wall", nominal=20.0)
+
+    def equations(self):
+        yield der(self.temperature) == (self.heater - self.loss * (self.temperature - self.room)) / self.capacity
+        yield self.wall == self.temperature
+
+
+def wall():
+    return Model(Wall(), "wall", step=0.1)
+'''
+
+
+def test_a_number_alone_says_nothing_of_what_is_declared_in_another_unit(tmp_path, monkeypatch):
+    """25 had been 25 K of a room that is declared in degC; a scenario refuses it."""
+    monkeypatch.chdir(tmp_path)
+    Path("warm.py").write_text(WARM)
+    Path("run.csv").write_text("time [s],heater [W]\n" + "".join(f"{t},0\n" for t in range(600)))
+    call = ("simulate", "warm.py:wall", "--input", "run.csv", "--out", "out.csv", "--set")
+    refused = hydrotwin(*call, "room=25")
+    assert refused.code == 2 and "may mean degC or K. Give the unit: room=25degC" in " ".join(refused.said.split())
+    assert hydrotwin(*call, "room=25degC", "--set", "loss=6").code == 0
+    assert float(Path("out.csv").read_text().split()[-1].split(",")[-1]) == pytest.approx(25.0, abs=1e-3)

@@ -98,8 +98,17 @@ def check_writable(path: Path) -> Path:
     return given
 
 
-def settings_from(changes: list[str] | None, option: str, units: Mapping[str, str] | None = None) -> dict[str, float]:
-    """The ``motor.gain=130`` pairs of an option as a dictionary, SI; ``units`` by name: these take a unit, too."""
+def settings_from(
+    changes: list[str] | None,
+    option: str,
+    units: Mapping[str, str] | None = None,
+    declared: Mapping[str, str] | None = None,
+) -> dict[str, float]:
+    """The ``motor.gain=130`` pairs of an option as a dictionary, SI.
+
+    units : of names that take a unit, too. declared : the unit of those that are declared in another one than SI: they
+    need theirs.
+    """
     values = {}
     for change in changes or []:
         path, equals, text = (part.strip() for part in change.partition("="))
@@ -110,6 +119,12 @@ def settings_from(changes: list[str] | None, option: str, units: Mapping[str, st
         if unit and path not in (units or {}):
             known = nearest(path, list(units)) if units else "Write the number in SI, without a unit."
             raise DeclarationError(f"{option} {change}: nothing named '{path}' takes a unit here. {known}")
+        if not unit and path in (declared or {}):
+            own, si = declared[path], units[path]
+            raise DeclarationError(
+                f"{option} {change}: {path} is declared in {own}, so {text} alone may mean {own} or {si}. "
+                f"Give the unit: {path}={text}{own}."
+            )
         try:
             values[path] = float(convert(value, unit, units[path])) if unit else value
         except UnitError as error:

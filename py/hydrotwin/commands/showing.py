@@ -90,7 +90,8 @@ def simulate(
         tell_out_of_bounds(thing.parameters, {p.name: p.value for p in thing.parameters if p.name in texts})
         settings = {}
     else:
-        settings = settings_from(changes, "--set", {p.name: p.unit for p in _parameters_of(thing)})
+        units = {p.name: p.unit for p in _parameters_of(thing)}
+        settings = settings_from(changes, "--set", units, getattr(thing, "written_in", {}))
     notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
     begun = _started(thing, record, initial_states, settings)

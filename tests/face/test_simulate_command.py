@@ -111,4 +111,4 @@ def test_a_number_alone_says_nothing_of_what_is_declared_in_another_unit(tmp_pat
     refused = hydrotwin(*call, "room=25")
     assert refused.code == 2 and "may mean degC or K. Give the unit: room=25degC" in " ".join(refused.said.split())
     assert hydrotwin(*call, "room=25degC", "--set", "loss=6").code == 0
-    assert float(Path("out.csv").read_text().split()[-1].split(",")[-1]) == pytest.approx(25.0, abs=1e-3)
+    assert float(Path("out.csv").read_text().split()[-1].split(",")[-1]) == pytest.approx(298.15, abs=1e-3)

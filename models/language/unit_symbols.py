@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 from .errors import nearest
@@ -47,8 +48,9 @@ MEANT = {
     "sec": "s", "seconds": "s", "Sekunden": "s", "msec": "ms", "minutes": "min", "hour": "h", "hours": "h",
     "Nl": "L after converting norm litres to the real pressure", "Umin": "rpm", "revs": "rev", "turns": "turn",
     "celsius": "degC", "Celsius": "degC", "micron": "um", "Nmm": "N.mm", "Ncm": "N.cm", "percent": "%",
-    "barg": "bar, and say in the name that it is gauge pressure", "bara": "bar", "psig": "psi", "psia": "psi",
+    "°K": "K", "degK": "K",
 }  # fmt: skip
+_PRESSURE = re.compile(r"([mk]?bar|[kM]Pa|psi)([ga])")  # over the ambient pressure, or over none
 
 
 @cache
@@ -70,6 +72,8 @@ def right_symbol(text: str) -> str:
     """
     if text in MEANT:
         return f"Write {MEANT[text]}."
+    if found := _PRESSURE.fullmatch(text):
+        return f"Write {found[1]}{', and say in the name that it is gauge pressure' if found[2] == 'g' else ''}."
     same = [symbol for symbol in symbol_table() if symbol.lower() == text.lower()]
     if same:
         return f"Upper and lower case matter: did you mean {' or '.join(map(repr, same))}?"

@@ -32,7 +32,8 @@ _DISPLAY = {
     "W": ("kW",), "J": ("kJ",), "K": ("degC",), "Pa/s": ("bar/s",), "m3/(s.Pa)": ("L/(min.bar)",), "A": ("A", "mA"),
 }  # fmt: skip
 
-_GAUGE = re.compile(r"\b([mk]?bar|[kM]?Pa|psi) +([ga])\b")
+_GAUGE = re.compile(r"\b([mk]?bar|[kM]?Pa|psi) *(?:\( *(g|rel|ü|a|abs) *\)|(?: |(?=[üga]\b))(g|rel|ü|a|abs)\b)", re.I)
+_TEMPERATURE = re.compile(r"(?:grad|degrees?|deg) *(c|f)(?:elsius|ahrenheit)?", re.IGNORECASE)
 _TOKEN = re.compile(
     r"(?P<sqrt>sqrt\()|(?P<open>\()|(?P<close>\))|(?P<over>/)|(?P<power>\*\*|\^)|(?P<times>[.*·⋅ ])"
     r"|(?P<number>[-+]?\d+)|(?P<symbol>[A-Za-zμΩ°%‰]+)"
@@ -59,6 +60,8 @@ def parse_unit(unit: str) -> Unit:
     >>> parse_unit("L/min").si
     'm3/s'
     """
+    if isinstance(unit, str) and (found := _TEMPERATURE.fullmatch(unit.strip())) and unit not in symbol_table():
+        raise UnitError(f"unit '{unit}': not known. For a temperature write deg{found[1].upper()} in one word.")
     powers = _Reader(unit).read()
     for degree, scale in product(("deg", "°"), ("C", "F")):
         if degree in powers and powers.get(scale) == powers[degree]:
@@ -265,6 +268,12 @@ def _plain(unit: str) -> str:
     return unicodedata.normalize("NFKC", unit).strip().replace("\N{MINUS SIGN}", "-")
 
 
+def _over_what(found: re.Match) -> str:
+    """A unit of pressure with what it counts from: g over the ambient one, a over none."""
+    letter = "a" if (found[2] or found[3]).lower() in ("a", "abs") else "g"
+    return f"{found[1]}{letter}"
+
+
 class _Reader:
     """Recursive descent over one unit string."""
 
@@ -272,7 +281,7 @@ class _Reader:
         self.unit = unit
         if not isinstance(unit, str):
             raise UnitError(f"unit: not text (got {unit!r}). Write a string such as 'bar' or 'm3/s', '1' for none.")
-        text = _GAUGE.sub(r"\1\2", _plain(unit))  # of a pressure over the ambient one, and no gram
+        text = _GAUGE.sub(_over_what, _plain(unit))  # of a pressure over the ambient one, and no gram
         text = re.sub(r"\s*([/.*·⋅()])\s*", r"\1", text) or "1"
         text = f"1{text}" if text.startswith("/") else text
         self.tokens = self._split("1" if text == "-" else text)

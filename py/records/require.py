@@ -111,6 +111,8 @@ def _scales(shown: str, signal: Signal) -> str:
             f" Give its unit where it has one (--unit '{signal.name}={signal.unit}', for a constant "
             f"--set '{signal.name}=VALUE {signal.unit}'), or what one of it stands for: {give}FACTOR {signal.unit}'."
         )
+    if signal.unit == "K" and shown in ("C", "F"):
+        return f" If it is a temperature, give its unit: --unit '{signal.name}=deg{shown}'."
     over = f"({shown})" if any(c in shown for c in "./*") else shown
     return f" Say what one of it stands for: {give}FACTOR {_divided(signal.unit, over)}'."
 

@@ -204,6 +204,8 @@ def test_mechanics_leaves_the_radian_out():
         ("Grad", "Write deg."), ("grad", "Write deg."), ("gon", "Write deg"), ("krad", "'rad'"), ("Mm", "'mm'"),
         ("MPA", "'MPa' or 'mPa'"), ("Bar", "'bar'"), ("KN", "'kN'"), ("1/Min", "'min'"), ("Gs", "not known"),
         ("Nm3/h", "ambiguous"), ("Nl/min", "norm litres"), ("sec", "Write s."), ("pt", "not known"), ("barg", "gauge"),
+        ("bar(g)", "gauge"), ("bar rel", "gauge"), ("MPa (g)", "Write MPa, and say"), ("bar abs", "Write bar."),
+        ("barü", "gauge"), ("Grad Celsius", "write degC"), ("deg F", "write degF"), ("°K", "Write K."),
     ],
 )  # fmt: skip
 def test_a_symbol_that_could_change_the_meaning_is_refused_with_the_right_one(text, says):

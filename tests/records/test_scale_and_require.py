@@ -85,6 +85,15 @@ def test_percent_for_volts_asks_for_a_scale_with_the_right_example(train):
     np.testing.assert_allclose(read_record(train, scale=example)["command"], [5.0, -2.5])
 
 
+@pytest.mark.parametrize("unit", ["C", "F"])
+def test_a_temperature_that_is_written_as_a_coulomb_or_a_farad_is_no_matter_of_scale(unit, tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text(f"time [s],oil [{unit}]\n0,1\n1,2\n")
+    with pytest.raises(UnitError, match=f"If it is a temperature, give its unit: --unit 'oil=deg{unit}'"):
+        require(read_record(path), [Signal("oil", "K")], "tank")
+    assert require(read_record(path, units={"oil": f"deg{unit}"}), [Signal("oil", "K")], "tank")["oil"][0] > 200
+
+
 @pytest.mark.parametrize(
     ("unit", "needed"),
     [("bar", "rad"), ("N.s/m", "m3/s"), ("m3/s", "rad/s"), ("%", "rad"), ("1", "rad/s"), ("Hz", "rad/s")],

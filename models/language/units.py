@@ -119,6 +119,17 @@ def convert(values, from_: str, to: str):
     return from_si(_scaled(values, one.factor, one.offset), to)
 
 
+def convert_difference(values, from_: str, to: str):
+    """A difference in ``from_`` expressed in ``to``: as `convert`, whatever the zeros of the units are.
+
+    >>> convert_difference(0.2, "degC", "K"), convert_difference(0.9, "degF", "K")
+    (0.2, 0.5)
+    """
+    convert(0.0, from_, to)  # whether it can be
+    factor = 1.0 if from_ == to else _meant(from_, to).factor / parse_unit(to).factor
+    return _scaled(values, factor, 0.0)
+
+
 def si_unit(unit: str) -> str:
     """The SI form of a unit: bar -> Pa, rpm -> rad/s, cm3/rev -> m3/rad, % -> 1, m3/(s.sqrt(Pa)) -> itself."""
     return parse_unit(unit).si

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible, convert, display_units
+from hydrotwin.models.language.units import compatible, convert, convert_difference, display_units
 
 from .criteria import Criterion
 from .metric import ALSO, ERRORS, METRICS, OF_OUTPUT, PLAIN, SHARE, TIME
@@ -115,7 +115,7 @@ def _written(unit: str, signal: Signal, metric: str, bare: bool = False) -> dict
         return {"unit": unit, "scale": 0.01 if unit == "%" else 1.0}
     of = "s" if what.of == TIME else signal.unit
     unit = unit or ("ms" if of == "s" else display_units(of)[0])
-    return {"unit": "" if unit == "1" else unit, "scale": convert(1.0, unit, of) - convert(0.0, unit, of)}
+    return {"unit": "" if unit == "1" else unit, "scale": convert_difference(1.0, unit, of)}
 
 
 def _named(said: Sentence, signals: Mapping[str, Signal]) -> tuple[str, str]:
@@ -212,4 +212,4 @@ def _converted(said: Sentence, value: float, what: str, of: str) -> float:
         got = f"'{unit}' does not fit" if unit else "a unit is missing"
         share = " A share of the range is nrmse." if unit == "%" else ""
         raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {value:g} {usual}.{share}")
-    return convert(value, unit, of) - convert(0.0, unit, of)
+    return convert_difference(value, unit, of)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.units import convert, convert_difference
 
 from .noise import channel_noise
 from .record import Record
@@ -100,7 +100,7 @@ def _channel(record: Record, name: str) -> Channel:
 
 def _one(si: str, unit: str) -> float:
     """A difference of one SI unit, in ``unit``."""
-    return float(convert(1.0, si, unit) - convert(0.0, si, unit))
+    return float(convert_difference(1.0, si, unit))
 
 
 def _stretches(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import UnitError
-from hydrotwin.models.language.units import compatible, convert
+from hydrotwin.models.language.units import compatible, convert, convert_difference
 
 _SHOWN = {
     "Pa": "bar",
@@ -49,7 +49,7 @@ def to_shown(values, unit: str, shown: str) -> np.ndarray:
 
 def difference_to_shown(values, unit: str, shown: str) -> np.ndarray:
     """Differences (errors, sigmas) in SI in the shown unit: as `to_shown` without the zero point of the unit."""
-    return to_shown(values, unit, shown) - to_shown(0.0, unit, shown)
+    return np.asarray(convert_difference(np.asarray(values, float), unit, shown), float)
 
 
 def pretty_unit(unit: str) -> str:

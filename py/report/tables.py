@@ -9,8 +9,11 @@ from dataclasses import dataclass, replace
 
 from .format import NONE, difference_to_shown, number_text, number_texts, pretty_unit, to_shown
 
-_TAG = re.compile(r"<(?=[A-Za-z/!?])")  # what Markdown would take for itself and leave out
-_MARKS = re.compile(rf"\*|{_TAG.pattern}")
+# what Markdown would take for itself and leave out: a tag, a link, a sign by its name
+_TAG = re.compile(r"<(?=[A-Za-z/!?])|\[(?=[^\[\]]*\]\()|&(?=#?\w+;)")
+_STARS = re.compile(r"\*.*\*", re.DOTALL)  # pairs, which slant or embolden
+_LINES = re.compile(r"(?<!\w)_(?=\w).*(?<=\w)_(?!\w)", re.DOTALL)
+_BESIDE = re.compile(r"(?<!\w)_(?=\w)|(?<=\w)_(?!\w)")
 
 
 @dataclass(frozen=True)
@@ -172,14 +175,17 @@ def _linked(cell: Cell, text: str) -> str:
 
 
 def markdown_text(text: str) -> str:
-    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, two stars are not bold, a line end is a
-    space. A star alone stays as it is: a command can be copied.
+    """Text as Markdown shows it letter by letter: ``<b>`` in a name is no tag, two stars or lines are not bold, a line
+    end is a space. One alone stays as it is: a command can be copied.
 
     >>> markdown_text("load<2: <old> d*.rmse < 3 mm")
     'load<2: \\\\<old> d*.rmse < 3 mm'
+    >>> markdown_text("_cold_ run_1 [a](b) &amp; [mm]")
+    '\\\\_cold\\\\_ run_1 \\\\[a](b) \\\\&amp; [mm]'
     """
-    marks = _MARKS if text.count("*") > 1 else _TAG
-    return marks.sub(r"\\\g<0>", text).replace("\n", " ")
+    pairs = [(_STARS, r"\*"), (_LINES, _BESIDE.pattern)]
+    found = [_TAG.pattern, *(signs for pair, signs in pairs if pair.search(text))]
+    return re.sub("|".join(found), r"\\\g<0>", text).replace("\n", " ")
 
 
 def _escaped(text: str) -> str:

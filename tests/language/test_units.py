@@ -11,6 +11,7 @@ from hydrotwin.models.language.errors import UnitError
 from hydrotwin.models.language.units import (
     compatible,
     convert,
+    convert_difference,
     dimension,
     display_units,
     from_si,
@@ -258,3 +259,12 @@ def test_modelica_units_follow_its_grammar():
 def test_a_degree_apart_from_its_scale_is_told_the_word_to_write(text):
     with pytest.raises(UnitError, match=rf"write deg{'F' if 'F' in text else 'C'} in one word"):
         parse_unit(text)
+
+
+def test_a_difference_is_converted_without_the_zero_of_its_unit():
+    """0.2 degC had been 0.19999999999998863 K, so that what lay on a bound had missed it."""
+    assert convert_difference(0.2, "degC", "K") == 0.2 and convert_difference(0.9, "degF", "K") == 0.5
+    assert convert_difference(60.0, "1/min", "rev/s") == convert(60.0, "1/min", "rev/s")
+    np.testing.assert_array_equal(convert_difference(np.array([1e-9, 2.0]), "K", "degC"), [1e-9, 2.0])
+    with pytest.raises(UnitError, match="cannot become"):
+        convert_difference(1.0, "degC", "Pa")

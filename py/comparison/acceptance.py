@@ -164,7 +164,7 @@ def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple
 def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
     known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
-    return tuple(r.name for r in comparison.records if r.name in holding and r.digest and r.digest in known)
+    return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
 
 
 def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:

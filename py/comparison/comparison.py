@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
-from hydrotwin.records import Record
+from hydrotwin.records import Record, copies
 
 from .band import Band
 from .field import FieldMetrics
@@ -227,6 +228,16 @@ class Comparison:
         from .tabular import arrow_table
 
         return arrow_table(self, what)
+
+    @cached_property
+    def copies(self) -> tuple[tuple[Record, Record], ...]:
+        """Pairs of recordings, of the training too, that are one in files of other bytes."""
+        return tuple(copies([*self.train_records, *self.records]))
+
+    def hashes(self, record: Record) -> frozenset[str]:
+        """SHA-256 of the file of a recording, and of the files that hold the same."""
+        same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
+        return frozenset(r.digest for r in (record, *same) if r.digest)
 
     @property
     def models(self) -> tuple[str, ...]:

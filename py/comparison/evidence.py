@@ -92,7 +92,7 @@ def _evidence(
     file: ModelFile, comparison: Comparison, accepted: Acceptance | None, name: str, asked: Mapping
 ) -> Evidence:
     fitted_on = fitted_recordings(file)
-    rows = [_recording(r, FIT if r.digest in fitted_on else JUDGE, file) for r in comparison.records]
+    rows = [_recording(r, FIT if comparison.hashes(r) & fitted_on else JUDGE, file) for r in comparison.records]
     seen = {row["role"] for row in rows}
     role = seen.pop() if len(seen) == 1 else f"{FIT} and {JUDGE}"
     inaccurate = [f"{w.record}: {w.sentence}" for w in comparison.inaccurate if w.model == name]

@@ -102,19 +102,28 @@ def seen_before(comparison: Comparison) -> list[str]:
     found = []
     for entrant in comparison.entrants:
         known = made_from(entrant.provenance)
-        seen = [r.name for r in comparison.records if r.digest and r.digest in known]
+        seen = [r.name for r in comparison.records if comparison.hashes(r) & known]
         if seen:
             found.append(
                 f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
                 "Judge it on one that it has not seen."
             )
     trained = {r.digest for r in comparison.train_records if r.digest}
-    if both := [r.name for r in comparison.records if r.digest in trained]:
+    if both := [r.name for r in comparison.records if comparison.hashes(r) & trained]:
         found.append(
             f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other "
             "recordings. Judge on ones that no model has seen."
         )
-    return found
+    return found + _twice(comparison)
+
+
+def _twice(comparison: Comparison) -> list[str]:
+    """Recordings that are one in two files: what both measure counts twice."""
+    judged, outputs = [id(r) for r in comparison.records], [s.name for s in comparison.outputs]
+    pairs = [(a, b) for a, b in comparison.copies if id(a) in judged and id(b) in judged]
+    twice = [f"{b.name} is {a.name}" for a, b in pairs if any(n in a and n in b for n in outputs)]
+    told = "It counts twice in every mean. Name it once."
+    return [f"The same recording in another file: {some_of(twice)}. {told}"] if twice else []
 
 
 def _inaccurate(comparison: Comparison) -> list[str]:

@@ -5,7 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import Gap, Record, distinct
-from .require import as_needed, known_inputs, require, require_once, shares_samples, without_unknown
+from .require import as_needed, copies, known_inputs, require, require_once, shares_samples, without_unknown
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
@@ -19,6 +19,7 @@ __all__ = [
     "Record",
     "Scale",
     "as_needed",
+    "copies",
     "distinct",
     "import_from",
     "import_text",

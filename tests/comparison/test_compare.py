@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import FREE_RUN, MEAN, DomainShare, HoldLast, Wanted, as_contender, compare
+from hydrotwin.comparison.acceptance import acceptance
+from hydrotwin.comparison.notices import notices
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -47,6 +49,21 @@ def test_what_is_named_twice_counts_once():
     comparison = run([TRUE], [recording(1)], **twice)
     assert [s.name for s in comparison.outputs] == ["arm_angle", "arm_angle.rate"] and comparison.modes == (FREE_RUN,)
     assert [(s.output, s.recordings) for s in comparison.means] == [("arm_angle", 1), ("arm_angle.rate", 1)]
+
+
+def test_a_recording_in_a_file_of_other_bytes_is_the_same_one():
+    """Saved with other line ends it had counted twice, and what a model was made from had been new to it."""
+    one, other = (dataclasses.replace(recording(k), digest=f"hash {k}", name=f"run_{k}") for k in (1, 2))
+    again = dataclasses.replace(one, digest="line ends", name="again")
+    made = Toy("true")
+    made.provenance = {"recordings": [{"role": "train", "sha256": "hash 1"}]}
+    comparison = run([made], [one, other, again])
+    told = " ".join(notices(comparison))
+    assert "The same recording in another file: again is run_1. It counts twice" in told
+    assert "true was made from run_1, again" in told
+    judged = acceptance(run([made], [again], train_records=[one]), Wanted(("arm_angle.rmse < 1 rad",))).judged
+    assert judged[0].seen == ("again",)
+    assert "another file" not in " ".join(notices(run([made], [one, other])))
 
 
 def test_means_are_those_of_the_recordings():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.records import Record, shares_samples
+from hydrotwin.records import Record, copies, shares_samples
 
 
 def recording(seed: int, seconds: float = 20.0) -> Record:
@@ -60,3 +60,11 @@ def test_a_copy_or_a_part_is_known(copy):
 )
 def test_another_recording_of_the_same_commands_is_another(other):
     assert not shares_samples(other, ONE) and not shares_samples(ONE, other)
+
+
+def test_copies_among_many_are_found_and_no_recording_of_the_same_commands_is_one():
+    many = [recording(seed, 5.0) for seed in range(3, 9)]
+    again = changed(many[2], angle=np.round(many[2]["angle"], 6))
+    shorter = changed(many[1]).window(0.0, 4.0)  # a part is no copy
+    assert copies([*many, again, shorter]) == [(many[2], again)]
+    assert copies(many) == [] and copies([]) == []

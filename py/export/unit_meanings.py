@@ -13,14 +13,15 @@ from hydrotwin.models.language.units import Unit, parse_unit
 
 ALIKE = 1e-4  # relative: factors nearer than that are one, written with few digits; offsets, of a kelvin or of one
 NAMED = 3  # variables that a sentence names
+WHOSE = "{whose}"  # where a sentence names them
 
 
 @dataclass(frozen=True)
 class Meaning:
     """``SI = factor * value + offset`` in the unit ``si``.
 
-    guessed : nobody knows the unit. said : the unit as written, and in words what it is by a definition of the FMU that
-    is not what its name says; "" where both agree.
+    guessed : nobody knows the unit. said : where name and definition of the unit do not agree, in words what each says
+    and which counts, with `WHOSE`; "" where they agree.
     """
 
     si: str = "1"
@@ -40,8 +41,9 @@ def meaning_of(variable, md: ModelDescription, chosen: str | None) -> Meaning:
     """What the numbers of a variable stand for; chosen : the unit that a user says, in place of the FMU's.
 
     The definition of a unit counts, as FMI has it, and not what other people call so: "C" may be a temperature, "bar" a
-    gauge pressure. A definition that says nothing (no exponent, no factor) leaves it to the name. Of a relative
-    quantity, a difference, the zero of the unit is left out. Raises UnitError for a chosen unit that is none.
+    gauge pressure. One without factor and offset leaves it to the name, unless it is another quantity: many tools write
+    exponents alone, by which a mV would be a volt. Of a relative quantity, a difference, the zero of the unit is left
+    out. Raises UnitError for a chosen unit that is none.
     """
     text = chosen or unit_name(variable)
     if not text:
@@ -58,7 +60,7 @@ def redefined(meanings: Mapping[str, Meaning]) -> tuple[str, ...]:
     for name, meaning in meanings.items():
         if meaning.said:
             whose.setdefault(meaning.said, []).append(name)
-    return tuple(f"{said} ({_some(names)}): the definition counts" for said, names in whose.items())
+    return tuple(said.replace(WHOSE, _some(names)) for said, names in whose.items())
 
 
 def _some(names: Iterable[str]) -> str:
@@ -85,15 +87,18 @@ def _by_definition(text: str, base: BaseUnit, known: Unit | None) -> Meaning:
     own = Meaning(si, factor, offset)
     if known is None:
         return own
-    if si == "1" and (factor, offset) == (1.0, 0.0):  # what tools write that cannot say it
+    bare, alike = (factor, offset) == (1.0, 0.0), parse_unit(si).dimension == known.dimension
+    if bare and si == "1":  # what tools write that cannot say it
         return _by_name(known)
-    alike = parse_unit(si).dimension == known.dimension
     same = alike and _near(offset, known.offset, max(1.0, abs(known.offset)))
     turns = 2 * math.pi if "rad" in known.si and not base.rad else 1.0  # a revolution may count as one
     if same and any(_near(factor * by, known.factor, abs(known.factor)) for by in (1.0, turns)):
         return _by_name(known)
     own = replace(own, si=known.si) if alike and ("rad" in known.si) == bool(base.rad) else own  # Pa for kg/(m.s2)
-    return replace(own, said=f"unit '{text}' is {_words(own)} as the FMU defines it, and not {_words(_by_name(known))}")
+    counts, other = (_by_name(known), own) if bare and alike else (own, _by_name(known))
+    which = ("name", "definition") if bare and alike else ("definition", "name")
+    said = f"unit '{text}' ({WHOSE}) is {_words(counts)} by its {which[0]}, and {_words(other)} by its {which[1]}"
+    return replace(counts, said=f"{said}: the {which[0]} counts")
 
 
 def _near(one: float, other: float, size: float) -> bool:

@@ -26,7 +26,8 @@ def meaning(name: str, base: BaseUnit | None, relative: bool = False, chosen: st
 def test_a_definition_counts_where_the_name_says_another(name, base, expected):
     found = meaning(name, base)
     assert (found.si, found.factor, found.offset) == pytest.approx(expected)
-    assert redefined({"x": found}) == (f"{found.said} (x): the definition counts",) and f"'{name}'" in found.said
+    (told,) = redefined({"x": found})
+    assert told.startswith(f"unit '{name}' (x) is ") and told.endswith("by its name: the definition counts")
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,21 @@ def test_a_definition_that_agrees_or_says_nothing_leaves_it_to_the_name(name, ba
     assert not found.said and not redefined({"x": found})
 
 
+@pytest.mark.parametrize(
+    ("name", "base", "factor", "offset"),
+    [
+        ("mV", BaseUnit(kg=1, m=2, s=-3, A=-1), 1e-3, 0.0),
+        ("bar", BaseUnit(kg=1, m=-1, s=-2), 1e5, 0.0),
+        ("degC", BaseUnit(K=1), 1.0, 273.15),
+    ],
+)
+def test_exponents_alone_say_what_is_measured_and_not_in_what(name, base, factor, offset):
+    """By the letter a mV would be a volt there; it is told."""
+    found = meaning(name, base)
+    assert (found.factor, found.offset) == pytest.approx((factor, offset))
+    assert redefined({"x": found})[0].endswith("by its definition: the name counts")
+
+
 def test_a_difference_has_no_zero_and_a_user_is_believed():
     celsius = BaseUnit(K=1, offset=273.15)
     assert meaning("degC", celsius, relative=True).offset == 0.0
@@ -62,6 +78,6 @@ def test_an_fmu_tells_that_its_units_are_others(fmus, tmp_path):
     fmu = rewritten(fmus["lag"], tmp_path / "turned.fmu", xml=other)
     block = read_fmu(fmu)
     assert block.description.scales["angle"] == (2.0, 0.0)
-    assert any("2 rad as the FMU defines it" in note for note in block.notes)
+    assert any("is 2 rad by its definition, and 1 rad by its name" in note for note in block.notes)
     row = next(row for row in check_fmu(fmu).rows if row.name == "units")
     assert row.verdict == "remark" and "2 rad" in row.detail

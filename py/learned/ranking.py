@@ -3,6 +3,7 @@
 Each kind is trained in a process of its own, one per core, so that none can take the others with it. Of many kinds one
 is the best by chance: among those that are as good, by one standard error over the stretches held out (`verdicts`), the
 one with the fewest numbers is taken. What is held out chooses here, so the figure of the chosen is a little too good.
+Where commands repeat, kinds are trained and judged on their first course alone (`without_repeats`).
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from hydrotwin.records import Record
 from .block_file import LearnedBlock, read_block, write_block
 from .interruption import INTERRUPTED
 from .learning import KINDS, check_select, learn, takes
+from .repeats import without_repeats
 from .report_card import BLOCK
 from .verdicts import as_good
 
@@ -42,6 +44,10 @@ LONG = (
 TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
 GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
 TOO_LATE = "it was ended, for its share of the budget was over ({share:.3g} s). Give a longer --budget, or none."
+ONCE = (
+    "The commands repeat: kinds were trained on the first {first:.3g} s of {all:.3g} s and judged at commands there "
+    "that they had not seen, for at repeated ones what is known by heart seems best."
+)
 NOT_TRIED = "it was not tried, for the budget was over. Give a longer --budget, or none."
 CHECKED, LEAST = 0.5, 0.1  # s between looks at the clock; the least that a kind is given to train
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -120,7 +126,8 @@ def learn_best(
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
-    Ctrl-C ends the trials with the best so far. `refitted` trains the chosen kind again on all recordings.
+    Ctrl-C ends the trials with the best so far. `refitted` trains the chosen kind again on all recordings, which of
+    commands that repeat the answer has seen the first time alone (``provenance["free_run"]["once"]``).
 
     Raises:
         DataError: no kind could be trained; the sentence of each is in it. DeclarationError: a kind that is not known.
@@ -131,7 +138,9 @@ def learn_best(
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     check_select("auto", records, options.get("select"))
-    found = _tried(chosen, (list(records), list(inputs), list(outputs), options), (workers, budget), progress)
+    records, (inputs, outputs) = list(records), (list(inputs), list(outputs))
+    first = without_repeats(records, *([getattr(s, "name", s) for s in part] for part in (inputs, outputs)))
+    found = _tried(chosen, (first, inputs, outputs, options), (workers, budget), progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
         raise DataError(f"learn auto: no kind could be trained. {_reasons(found)}")
@@ -140,6 +149,10 @@ def learn_best(
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
     told = {"ranking": rows, "chosen_on": "what was held out of the training recordings"}
     stopped = {"stopped": INTERRUPTED} if len(found) < len(chosen) else {}
+    if sum(map(len, first)) < sum(map(len, records)):
+        seconds = {"first": sum(r.duration for r in first), "all": sum(r.duration for r in records)}
+        card = taken.block.provenance["free_run"]
+        told["free_run"] = card | {"once": True, "says": f"{card['says']} {ONCE.format(**seconds)}"}
     return replace(taken.block, provenance={**taken.block.provenance, **told, **stopped})
 
 

@@ -62,7 +62,7 @@ def refitted(
     else:
         again = train(records, inputs, outputs, **options)
     told = dict(block.provenance.get("free_run", {}))
-    worse = _worse(again, told, held_out_of(records, inputs, outputs, model).parts)
+    worse = _worse(again, told, held_out_of(records, inputs, outputs, model, bool(told.get("once"))).parts)
     if told:
         told |= {"says": f"{told['says']} {KEPT if worse else REFITTED}", "refitted": not worse}
     if worse:

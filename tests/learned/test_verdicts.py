@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn
+from hydrotwin.learned import learn, learn_best, refitted
 from hydrotwin.learned.held_out import Part, Split, split
-from hydrotwin.learned.repeats import repeats
+from hydrotwin.learned.learning import held_out_of
+from hydrotwin.learned.repeats import repeats, without_repeats
 from hydrotwin.learned.report_card import BLOCK, Row, Words, card
 from hydrotwin.learned.verdicts import STRETCHES, as_good, log_ratio, rms_of, stretches, surely_less
 from hydrotwin.models.language.flat import Signal
@@ -85,3 +88,26 @@ def test_the_card_says_first_that_what_was_held_out_repeats_what_was_trained_on(
     told = learn("arx", [periodic(0.01)], ["u"], ["y"]).provenance["free_run"]
     assert told["repeats"] and told["bad"] and told["says"].startswith("What was held out repeats commands ")
     assert set(told["cannot_tell"]) | set(told["no_better_than"]) == set(told["outputs"]["y"]["yardsticks"])
+
+
+def test_of_commands_that_repeat_the_first_course_is_left():
+    one, other = periodic(0.01), periodic(1.0)
+    (first,) = without_repeats([one], ["u"], ["y"])
+    assert len(first) == 200 and np.array_equal(first["u"], one["u"][:200])
+    assert without_repeats([other], ["u"], ["y"]) == [other]
+    smooth = one.with_signals({"u": np.sin(one.time)})  # three periods and more, of 314 samples
+    assert [len(r) for r in without_repeats([smooth], ["u"], ["y"])] == [314]
+    twice = [one, replace(one, name="copy")]
+    assert [r.name for r in without_repeats(twice, ["u"], ["y"])] == [one.name]
+
+
+def test_kinds_are_ranked_on_the_first_course_where_commands_repeat_and_the_card_stays_of_it():
+    records, names = [periodic(0.01)], (["u"], ["y"])
+    block = learn_best(records, *names, kinds=("arx", "piecewise"), workers=1)
+    told = block.provenance["free_run"]
+    assert told["once"] and not told["repeats"] and "trained on the first 3.98 s of 20 s" in told["says"]
+    assert told["held_out"][0]["to"] < 4.0
+    kind = next(row["kind"] for row in block.provenance["ranking"] if row["chosen"])
+    again = refitted(block, kind, records, *names)
+    assert again.provenance["free_run"]["once"] and again.provenance["trained_on"][0]["samples"] == 1000
+    assert [p.whole.duration for p in held_out_of(records, *names, once=True).parts] == pytest.approx([3.98])

@@ -22,7 +22,8 @@ LEAST_SAMPLES = 50
 KEPT = ("input_centre", "input_scale", "output_centre", "output_scale")  # of a block whose constants are fitted again
 CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signal, so that single precision suffices
 PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
-FOLDS = 5  # parts of every recording, each of which judges constants fitted on the others
+FOLDS = 5  # parts at least of few recordings, groups at most of many, each of which judges constants fitted to others
+SEVERAL = 3  # recordings: each is held out as it is, for what another one shows is what is asked for
 HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
@@ -129,12 +130,20 @@ def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Pie
         cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
         begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
         return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
-    return fit, [tuple(list(side) for side in zip(*(_apart(p, k) for p in fit), strict=True)) for k in range(FOLDS)]
+    if len(fit) >= SEVERAL:
+        groups = [fit[k :: min(len(fit), FOLDS)] for k in range(min(len(fit), FOLDS))]
+        return fit, [([p for p in fit if p not in group], group) for group in groups]
+    count, folds = -(-FOLDS // len(fit)), []
+    for j, piece in enumerate(fit):
+        for k in range(count):
+            without, part = _apart(piece, k, count)
+            folds.append(([*fit[:j], without, *fit[j + 1 :]], [part]))
+    return fit, folds
 
 
-def _apart(piece: Piece, k: int) -> tuple[Piece, Piece]:
-    """A recording without its part ``k``, and that part, both run from the first sample on."""
-    cuts = [round(share * piece.last / FOLDS) for share in range(FOLDS + 1)]
+def _apart(piece: Piece, k: int, count: int) -> tuple[Piece, Piece]:
+    """A recording without its part ``k`` of ``count``, and that part, both run from the first sample on."""
+    cuts = [round(share * piece.last / count) for share in range(count + 1)]
     begin, end = cuts[k], cuts[k + 1]
     others = tuple((a, b) for a, b in ((0, begin), (end, piece.last)) if b > a)
     return replace(piece, last=others[-1][1], counted=others), replace(piece, last=end, counted=((begin, end),))

@@ -28,7 +28,7 @@ from .network.learn import train_network
 from .network.rate import learn_rate_network
 from .piecewise.learn import learn_piecewise
 from .polynomial.learn import learn_narx
-from .repeats import repeats, without_repeats
+from .repeats import repeats
 from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .substeps_step import STEPS as SUBSTEPS
@@ -151,15 +151,11 @@ def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] 
 
 
 def held_out_of(
-    records: Sequence[Record], inputs: Sequence[Signal | str], outputs: Sequence[Signal | str], model=None, once=False
+    records: Sequence[Record], inputs: Sequence[Signal | str], outputs: Sequence[Signal | str], model=None
 ) -> held_out.Split:
-    """What `learn` trains on of these recordings, and what it holds out.
-
-    once : where commands repeat, of the first time alone, as ``provenance["free_run"]["once"]`` of a block says.
-    """
+    """What `learn` trains on of these recordings, and what it holds out."""
     records = list(records)
-    names = _names(model, records, inputs, outputs)
-    return held_out.split(without_repeats(records, *names) if once else records, *names)
+    return held_out.split(records, *_names(model, records, inputs, outputs))
 
 
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:

@@ -22,7 +22,8 @@ KEPT = "Trained again on all recordings, it ran worse over what had been held ou
 NETWORK = ("period", "delay", "substeps", "integrates", "hidden")  # blocks of an older version lack some
 
 FORMULAS = ("symbolic", "narx")  # kinds in provenances
-FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # the options of a kind that say what a provenance tells was chosen
+FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # by kind, the options that say what a provenance tells was chosen
+    "arx": lambda told: _arx_form(told["arx"]),
     "network": lambda told: (
         {key: told["form"][key] for key in NETWORK if key in told["form"]}
         | {"lags": (told["form"]["output_lags"], told["form"]["input_lags"])}
@@ -68,7 +69,7 @@ def refitted(
     else:
         again = train(records, inputs, outputs, **options)
     told = dict(block.provenance.get("free_run", {}))
-    worse = _worse(again, told, held_out_of(records, inputs, outputs, model, bool(told.get("once"))).parts)
+    worse = _worse(again, told, held_out_of(records, inputs, outputs, model).parts)
     if told:
         told |= {"says": f"{told['says']} {KEPT if worse else REFITTED}", "refitted": not worse}
     if worse:
@@ -80,7 +81,20 @@ def refitted(
 def form_of(block: Block) -> dict:
     """The options with which the trainer of a block's kind takes the form that it has; none where it chooses anew."""
     told = block.provenance
-    return FORMS[told["kind"]](told) if told.get("kind") in FORMS else {}
+    if told.get("kind") not in FORMS:
+        return {}
+    return FORMS[told["kind"]](told) | ({"period": block.period} if told["kind"] == "arx" else {})
+
+
+def _arx_form(told: Mapping[str, Mapping]) -> dict:
+    """What all equations have in common, which is all of it for one input and one output."""
+    windows = [w for equation in told.values() for w in equation["inputs"].values()]
+    found = {
+        "rate": {equation["rate"] for equation in told.values()},
+        "lags": {(equation["past"], w["samples"]) for equation in told.values() for w in equation["inputs"].values()},
+        "delay": {w["delay"] for w in windows},
+    }
+    return {name: values.pop() for name, values in found.items() if len(values) == 1}
 
 
 def _worse(again: Block, told: dict, parts: Sequence[Part]) -> bool:

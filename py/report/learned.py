@@ -38,8 +38,7 @@ def write_learned(
     model : that of a hybrid, which runs beside it. Raises DataError where nothing was held out, for then there is
     nothing to show the block on.
     """
-    card = block.provenance.get("free_run", {})
-    split = held_out_of(records, inputs, outputs, model, bool(card.get("once")))
+    split = held_out_of(records, inputs, outputs, model)
     if not split.held_out:
         raise DataError(f"{block.name}: no page. Nothing was held out of its training: {split.why}.")
     shown = [replace(r, name=f"{r.name}, from {r.time[0]:.4g} s", digest=None) for r in split.held_out]
@@ -54,6 +53,7 @@ def write_learned(
         title=f"{block.name}: what was held out of its training",
         repeats=1,
     )
+    card = block.provenance.get("free_run", {})
     says = (card["says"],) if "says" in card else ()
     says += (SEVERAL,) if says and len(shown) > 1 else ()
     return write_report(comparison, folder, sections=learned_sections(block), says=says)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..interruption import INTERRUPTED
-from ..verdicts import as_good, surely_less
+from ..verdicts import as_good, log_ratio
 from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
 from .data import Prepared
 from .growth import most_telling, terms_for, with_terms
@@ -22,6 +22,7 @@ FEW_SAMPLES = 20_000  # of the whole runs in which all candidates are judged
 SHORT, LONG = 8, 30  # evaluations of a refit on stretches and on whole runs
 FINALISTS = 8
 TRIED = 4  # terms, those with the largest gains, of which one must help where a formula grows
+SURE = 2.0  # standard errors over the folds by which a term must help: several are tried, and one helps by chance
 LEAST_GAIN = 0.01  # of the squared error of a run: terms that take less are not tried
 
 
@@ -297,7 +298,8 @@ def _better(more: Candidate, than: Candidate, tolerance: float) -> bool:
     """Whether a candidate is better on more than chance; by one fold alone, by more than the tolerance."""
     if len(more.folds) < 2:
         return more.error * (1 + tolerance) < than.error
-    return more.error < than.error and surely_less(more.folds, than.folds)
+    mean, error = log_ratio(more.folds, than.folds)
+    return more.error < than.error and mean + SURE * error < 0
 
 
 def judged_errors(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> tuple[float, float]:

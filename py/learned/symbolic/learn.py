@@ -74,8 +74,8 @@ def learn_symbolic(
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
         static: the outputs are functions of the inputs at the same moment; None: where `is_static` finds it.
-        period: s between steps; None: the longest that loses nothing worth having and is not too many samples
-            (`affordable_period`).
+        period: s between steps; None: the longest that loses nothing worth having and is neither too many nor too
+            few samples (`affordable_period`).
         substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
             not show what the inputs do in between, those of the recordings (`substeps_step`).
         validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.

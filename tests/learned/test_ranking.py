@@ -113,6 +113,19 @@ def test_trained_again_a_block_keeps_the_form_that_was_judged(records, monkeypat
     assert asked == form | {"seed": 3} and all(takes(kind, option) for option in form)
 
 
+def test_equations_keep_what_they_have_in_common(records):
+    block = learn("arx", records, INPUTS, OUTPUTS)
+    form = refit.form_of(block)
+    assert set(form) == {"period", "rate", "lags", "delay"} and all(takes("arx", option) for option in form)
+    told = block.provenance["arx"]["arm_angle"]
+    assert form["lags"] == (told["past"], told["inputs"]["command"]["samples"])
+    again = refitted(block, "arx", records, INPUTS, OUTPUTS)
+    assert again.structure == block.structure and again.period == block.period
+    other = {**told, "rate": not told["rate"], "past": told["past"] + 1}
+    two = replace(block, provenance={**block.provenance, "arx": {"arm_angle": told, "speed": other}})
+    assert set(refit.form_of(two)) == {"period", "delay"}
+
+
 def test_the_longest_trainings_begin_first_behind_one_that_answers_at_once():
     kinds = ["arx", "linear", "nn", "gp", "piecewise", "state_nn"]
     assert sorted(kinds, key=ranking._longest_first) == ["arx", "nn", "gp", "state_nn", "linear", "piecewise"]

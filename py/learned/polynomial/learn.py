@@ -35,7 +35,7 @@ PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
 NOISY = 0.1  # noise of an increment over its spread: less bends least squares by a hundredth, smoothing by more
 ROWS_PER_TERM = 15  # few rows get few terms
-SELECTED_ON = "parts of every training recording, each with factors fitted on the others"
+SELECTED_ON = "recordings, or parts of few, each with factors fitted on the others"
 
 
 def learn_narx(

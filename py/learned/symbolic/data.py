@@ -22,8 +22,8 @@ LEAST_SAMPLES = 50
 KEPT = ("input_centre", "input_scale", "output_centre", "output_scale")  # of a block whose constants are fitted again
 CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signal, so that single precision suffices
 PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
-FOLDS = 5  # parts at least of few recordings, groups at most of many, each of which judges constants fitted to others
-SEVERAL = 3  # recordings: each is held out as it is, for what another one shows is what is asked for
+FOLDS = 5  # at least: recordings, in so many groups where they are more, or parts of fewer ones, that judge constants
+# fitted to the others. What another recording shows is what is asked for; of three folds chance tells nothing
 HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
@@ -96,7 +96,7 @@ def prepare(
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
-    select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
+    select : recordings to judge on; none: the training recordings or parts of them, each judged apart (`FOLDS`).
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples), unless ``smooth`` is False, and increments.
     steps : of a period, over which inputs are means (`substeps`). scales : those of a block, which are kept.
@@ -130,8 +130,8 @@ def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Pie
         cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
         begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
         return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
-    if len(fit) >= SEVERAL:
-        groups = [fit[k :: min(len(fit), FOLDS)] for k in range(min(len(fit), FOLDS))]
+    if len(fit) >= FOLDS:
+        groups = [fit[k::FOLDS] for k in range(FOLDS)]
         return fit, [([p for p in fit if p not in group], group) for group in groups]
     count, folds = -(-FOLDS // len(fit)), []
     for j, piece in enumerate(fit):

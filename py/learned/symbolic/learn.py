@@ -26,7 +26,7 @@ from .data import Prepared, is_static, prepare, prepare_static
 
 FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
-SELECTED_ON = "parts of every training recording, each with constants fitted on the others"
+SELECTED_ON = "recordings, or parts of few, each with constants fitted on the others"
 FEWEST_NODES, SAMPLES_PER_NODE = 5, 20  # few samples get short formulas
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
@@ -63,9 +63,9 @@ def learn_symbolic(
       pyoperon breeds, with least squares on the constants of every formula (`Rules`). The best of every length, over
       all generations and seeds, and linear formulas beside them, are refitted in short free runs, the best of these in
       whole ones, where they get the terms that they lack (`growth`); of the formulas whose free-run error on ``select``
-      is within ``tolerance`` of the smallest, the shortest is kept. Without ``select``, every fifth of the recordings
-      judges constants that were fitted on the others, and what the fifths cannot tell from the best is as good. A
-      formula whose free run diverges where it is judged is not kept.
+      is within ``tolerance`` of the smallest, the shortest is kept. Without ``select``, recordings, or parts of them
+      where they are fewer than five, judge constants that were fitted on the others, and what these cannot tell from
+      the best is as good. A formula whose free run diverges where it is judged is not kept.
     - ``"paper"``: the operators of the C-EHA paper (`PAPER`), the next value from the present ones at the recorded
       period, sum of squared errors, no scaling, no refit, one seed: the formula with the smallest one-step error. It
       is the baseline, not the advice.

@@ -3,6 +3,9 @@
 Each kind is trained in a process of its own, one per core, so that none can take the others with it. Of many kinds one
 is the best by chance: among those that are as good, by one standard error over the stretches held out (`verdicts`), the
 one with the fewest numbers is taken. What is held out chooses here, so the figure of the chosen is a little too good.
+Where commands repeat, what is held out has been seen before: there every kind is trained a second time, on the first
+course of the commands alone (`without_repeats`), and judged at the end of that as well. One that knows commands by
+heart fails there; one that drifts fails over all.
 """
 
 from __future__ import annotations
@@ -27,6 +30,7 @@ from hydrotwin.records import Record
 from .block_file import LearnedBlock, read_block, write_block
 from .interruption import INTERRUPTED
 from .learning import KINDS, check_select, learn, takes
+from .repeats import without_repeats
 from .report_card import BLOCK
 from .verdicts import as_good
 
@@ -42,6 +46,11 @@ LONG = (
 TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
 GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
 TOO_LATE = "it was ended, for its share of the budget was over ({share:.3g} s). Give a longer --budget, or none."
+ONCE = (
+    "The commands repeat: kinds were also trained on the first {first:.3g} s of {all:.3g} s alone and judged at "
+    "commands there that they had not seen, for at repeated ones what is known by heart seems best."
+)
+NO_FIRST = "On the first course of the commands alone, it cannot be judged: {why}"
 NOT_TRIED = "it was not tried, for the budget was over. Give a longer --budget, or none."
 CHECKED, LEAST = 0.5, 0.1  # s between looks at the clock; the least that a kind is given to train
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -131,7 +140,11 @@ def learn_best(
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     check_select("auto", records, options.get("select"))
-    found = _tried(chosen, (list(records), list(inputs), list(outputs), options), (workers, budget), progress)
+    records, (inputs, outputs) = list(records), (list(inputs), list(outputs))
+    first = without_repeats(records, *([getattr(s, "name", s) for s in part] for part in (inputs, outputs)))
+    again = sum(map(len, first)) < sum(map(len, records))
+    given = (records, first if again else [], inputs, outputs, options)
+    found = _tried(chosen, given, (workers, budget), progress)
     ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
         raise DataError(f"learn auto: no kind could be trained. {_reasons(found)}")
@@ -140,6 +153,10 @@ def learn_best(
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
     told = {"ranking": rows, "chosen_on": "what was held out of the training recordings"}
     stopped = {"stopped": INTERRUPTED} if len(found) < len(chosen) else {}
+    if again:
+        seconds = {"first": sum(r.duration for r in first), "all": sum(r.duration for r in records)}
+        card = taken.block.provenance["free_run"]
+        told["free_run"] = card | {"says": f"{card['says']} {ONCE.format(**seconds)}"}
     return replace(taken.block, provenance={**taken.block.provenance, **told, **stopped})
 
 
@@ -268,24 +285,46 @@ def _answer(kind: str, folder: Path) -> Tried:
     if not answer.exists():
         return Tried(kind, failed="its process ended without an answer.")
     told = json.loads(answer.read_text(encoding="utf-8"))
-    block = None if told["failed"] else read_block(folder / f"{kind}.toml")
+    file = folder / f"{kind}.toml"
+    block = read_block(file) if file.exists() else None
     return Tried(kind, block, told["shares"], told["seconds"], told["failed"], told["stretches"])
 
 
-def _try(kind: str, records, inputs, outputs, options: Mapping, until: float | None, folder: Path) -> None:
-    """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside."""
+def _try(kind: str, records, first, inputs, outputs, options: Mapping, until: float | None, folder: Path) -> None:
+    """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside.
+
+    first : what of the recordings is trained on a second time, to be judged at commands that do not repeat; or nothing.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     began, shares, stretches, failed = time.process_time(), {}, {}, ""
     if until is not None:
-        options = {**options, "budget": max(TRAINING * (until - time.time()), LEAST)}
+        options = {**options, "budget": max(TRAINING * (until - time.time()) / (2 if first else 1), LEAST)}
     try:
-        block = learn(kind, records, inputs, outputs, **{k: v for k, v in options.items() if takes(kind, k)})
+        options = {k: v for k, v in options.items() if takes(kind, k)}
+        block = learn(kind, records, inputs, outputs, **options)
         write_block(block, folder / f"{kind}.toml")
-        rows = block.provenance["free_run"]["outputs"]
-        shares = {name: row.get("percent_of_range", float("inf")) / 100 for name, row in rows.items()}
-        by_output = {name: (row["stretches"].get(BLOCK), row["range"]) for name, row in rows.items()}
-        stretches = {n: [e / range_ for e in errors] for n, (errors, range_) in by_output.items() if errors}
+        shares, stretches = _judged(block)
+        if first:
+            other = learn(kind, first, inputs, outputs, **options)
+            shares, stretches = _both((shares, stretches), _judged(other))
+            failed = "" if stretches else NO_FIRST.format(why=other.provenance["free_run"]["says"])
     except HydrotwinError as error:
-        failed = str(error)
+        failed = NO_FIRST.format(why=error) if shares else str(error)
+    if failed:  # where there is a block, nothing says how good it is
+        shares, stretches = {}, {}
     told = {"shares": shares, "stretches": stretches, "seconds": time.process_time() - began, "failed": failed}
     write_whole(folder / f"{kind}.json", json.dumps(told))
+
+
+def _judged(block: LearnedBlock) -> tuple[dict, dict]:
+    """By output, what was missed where a block was judged, over the range of the output: over all, and by stretch."""
+    rows = block.provenance["free_run"]["outputs"]
+    shares = {name: row.get("percent_of_range", float("inf")) / 100 for name, row in rows.items()}
+    by_output = {name: (row["stretches"].get(BLOCK), row["range"]) for name, row in rows.items()}
+    return shares, {n: [e / range_ for e in errors] for n, (errors, range_) in by_output.items() if errors}
+
+
+def _both(one: tuple[dict, dict], other: tuple[dict, dict]) -> tuple[dict, dict]:
+    """Two judgements as one: root of the mean square, and the stretches of both."""
+    shares = {n: float(np.sqrt((share**2 + other[0].get(n, np.inf) ** 2) / 2)) for n, share in one[0].items()}
+    return shares, {n: [*part, *other[1][n]] for n, part in one[1].items() if n in other[1]}

@@ -21,7 +21,9 @@ KEPT = "Trained again on all recordings, it ran worse over what had been held ou
 
 NETWORK = ("period", "delay", "substeps", "integrates", "hidden")  # blocks of an older version lack some
 
-FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # the options of a kind that say what a provenance tells was chosen
+FORMULAS = ("symbolic", "narx")  # kinds in provenances
+FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # by kind, the options that say what a provenance tells was chosen
+    "arx": lambda told: _arx_form(told["arx"]),
     "network": lambda told: (
         {key: told["form"][key] for key in NETWORK if key in told["form"]}
         | {"lags": (told["form"]["output_lags"], told["form"]["input_lags"])}
@@ -48,16 +50,21 @@ def refitted(
     """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
 
     The form that was chosen for ``block``, its period, lags, hidden units or kernel, stays where it is one of `FORMS`:
-    to choose it again takes most of a training. A training may end elsewhere. One that then runs worse over what it has
-    now seen than ``block`` did unseen is no
-    better anywhere else, and ``block`` is answered. The card in ``provenance["free_run"]`` stays that of ``block``,
-    which alone has something to be judged on; it says what became of it, and ``"refitted"`` whether it is the new one.
+    to choose it again takes most of a training, and what was judged is the form. Of formulas (`FORMULAS`) only the
+    constants are fitted again. A training may end elsewhere. One that then runs worse over what it has now seen than
+    ``block`` did unseen is no better anywhere else, and ``block`` is answered. The card in ``provenance["free_run"]``
+    stays that of ``block``, which alone has something to be judged on; it says what became of it, and ``"refitted"``
+    whether it is the new one.
     Arguments and errors: those of `learn`.
     """
     train, records = trainer(kind, fit), list(records)
     options = (form_of(block) if fit is None else {}) | options
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
-    if kind == "hybrid":
+    if fit is None and block.provenance.get("kind") in FORMULAS and not block.provenance.get("static"):
+        from .symbolic.again import fitted_again
+
+        again = fitted_again(block, records, inputs, outputs)
+    elif kind == "hybrid":
         again = train(model, records, list(outputs) or None, **options)
     else:
         again = train(records, inputs, outputs, **options)
@@ -74,7 +81,20 @@ def refitted(
 def form_of(block: Block) -> dict:
     """The options with which the trainer of a block's kind takes the form that it has; none where it chooses anew."""
     told = block.provenance
-    return FORMS[told["kind"]](told) if told.get("kind") in FORMS else {}
+    if told.get("kind") not in FORMS:
+        return {}
+    return FORMS[told["kind"]](told) | ({"period": block.period} if told["kind"] == "arx" else {})
+
+
+def _arx_form(told: Mapping[str, Mapping]) -> dict:
+    """What all equations have in common, which is all of it for one input and one output."""
+    windows = [w for equation in told.values() for w in equation["inputs"].values()]
+    found = {
+        "rate": {equation["rate"] for equation in told.values()},
+        "lags": {(equation["past"], w["samples"]) for equation in told.values() for w in equation["inputs"].values()},
+        "delay": {w["delay"] for w in windows},
+    }
+    return {name: values.pop() for name, values in found.items() if len(values) == 1}
 
 
 def _worse(again: Block, told: dict, parts: Sequence[Part]) -> bool:

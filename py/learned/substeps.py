@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
@@ -18,8 +19,17 @@ EVEN = 1e-3  # of a sampling period: a period that is so near to a whole number 
 
 
 def chosen_substeps(asked: int | None, period: float | None, records, inputs: Sequence[Signal], at: float) -> int:
-    """Steps of the period ``at``: as asked; where a period was asked for, that is the step; else `substeps_of`."""
+    """Steps of the period ``at``: as asked; where a period was asked for, that is the step; else `substeps_of`.
+
+    Raises DeclarationError where as many samples of the recordings as were asked for are not the period.
+    """
     if asked is not None:
+        recorded = max(r.period for r in records)
+        if asked > 1 and abs(at - asked * recorded) > EVEN * recorded:
+            raise DeclarationError(
+                f"learn: substeps={asked} are {asked * recorded:.6g} s of the recordings, the period is {at:.6g} s. "
+                "Steps are their samples: give a period of whole samples and their number, or neither."
+            )
         return int(asked)
     return 1 if period else substeps_of(records, inputs, at)
 

@@ -12,6 +12,7 @@ from hydrotwin.learned import learn, learn_piecewise, ranking, refit, refitted
 from hydrotwin.learned.learning import takes
 from hydrotwin.learned.ranking import Tried, learn_best
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.simulation import simulate
 from tests.learned.toy_machine import toy_record
 
 INPUTS, OUTPUTS = ["command"], ["arm_angle"]
@@ -112,6 +113,19 @@ def test_trained_again_a_block_keeps_the_form_that_was_judged(records, monkeypat
     assert asked == form | {"seed": 3} and all(takes(kind, option) for option in form)
 
 
+def test_equations_keep_what_they_have_in_common(records):
+    block = learn("arx", records, INPUTS, OUTPUTS)
+    form = refit.form_of(block)
+    assert set(form) == {"period", "rate", "lags", "delay"} and all(takes("arx", option) for option in form)
+    told = block.provenance["arx"]["arm_angle"]
+    assert form["lags"] == (told["past"], told["inputs"]["command"]["samples"])
+    again = refitted(block, "arx", records, INPUTS, OUTPUTS)
+    assert again.structure == block.structure and again.period == block.period
+    other = {**told, "rate": not told["rate"], "past": told["past"] + 1}
+    two = replace(block, provenance={**block.provenance, "arx": {"arm_angle": told, "speed": other}})
+    assert set(refit.form_of(two)) == {"period", "delay"}
+
+
 def test_the_longest_trainings_begin_first_behind_one_that_answers_at_once():
     kinds = ["arx", "linear", "nn", "gp", "piecewise", "state_nn"]
     assert sorted(kinds, key=ranking._longest_first) == ["arx", "nn", "gp", "state_nn", "linear", "piecewise"]
@@ -186,3 +200,20 @@ def test_time_is_shared_among_those_that_wait_and_all_of_it_is_left_to_the_last(
     over = ranking._Clock(-ranking.GRACE - 1.0, 2)
     assert over.late("nn", past, others=False) and not over.late("arx", past, others=False)
     assert ranking._Clock(None, 2).share(9) is None and not ranking._Clock(None, 2).late("gp", None, True)
+
+
+def test_a_formula_that_is_trained_again_keeps_its_form_and_takes_constants_of_all_recordings(records):
+    block = learn("narx", records, INPUTS, OUTPUTS, period=0.1)
+    again = refitted(block, "narx", records, INPUTS, OUTPUTS)
+    assert again.provenance["free_run"]["refitted"]
+    assert np.array_equal(again.arrays["tokens"], block.arrays["tokens"])
+    assert not np.array_equal(again.arrays["constants"], block.arrays["constants"])
+    assert again.structure == block.structure and again.period == block.period
+    error = {}
+    for one in (block, again):
+        runs = [simulate(one, r)["arm_angle"] - r["arm_angle"] for r in records]
+        error[one] = np.sqrt(np.mean(np.concatenate(runs) ** 2))
+    assert error[again] < error[block], "over what it has now seen"
+    factors = [t["factor"] for t in again.provenance["narx"]["arm_angle"]["terms"]]
+    assert all(np.isclose(again.arrays["constants"], f).any() for f in factors)
+    assert again.certificate.difference < 1e-9

@@ -10,7 +10,7 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import learn, learn_narx, read_block, train_network, write_block
 from hydrotwin.learned.substeps import at_period, chosen_substeps, substeps_of
 from hydrotwin.learned.training_data import MANY, finest_period
-from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
@@ -113,7 +113,10 @@ def test_a_period_that_is_asked_for_is_the_step_unless_substeps_are():
     jumps = [machine(4)]
     assert chosen_substeps(None, None, jumps, [U], STEPS * FINE) == STEPS, "the period was chosen by the learning"
     assert chosen_substeps(None, STEPS * FINE, jumps, [U], STEPS * FINE) == 1
-    assert chosen_substeps(5, STEPS * FINE, jumps, [U], STEPS * FINE) == 5
+    assert chosen_substeps(STEPS, STEPS * FINE, jumps, [U], STEPS * FINE) == STEPS
+    for asked, period in ((5, STEPS * FINE), (STEPS, None)):
+        with pytest.raises(DeclarationError, match=f"substeps={asked} are .* the period is "):
+            chosen_substeps(asked, period, jumps, [U], period or 2 * STEPS * FINE)
 
 
 def test_formulas_take_means_too():

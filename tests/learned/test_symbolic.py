@@ -250,7 +250,7 @@ def test_the_front_of_error_and_size_is_told(learned):
 
 
 def test_a_formula_that_diverges_is_not_chosen(recordings):
-    from hydrotwin.learned.symbolic.select import Selection
+    from hydrotwin.learned.symbolic.select import Choice, Selection
 
     data = prepare(recordings, [], (COMMAND,), (ANGLE,), PERIOD, (1, 3), False)
     away = Formula((CONSTANT,), (1e-3 + 3.0 / len(recordings[0]) / data.bounds.ratio[0],))  # to 3 scales within a run
@@ -259,6 +259,6 @@ def test_a_formula_that_diverges_is_not_chosen(recordings):
     assert np.isfinite(error) and rms == error
     error, rms = run.errors([100 * away.constants[0]], runs)
     assert error == np.inf and np.isfinite(rms)
-    selection = Selection(data, ["arm_angle"], tolerance=1e9, until=np.inf, seed=0, progress=None)
+    selection = Selection(data, ["arm_angle"], Choice(1e9, 0, ()))
     assert selection._candidate(Formula((MULTIPLY, CONSTANT, VARIABLE), (1e9,)), 0, brief=False).size == 3
     assert all(np.isfinite(c.error) for c in (selection.choose([[away]]) and selection.fronts[0]))

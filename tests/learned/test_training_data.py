@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 from hydrotwin.learned import domain_share
+from hydrotwin.learned.linear.periods import affordable_period
 from hydrotwin.learned.training_data import (
     check_excitation,
     choose_input_lags,
@@ -45,6 +46,14 @@ def test_the_period_is_a_whole_number_of_samples_and_keeps_the_signal():
 
 def test_coarse_recordings_keep_their_own_period():
     assert choose_period([sine(2.0, rate=25.0)]) == pytest.approx(0.04)
+
+
+def test_few_samples_are_not_thinned():
+    few, more = sine(2.0, duration=3.0), sine(0.5, duration=30.0)
+    assert choose_period([few]) > 0.005
+    assert affordable_period(([few], []), [], []) == pytest.approx(0.001), "3000 samples: none to spare"
+    found = affordable_period(([more], []), [], [])
+    assert found == pytest.approx(0.014) and found < choose_period([more]), "2000 of 30 000 are left"
 
 
 @pytest.mark.parametrize("delay", [0, 3, 7])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn
+from hydrotwin.learned import learn, learn_best
 from hydrotwin.learned.held_out import Part, Split, split
-from hydrotwin.learned.repeats import repeats
+from hydrotwin.learned.repeats import repeats, without_repeats
 from hydrotwin.learned.report_card import BLOCK, Row, Words, card
 from hydrotwin.learned.verdicts import STRETCHES, as_good, log_ratio, rms_of, stretches, surely_less
 from hydrotwin.models.language.flat import Signal
@@ -85,3 +87,41 @@ def test_the_card_says_first_that_what_was_held_out_repeats_what_was_trained_on(
     told = learn("arx", [periodic(0.01)], ["u"], ["y"]).provenance["free_run"]
     assert told["repeats"] and told["bad"] and told["says"].startswith("What was held out repeats commands ")
     assert set(told["cannot_tell"]) | set(told["no_better_than"]) == set(told["outputs"]["y"]["yardsticks"])
+
+
+def test_of_commands_that_repeat_the_first_course_is_left():
+    one, other = periodic(0.01), periodic(1.0)
+    (first,) = without_repeats([one], ["u"], ["y"])
+    assert len(first) == 200 and np.array_equal(first["u"], one["u"][:200])
+    assert without_repeats([other], ["u"], ["y"]) == [other]
+    smooth = one.with_signals({"u": np.sin(one.time)})  # three periods and more, of 314 samples
+    assert [len(r) for r in without_repeats([smooth], ["u"], ["y"])] == [314]
+    twice = [one, replace(one, name="copy")]
+    assert [r.name for r in without_repeats(twice, ["u"], ["y"])] == [one.name]
+
+
+def test_kinds_are_also_ranked_on_the_first_course_where_commands_repeat():
+    records, names = [periodic(0.01)], (["u"], ["y"])
+    block = learn_best(records, *names, kinds=("arx", "piecewise"), workers=1)
+    told = block.provenance["free_run"]
+    assert told["repeats"] and "also trained on the first 3.98 s of 20 s alone" in told["says"]
+    for row in block.provenance["ranking"]:
+        cards = [learn(row["kind"], part, *names).provenance["free_run"]["outputs"]["y"]
+                 for part in (records, without_repeats(records, *names))]  # fmt: skip
+        assert row["percent_of_range"]["y"] == pytest.approx(
+            np.sqrt(np.mean([c["percent_of_range"] ** 2 for c in cards]))
+        )
+        assert len(row["stretches"]["y"]) == 6
+    other = learn_best([periodic(1.0)], *names, kinds=("arx",), workers=1)
+    assert "The commands repeat" not in other.provenance["free_run"]["says"]
+
+
+def test_a_kind_that_the_first_course_is_too_short_for_is_not_chosen_and_says_so():
+    rng = np.random.default_rng(2)
+    u = np.tile(rng.uniform(-1, 1, 64), 16)[:1000] + 0.01 * rng.normal(size=1000)
+    y = np.cumsum(u - u.mean()) * 0.01
+    records = [Record(0.02 * np.arange(1000), {"u": u, "y": y}, {"u": "V", "y": "m"}, "short periods")]
+    rows = learn_best(records, ["u"], ["y"], kinds=("arx", "symbolic"), workers=1).provenance["ranking"]
+    assert [row["chosen"] for row in rows] == [True, False] and rows[0]["kind"] == "arx"
+    assert "percent_of_range" in rows[0] and "percent_of_range" not in rows[1]
+    assert "On the first course of the commands alone, it cannot be judged" in rows[1]["failed"]

@@ -35,7 +35,7 @@ PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
 NOISY = 0.1  # noise of an increment over its spread: less bends least squares by a hundredth, smoothing by more
 ROWS_PER_TERM = 15  # few rows get few terms
-SELECTED_ON = "parts of every training recording, each with factors fitted on the others"
+SELECTED_ON = "recordings, or parts of few, each with factors fitted on the others"
 
 
 def learn_narx(
@@ -165,7 +165,7 @@ def _best(both, arx: Chosen, signals, options: _Options, progress) -> _Found:
 
 def _at(period: float, both, arx: Chosen, signals, options: _Options, until: float, progress) -> _Found:
     """What free runs choose at a period, until a time on the monotonic clock."""
-    from ..symbolic.select import Selection, judged_errors
+    from ..symbolic.select import Choice, Selection, judged_errors
 
     inputs, outputs = signals
     past, first, last = _lags(arx, period, options.lags)
@@ -181,7 +181,8 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]
-    selection = Selection(data, names, tolerance=options.tolerance, until=until, seed=options.seed, progress=progress)
+    how = Choice(options.tolerance, 0, (), until, options.seed, progress)
+    selection = Selection(data, names, how)
     formula = selection.choose(formulas)
     alone = len(selection.chosen) == 1
     error = selection.chosen[0].error if alone else judged_errors(data, formula)[0]

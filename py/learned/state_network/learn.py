@@ -26,7 +26,6 @@ from .sensitivities import Network, Sections, free_run
 
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 FEWEST = 60  # samples at the network's period, over all recordings
-PLENTY = 2000  # samples that are not thinned any further
 HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every recording that choose and take no training
 ORDERS = (1, 2, 3)  # hidden states that are tried
 PAST = 6  # samples that the encoder looks back
@@ -82,8 +81,8 @@ def learn_state_network(
     Args:
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
-        period: s between steps; None: the longest that loses nothing worth having, is not too many samples
-            (`affordable_period`) and leaves `PLENTY` of them, or that of the recordings.
+        period: s between steps; None: the longest that loses nothing worth having and is neither too many nor too
+            few samples (`affordable_period`).
         validate: checked, but nothing is selected on them. select: recordings that choose in place of parts held out;
             nothing is fitted to them.
         hidden_states: beside the outputs; None: 1 to 3 are tried.
@@ -105,7 +104,7 @@ def learn_state_network(
     check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
     select, began = usable(select, (*inputs, *outputs)) if select else [], time.monotonic()
-    period = float(period or _period((records, select), inputs, outputs))
+    period = float(period or affordable_period((records, select), inputs, outputs))
     data = _normalised((records, select), inputs, outputs, period)
     forms = _forms(data, hidden_states, hidden)
     with CtrlC() as ctrl_c:
@@ -168,14 +167,6 @@ def _stepped(net: Network, x: np.ndarray, u: np.ndarray) -> np.ndarray:
     none, ny = np.zeros((n, shape.encoder_features)), shape.outputs
     s = Sections(none, x[:, :ny], u[None], np.zeros((1, n, ny)), np.ones((1, n)))
     return free_run(net, s, x)[1, :, : shape.order]
-
-
-def _period(both, inputs, outputs) -> float:
-    """The period of the network [s]."""
-    records, _ = both
-    recorded = max(r.period for r in records)
-    most = max(1, int(sum(r.duration for r in records) / recorded / PLENTY))
-    return float(f"{min(affordable_period(both, inputs, outputs), most * recorded):.9g}")
 
 
 def _normalised(both, inputs, outputs, period: float) -> _Normalised:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,9 +19,11 @@ from .refit import Bounds, FreeRun, Piece, Run, Runs, Series, StaticRun, laid_ou
 from .static_block import StaticShape
 
 LEAST_SAMPLES = 50
+KEPT = ("input_centre", "input_scale", "output_centre", "output_scale")  # of a block whose constants are fitted again
 CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signal, so that single precision suffices
 PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
-FOLDS = 5  # parts of every recording, each of which judges constants fitted on the others
+FOLDS = 5  # at least: recordings, in so many groups where they are more, or parts of fewer ones, that judge constants
+# fitted to the others. What another recording shows is what is asked for; of three folds chance tells nothing
 HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
@@ -90,17 +92,19 @@ def prepare(
     next_value: bool,
     smooth: bool = True,
     steps: int = 1,
+    scales: Mapping[str, np.ndarray] | None = None,
 ) -> Prepared:
     """Bring recordings onto one period and scale them.
 
-    select : recordings to judge on; none: `FOLDS` parts of every training recording, each judged apart.
+    select : recordings to judge on; none: the training recordings or parts of them, each judged apart (`FOLDS`).
     next_value : features as measured and the next value as target, as in the C-EHA paper; else smoothed features
     (a local parabola over 7 samples), unless ``smooth`` is False, and increments.
-    steps : of a period, over which inputs are means (`substeps`).
+    steps : of a period, over which inputs are means (`substeps`). scales : those of a block, which are kept.
     """
     u, y = zip(*(_columns(r, inputs, outputs, period, steps) for r in records), strict=True)
     judged = [_columns(r, inputs, outputs, period, steps) for r in select]
-    scales = _scales([np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs)], y, next_value)
+    both = [np.concatenate([_array(r, part) for r in records]) for part in (inputs, outputs)]
+    scales = _scales(both, y, next_value, scales)
 
     def normal(part: str, values: np.ndarray) -> np.ndarray:
         return (values - scales[f"{part}_centre"]) / scales[f"{part}_scale"]
@@ -126,12 +130,20 @@ def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Pie
         cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
         begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
         return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
-    return fit, [tuple(list(side) for side in zip(*(_apart(p, k) for p in fit), strict=True)) for k in range(FOLDS)]
+    if len(fit) >= FOLDS:
+        groups = [fit[k::FOLDS] for k in range(FOLDS)]
+        return fit, [([p for p in fit if p not in group], group) for group in groups]
+    count, folds = -(-FOLDS // len(fit)), []
+    for j, piece in enumerate(fit):
+        for k in range(count):
+            without, part = _apart(piece, k, count)
+            folds.append(([*fit[:j], without, *fit[j + 1 :]], [part]))
+    return fit, folds
 
 
-def _apart(piece: Piece, k: int) -> tuple[Piece, Piece]:
-    """A recording without its part ``k``, and that part, both run from the first sample on."""
-    cuts = [round(share * piece.last / FOLDS) for share in range(FOLDS + 1)]
+def _apart(piece: Piece, k: int, count: int) -> tuple[Piece, Piece]:
+    """A recording without its part ``k`` of ``count``, and that part, both run from the first sample on."""
+    cuts = [round(share * piece.last / count) for share in range(count + 1)]
     begin, end = cuts[k], cuts[k + 1]
     others = tuple((a, b) for a, b in ((0, begin), (end, piece.last)) if b > a)
     return replace(piece, last=others[-1][1], counted=others), replace(piece, last=end, counted=((begin, end),))
@@ -217,8 +229,15 @@ def _enough(record: Record, samples: int, period: float) -> None:
         )
 
 
-def _scales(recorded: Sequence[np.ndarray], runs: Sequence[np.ndarray], next_value: bool) -> dict[str, np.ndarray]:
-    """From the inputs and outputs as recorded, the same at every period, and from the outputs at the period."""
+def _scales(
+    recorded: Sequence[np.ndarray], runs: Sequence[np.ndarray], next_value: bool, kept: Mapping | None
+) -> dict[str, np.ndarray]:
+    """From the inputs and outputs as recorded, the same at every period, and from the outputs at the period.
+
+    kept : scales in place of those; the bounds of free runs are of the recordings.
+    """
+    if kept is not None:
+        return {name: kept[name] for name in KEPT} | free_run_bounds(runs, kept["increment_scale"])
     (input_centre, input_scale), (output_centre, output_scale) = (_readable(part) for part in recorded)
     return {
         "input_centre": input_centre,

@@ -26,7 +26,7 @@ from .data import Prepared, is_static, prepare, prepare_static
 
 FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short
-SELECTED_ON = "parts of every training recording, each with constants fitted on the others"
+SELECTED_ON = "recordings, or parts of few, each with constants fitted on the others"
 FEWEST_NODES, SAMPLES_PER_NODE = 5, 20  # few samples get short formulas
 AFTER_CTRL_C = 5.0  # s for choosing among what was found
 
@@ -45,6 +45,7 @@ def learn_symbolic(
     lags: tuple[int, int | None] = (1, None),
     functions: Sequence[str] | str | None = None,
     nodes: int | None = None,
+    terms: int = 8,
     seed: int = 0,
     starts: int = 3,
     population: int | None = None,
@@ -61,10 +62,10 @@ def learn_symbolic(
     - ``"default"``: the increment of each output, from smoothed features; of static data the outputs themselves.
       pyoperon breeds, with least squares on the constants of every formula (`Rules`). The best of every length, over
       all generations and seeds, and linear formulas beside them, are refitted in short free runs, the best of these in
-      whole ones; of the formulas whose free-run error on ``select`` is within ``tolerance`` of the smallest, the
-      shortest is kept. Without ``select``, every fifth of the recordings judges constants that were fitted on the
-      others, and what the fifths cannot tell from the best is as good. A formula whose free run diverges where it is
-      judged is not kept.
+      whole ones, where they get the terms that they lack (`growth`); of the formulas whose free-run error on ``select``
+      is within ``tolerance`` of the smallest, the shortest is kept. Without ``select``, recordings, or parts of them
+      where they are fewer than five, judge constants that were fitted on the others, and what these cannot tell from
+      the best is as good. A formula whose free run diverges where it is judged is not kept.
     - ``"paper"``: the operators of the C-EHA paper (`PAPER`), the next value from the present ones at the recorded
       period, sum of squared errors, no scaling, no refit, one seed: the formula with the smallest one-step error. It
       is the baseline, not the advice.
@@ -73,14 +74,15 @@ def learn_symbolic(
         records: training recordings, uniform or not, without gaps.
         inputs, outputs: Signals, or names that take the unit of the recording.
         static: the outputs are functions of the inputs at the same moment; None: where `is_static` finds it.
-        period: s between steps; None: the longest that loses nothing worth having and is not too many samples
-            (`affordable_period`).
+        period: s between steps; None: the longest that loses nothing worth having and is neither too many nor too
+            few samples (`affordable_period`).
         substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
             not show what the inputs do in between, those of the recordings (`substeps_step`).
         validate: checked, and nothing else: they judge, elsewhere. select: recordings that choose the formula.
         lags: past increments of the outputs, samples of the inputs (None: chosen, `choose_input_lags`).
         functions: of add, sub, mul, div, sin, cos, tanh, exp, log (of the absolute value), sqrt (as well), square.
         nodes: at most in a formula of the search; None: 20, 40 of static data, fewer of few samples.
+        terms: at most added to a formula of the search, where each surely helps the free run; 0: none.
         starts: searches, with the seeds ``seed ... seed + starts - 1``. population, generations: of each; None: 250,
             of the paper 1000.
         tolerance: what simplicity may cost, as a share of the free-run error.
@@ -101,7 +103,7 @@ def learn_symbolic(
         from . import select as selecting
         from . import text as printing
     counts = {"starts": starts, "population": population, "generations": generations, "nodes": nodes}
-    counts["substeps"] = substeps
+    counts |= {"substeps": substeps, "terms": terms}
     _check_options(fit, static, lags, counts, {"tolerance": tolerance, "budget": budget, "period": period})
     inputs, outputs, records, select = checked_recordings("learn_symbolic", records, inputs, outputs, select)
     if validate:
@@ -130,8 +132,8 @@ def learn_symbolic(
         formula = _most_exact(archives)
     else:
         until = min(end, time.monotonic() + AFTER_CTRL_C) if stopped == INTERRUPTED else end
-        options = {"tolerance": tolerance, "until": until, "seed": seed, "progress": progress}
-        selection = selecting.Selection(data, names, **options)
+        how = selecting.Choice(tolerance, terms, rules.functions, until, seed, progress)
+        selection = selecting.Selection(data, names, how)
         found = [archive.front() if static else archive.all() for archive in archives]
         formula = selection.choose([[f.formula for f in sorted(kept, key=lambda f: f.error)] for kept in found])
         stopped = stopped or selection.stopped
@@ -225,6 +227,7 @@ def _check_options(fit, static, lags, counts: dict, amounts: dict) -> None:
                                "The paper learns the next value. Leave out one of the two.")  # fmt: skip
     n, m = lags
     least = {"lags[0]": 0, "lags[1]": 1, "starts": 1, "population": 20, "generations": 1, "nodes": 3, "substeps": 1}
+    least["terms"] = 0
     given = {"lags[0]": n, "lags[1]": m, **counts}
     check_counts("learn_symbolic", {option: (value, least[option]) for option, value in given.items()})
     check_positive("learn_symbolic", budget=amounts["budget"], period=amounts["period"])

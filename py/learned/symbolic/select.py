@@ -1,16 +1,18 @@
-"""Which formula it shall be: candidates refitted and judged in their runs, the shortest of the good ones, pruned."""
+"""Which formula it shall be: candidates refitted, judged in their runs and grown, the shortest of the good, pruned."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..interruption import INTERRUPTED
+from ..verdicts import as_good, log_ratio
 from .block import ADD, CONSTANT, MULTIPLY, VARIABLE, Formula
 from .data import Prepared
+from .growth import most_telling, terms_for, with_terms
 from .refit import Piece, cut
 from .text import simplified
 
@@ -19,6 +21,9 @@ FEW_STRETCHES = 60  # of these, drawn at random
 FEW_SAMPLES = 20_000  # of the whole runs in which all candidates are judged
 SHORT, LONG = 8, 30  # evaluations of a refit on stretches and on whole runs
 FINALISTS = 8
+TRIED = 4  # terms, those with the largest gains, of which one must help where a formula grows
+SURE = 2.0  # standard errors over the folds by which a term must help: several are tried, and one helps by chance
+LEAST_GAIN = 0.01  # of the squared error of a run: terms that take less are not tried
 
 
 @dataclass(frozen=True)
@@ -55,6 +60,22 @@ class SelectionProgress:
     best: float
 
 
+@dataclass(frozen=True)
+class Choice:
+    """How a formula is chosen.
+
+    tolerance : what simplicity may cost, as a share of the error. terms : at most added in free run, of ``functions``.
+    until : `time.monotonic()` at which to stop. progress : called with a `SelectionProgress`.
+    """
+
+    tolerance: float
+    terms: int
+    functions: Sequence[str]
+    until: float = np.inf
+    seed: int = 0
+    progress: Callable | None = None
+
+
 class Selection:
     """The choice of one formula per output.
 
@@ -62,9 +83,9 @@ class Selection:
     runs, than which no other is both shorter and better, the shortest first. chosen : the one of each output.
     """
 
-    def __init__(self, data: Prepared, names: Sequence[str], *, tolerance: float, until: float, seed: int, progress):
-        self.data, self.brief = data, _brief(data, seed)
-        self.names, self.tolerance, self.until, self.progress = names, tolerance, until, progress
+    def __init__(self, data: Prepared, names: Sequence[str], how: Choice):
+        self.data, self.brief = data, _brief(data, how.seed)
+        self.names, self.how = names, how
         self.stopped = ""
         self.fronts: list[list[Candidate]] = []
         self.chosen: list[Candidate] = []
@@ -79,11 +100,9 @@ class Selection:
         for i, formulas in enumerate(found):
             judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
             judged = [c for c in judged if np.isfinite(c.error)] or [replace(c, error=c.rms) for c in judged]
-            best = min(judged, key=lambda c: c.rank)
-            bound = (1 + self.tolerance) * best.error
-            good = [c for c in judged if c.error <= bound or _as_good(c, best)]
-            shortest = min(good, key=lambda c: (c.size, c.rank))
-            bound = max(bound, shortest.error)
+            judged = self._grown(judged, i)
+            shortest = self._shortest(judged)
+            bound = max((1 + self.how.tolerance) * min(c.error for c in judged), shortest.error)
             chosen = self._pruned(shortest, i, bound)
             self.chosen.append(chosen)
             self.fronts.append(pareto([*judged, chosen]))
@@ -96,6 +115,42 @@ class Selection:
             self.stopped = INTERRUPTED
             return whole
         return min(joint, whole, key=lambda f: judged_errors(self.data, f))
+
+    def _shortest(self, judged: Sequence[Candidate]) -> Candidate:
+        """The shortest of those that are as good as the best."""
+        best = min(judged, key=lambda c: c.rank)
+        bound = (1 + self.how.tolerance) * best.error
+        return min((c for c in judged if c.error <= bound or _as_good(c, best)), key=lambda c: (c.size, c.rank))
+
+    def _grown(self, judged: Sequence[Candidate], i: int) -> list[Candidate]:
+        """The candidates, and what becomes of the best and of the shortest that is as good with more terms."""
+        judged = list(judged)
+        if self.data.static:
+            return judged
+        terms = terms_for(self.data, i, self.how.functions)
+        for candidate in dict.fromkeys((min(judged, key=lambda c: c.rank), self._shortest(judged))):
+            try:
+                for _ in range(self.how.terms):
+                    if self._late() or not np.isfinite(candidate.error):
+                        break
+                    candidate = self._with_one_more(candidate, i, terms)
+                    if candidate is None:
+                        break
+                    judged.append(candidate)
+                    self._tell(i, len(judged), len(judged), judged)
+            except KeyboardInterrupt:
+                self.stopped = INTERRUPTED
+        return judged
+
+    def _with_one_more(self, candidate: Candidate, i: int, terms: Sequence) -> Candidate | None:
+        """The candidate with the term that takes most from its run and surely helps where it was not fitted."""
+        for term, gain in most_telling(self.data, candidate.formula, i, terms, TRIED):
+            if gain < LEAST_GAIN or self._late():
+                break
+            more = self._candidate(with_terms(candidate.formula, [term]), i, brief=False)
+            if _better(more, candidate, self.how.tolerance):
+                return more
+        return None
 
     def _refitted(self, formulas: Sequence[Formula], i: int) -> list[Candidate]:
         """The best candidates after the refit on whole runs; those after the refit on stretches if time ends."""
@@ -142,13 +197,13 @@ class Selection:
         return min(pair, key=lambda c: c.rank)
 
     def _late(self) -> bool:
-        if not self.stopped and time.monotonic() > self.until:
+        if not self.stopped and time.monotonic() > self.how.until:
             self.stopped = "time budget of the selection"
         return bool(self.stopped)
 
     def _tell(self, i: int, done: int, count: int, candidates: Sequence[Candidate]) -> None:
-        if self.progress is not None:
-            self.progress(SelectionProgress(self.names[i], done, count, min(c.rms for c in candidates)))
+        if self.how.progress is not None:
+            self.how.progress(SelectionProgress(self.names[i], done, count, min(c.rms for c in candidates)))
 
 
 def distinct(formulas: Sequence[Formula], data: Prepared) -> list[Formula]:
@@ -235,14 +290,16 @@ def _judged_apart(data: Prepared, formula: Formula, i: int) -> tuple[float, floa
 
 
 def _as_good(candidate: Candidate, best: Candidate) -> bool:
-    """Whether the folds do not tell a candidate from the best: its squared errors are larger by a standard error.
+    """Whether the folds do not tell a candidate from the best (`verdicts.as_good`)."""
+    return len(candidate.folds) > 1 and bool(np.isfinite(candidate.error)) and as_good(candidate.folds, best.folds)
 
-    Source: Breiman et al., Classification and Regression Trees (1984), section 3.4.3, here of paired differences.
-    """
-    if len(candidate.folds) < 2 or len(best.folds) < 2 or not np.isfinite(candidate.error):
-        return False
-    apart = np.square(candidate.folds) - np.square(best.folds)
-    return bool(np.mean(apart) <= np.std(apart, ddof=1) / np.sqrt(len(apart)))
+
+def _better(more: Candidate, than: Candidate, tolerance: float) -> bool:
+    """Whether a candidate is better on more than chance; by one fold alone, by more than the tolerance."""
+    if len(more.folds) < 2:
+        return more.error * (1 + tolerance) < than.error
+    mean, error = log_ratio(more.folds, than.folds)
+    return more.error < than.error and mean + SURE * error < 0
 
 
 def judged_errors(data: Prepared, formula: Formula, own: Sequence[int] | None = None) -> tuple[float, float]:

@@ -62,6 +62,7 @@ class Jobs:
     extent: Question | None = None
     windows: Question | None = None
     begin: Mapping[str, float] = field(default_factory=dict)
+    led: Mapping[str, float] | None = None
     _runs: dict[Key, tuple[Fitted, list[np.ndarray]]] = field(default_factory=dict)
 
     def next(self, entry: Entry, first: int) -> Job:
@@ -86,14 +87,16 @@ class Jobs:
         return self.of(base, [start], stages=stages)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them.
+        """A few steps over whole recordings, effects at usual sizes or a tenth of them, from where windows led the base.
 
-        Where a part of it was fitted, from where that ended, too: it is never to look worse than its part.
+        All begin there, the base too, else where that ended. Where a part of it was fitted, from where that ended, too:
+        it is never to look worse than its part.
         """
         base, starts = self.table.entry(), self.starts(entry)
         known = base.look if entry.members and base.look.left is not None else base.fitted
+        begin = self.led or known.values
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
-        starts = [{**known.values, **start} for start in (*starts, little)] if entry.members else [known.values]
+        starts = [{**begin, **start} for start in (*starts, little)] if entry.members else [begin]
         part = min((e for e in self.table.parts(entry) if e.members), key=self.table.score, default=None)
         if part:
             known, starts = part.fitted, [*self.beside(entry, part)[:2], *starts]

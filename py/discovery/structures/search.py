@@ -122,17 +122,19 @@ class Search:
 
         What they led to is known already.
         """
-        table, base = self.table, self.table.entry()
-        self.jobs.windows = table.question if table.question.lengths else self.jobs.windows
+        table, base, jobs = self.table, self.table.entry(), self.jobs
+        jobs.windows = table.question if table.question.lengths else jobs.windows
         slow = self.first > 0  # all of it is needed: the beginnings show no more than windows did
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
 
         def look(question: Question):
-            return self._ran([self.jobs.glance(base, question)])[0]
+            return self._ran([jobs.glance(base, question)])[0]
 
-        base.look = as_look(base.fitted)
+        jobs.led = base.look.values if base.look and base.look.left is None else None
+        found = look(table.question) if jobs.led else None
+        base.look, jobs.led = (found, jobs.led) if isinstance(found, Look) else (as_look(base.fitted), None)
         if not slow:
-            self.jobs.extent, base.look = enough_of(table, look, base.look)
+            jobs.extent, base.look = enough_of(table, look, base.look)
         table.look_anew()
 
     def identify(self) -> Entry:
@@ -248,7 +250,6 @@ class Search:
                 if self.table.explained():
                     return
             self._fit_as_it_stands(entries)
-            self._grow()
 
     def _grow(self) -> None:
         """Fit the best structure with what promises most beside it, once, where it explains much and not all.
@@ -330,7 +331,7 @@ class Search:
 
     def _settle(self, known: Sequence[Entry]) -> None:
         """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""
-        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained([e])]
+        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained()]
         for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
             self.table.keep_better(entry, found)
         self._free_base(known)

@@ -120,9 +120,9 @@ class Search:
     def _to_whole_recordings(self) -> None:
         """Look at whole recordings from now on: windows show too little of what is missing, it is slow or acts seldom.
 
-        What they led to is known already.
+        What they led to is known already. Looks begin where they led the base, which bends in its fit to hide the gap.
         """
-        table, base, jobs = self.table, self.table.entry(), self.jobs
+        table, jobs, base = self.table, self.jobs, self.table.entry()
         jobs.windows = table.question if table.question.lengths else jobs.windows
         slow = self.first > 0  # all of it is needed: the beginnings show no more than windows did
         table.question, self.first = dataclasses.replace(table.question, lengths=()), 0
@@ -338,8 +338,8 @@ class Search:
         worse = [(e, part) for e in known if e.fitted and (part := self.table.better_part(e))]
         if self.table.explained():  # by something else: they are asked from there, see `Alternatives`
             worse = [(e, part) for e, part in worse if self.table.explained([part])]
-        for (entry, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
-            self.table.keep_better(entry, found)
+        for (e, _), found in zip(worse, self._ran([self.jobs.from_part(*pair) for pair in worse]), strict=True):
+            self.table.keep_better(e, found)
         self._wonder(known)
 
     def _free_base(self, entries: Sequence[Entry]) -> None:

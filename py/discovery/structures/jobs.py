@@ -87,10 +87,10 @@ class Jobs:
         return self.of(base, [start], stages=stages)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
-        """A few steps over whole recordings from where windows led the base, effects at usual sizes or a tenth of them.
+        """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them.
 
-        The base begins there, too; without windows all begin where its fit ended. Where a part of it was fitted, from
-        where that ended, too: it is never to look worse than its part.
+        That is where windows led it, where its fit bent it far from there, and it begins there itself. Where a part of
+        the structure was fitted, from where that ended, too: it is never to look worse than its part.
         """
         base, starts = self.table.entry(), self.starts(entry)
         known = base.look if entry.members and base.look.left is not None else base.fitted

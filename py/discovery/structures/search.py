@@ -34,7 +34,7 @@ FIRST = 2  # structures that are fitted when the time is over before any was
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
-LEFT = 1.5  # times the size that the longest windows leave: a fit that leaves no more needs no other start
+LEFT = 1.5  # times the size that the longest windows, or a fit, leave: what leaves no more is near to them
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -120,7 +120,7 @@ class Search:
     def _to_whole_recordings(self) -> None:
         """Look at whole recordings from now on: windows show too little of what is missing, it is slow or acts seldom.
 
-        What they led to is known already. Looks begin where they led the base, which bends in its fit to hide the gap.
+        What they led to is known already. Looks begin where the base was fitted, or windows led it if that bent it far.
         """
         table, jobs, base = self.table, self.jobs, self.table.entry()
         jobs.windows = table.question if table.question.lengths else jobs.windows
@@ -132,7 +132,8 @@ class Search:
 
         jobs.led = base.look.values if base.look and base.look.left is None else None
         found = look(table.question) if jobs.led else None
-        base.look, jobs.led = (found, jobs.led) if isinstance(found, Look) else (as_look(base.fitted), None)
+        bent = isinstance(found, Look) and np.nanmax(found.size / base.fitted.rmse) > LEFT
+        base.look, jobs.led = (found, jobs.led) if bent else (as_look(base.fitted), None)
         if not slow:
             jobs.extent, base.look = enough_of(table, look, base.look)
         table.look_anew()
@@ -156,9 +157,8 @@ class Search:
         base.look = base.look or seen
         self._fit_base(base)
         if not base.fitted:
-            raise SolveError(
-                f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
-            )
+            why = f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
+            raise SolveError(why)
         return base
 
     def _fit_base(self, base: Entry) -> None:

@@ -65,8 +65,8 @@ class Search:
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
-        # the time limit is seen between batches
-        self.batch = self.effort.batch if np.isinf(self.until) else self.effort.together
+        limited = np.isfinite(self.until)  # the time limit is seen between batches
+        self.batch = self.effort.together if limited else self.effort.batch
         self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
     def go(self) -> Entry | None:
@@ -302,8 +302,7 @@ class Search:
     def _climb(self, entries: Sequence[Entry]) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
-        Ends when what is left promises less than the best did and reached, or reached where it explains all; where it
-        explains too little, a few later.
+        Ends when what is left promises less than the best did and reached, or a few later; reached, if it explains all.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
@@ -312,10 +311,11 @@ class Search:
             reached = table.share(best) if best else -1.0
             if best and not table.explained():  # else what looked no better than the best did is asked from there
                 reached = max(reached, table.promise(best))
-            near = [e for e in waiting if table.promise(e) < SAME + reached]
-            if not near and (self.table.explained() or beyond >= self.effort.fits):
+            near = table.promise(waiting[0]) < SAME + reached
+            if not near and (table.explained() or beyond >= self.effort.fits):
                 return
-            chosen = (near or waiting)[: self.effort.together]
+            level = SAME + (reached if near else table.promise(waiting[0]))
+            chosen = [e for e in waiting if table.promise(e) < level][: self.effort.together]
             self._advance(chosen)
             beyond += 0 if near else sum(not e.open for e in chosen)
 

@@ -292,7 +292,7 @@ def test_a_constant_without_a_unit_is_refused_as_a_column_without_one(tmp_path):
     """50 of a valve in % had been 5000 %."""
     path = written(tmp_path, "time [s],p [bar]\n0,1\n1,2\n")
     record = read_record(path, constants=["valve=50", "other=50 %", "gear=3 1", "off=0", "q=2"], scale="q=5 L/min")
-    with pytest.raises(DataError, match="'valve = 50' has no unit. Write it behind the number"):
+    with pytest.raises(DataError, match=r"'valve = 50' has no unit. Write it behind the number"):
         record["valve"]
     assert [record[n][0] for n in ("other", "gear", "off")] == [0.5, 3.0, 0.0]
     assert record["q"][0] == pytest.approx(10e-3 / 60)

@@ -15,6 +15,7 @@ from .archive import file_names
 from .related import FOLDER, content_of
 
 RECORD_FILE = f"{FOLDER}/credibility.toml"
+MADE_OF = ("modelDescription.xml", "sources/", "binaries/")
 RECORD_FORMAT = "hydrotwin-credibility/1"  # its number goes up where keys change their meaning or go
 
 
@@ -58,6 +59,16 @@ def changed_files(path: Path, inside: Inside) -> list[str]:
     here = set(file_names(path))
     asked = {**inside.files, **{name: digest for name, digest in inside.made_of.items() if name in here}}
     return [n for n, digest in asked.items() if n not in here or sha256_of(content_of(path, n)) != digest]
+
+
+def added_files(path: Path, inside: Inside) -> list[str]:
+    """Sources and binaries that came later: a binary for another system computes what nobody judged."""
+    return [n for n in made_of(path) if n not in inside.made_of] if inside.made_of else []
+
+
+def made_of(path: Path) -> list[str]:
+    """Names of what an FMU computes with and says of itself: units, start values, equations."""
+    return [n for n in file_names(path) if n.startswith(MADE_OF) and not n.endswith("/")]
 
 
 def fitted_recordings(path: Path) -> list[dict[str, str]]:

@@ -20,17 +20,16 @@ from hydrotwin.models.language.credibility import Credibility
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
-from .archive import file_names, read_file
+from .archive import read_file
 from .experiments import TYPE, Experiment, experiments_text, series_text
 from .foreign import Description
-from .inside import RECORD_FILE, RECORD_FORMAT, sha256_of
+from .inside import RECORD_FILE, RECORD_FORMAT, made_of, sha256_of
 from .parameter_sets import own_unit
 from .reader import FmuBlock, read_fmu
 from .related import FOLDER, MANIFEST, REPORT, SMOKE, VALIDATION, Related, manifest_text
 from .ssp_text import Parameter, parameter_set
 
 TOLD = "documentation/fmi-ls-ref.txt"
-MADE_OF = ("modelDescription.xml", "sources/", "binaries/")
 SMALL = 500_000  # bytes of text up to which the smoke test, which nobody asked for, goes along
 LARGEST = 20_000_000  # bytes of text of all experiments: an FMU is sent by mail
 
@@ -70,7 +69,9 @@ def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | 
         told = "Inputs of recordings, and what the model gives for them"
         related.append(Related(f"{FOLDER}/validation.exp", VALIDATION, TYPE, told))
     if carried.credibility is not None:
-        files[RECORD_FILE] = _record_text(fmu, carried.credibility, (files, _made_of(path)), tool)
+        files[RECORD_FILE] = _record_text(
+            fmu, carried.credibility, (files, {n: read_file(path, n) for n in made_of(path)}), tool
+        )
         told = "Where the model was fitted and judged: recordings by hash, criteria, results, versions"
         related.append(Related(RECORD_FILE, REPORT, "application/toml", told))
     return files | ({MANIFEST: manifest_text(related), TOLD: _told(related, carried)} if related else {})
@@ -137,23 +138,18 @@ def _tables(stem: str, record: Record, fmu: FmuBlock, tool: str) -> dict[str, st
     return files | ({f"{stem}-start.ssv": parameter_set(f"start of {record.name}", tool, values)} if values else {})
 
 
-def _made_of(path: Path) -> dict[str, bytes]:
-    """What an FMU computes with and says of itself: units, start values, equations."""
-    return {n: read_file(path, n) for n in file_names(path) if n.startswith(MADE_OF) and not n.endswith("/")}
-
-
 def _record_text(
     fmu: FmuBlock, credibility: Credibility, files: tuple[Mapping[str, str | bytes], Mapping[str, bytes]], tool: str
 ) -> str:
     """files : those beside the record, and those that the FMU is made of."""
-    beside, made_of = ({name: sha256_of(text) for name, text in sorted(some.items())} for some in files)
+    beside, computes = ({name: sha256_of(text) for name, text in sorted(some.items())} for some in files)
     content = {
         "format": RECORD_FORMAT,
         "made_by": tool,
         "model": fmu.name,
         "parameters_sha256": parameters_digest(fmu.description),
         "files": beside,
-        "made_of": made_of,
+        "made_of": computes,
     }
     return f"{tomlkit.dumps(content)}\n{credibility.as_toml()}"
 

@@ -17,7 +17,7 @@ from .experiments import CSV, SSV, TRANSIENT, TYPES, Experiment, Series, experim
 from .fmu_process.master import is_scalar
 from .fmu_process.verdicts import FAIL, NOT_TRIED, PASS, REMARK
 from .foreign import Description
-from .inside import RECORD_FILE, Inside, changed_files, record_of
+from .inside import RECORD_FILE, Inside, added_files, changed_files, record_of
 from .parameter_sets import in_own_unit, parameters_of
 from .reader import FmuBlock, StartValueWarning, read_fmu
 from .reference_files import parameters_digest
@@ -148,6 +148,11 @@ def _record(path: Path, description: Description, wrong: str) -> tuple[str, str]
         return (
             wrong,
             f"files of the FMU were changed or are gone: {', '.join(changed[:SHOWN])}. Export the model again.",
+        )
+    if added := added_files(path, inside):
+        return wrong, (
+            f"files that it computes with were added after it was made: {', '.join(added[:SHOWN])}. The record "
+            "knows nothing of what they compute. Export the model where they are needed."
         )
     failed = [one for one in inside.credibility.evidence if one.passed is False]
     return (wrong if failed else PASS), f"{inside.model}, by {inside.made_by}: {_sentences(inside)}"

@@ -403,3 +403,10 @@ def test_a_run_that_half_the_step_changes_is_no_experiment(tmp_path):
     refused = pytest.raises(SolveError, match=r"half the step changes .* so nobody can meet its results")
     with pytest.warns(InaccurateWarning), refused:
         reference_experiment(chaotic, record)
+
+
+def test_a_binary_that_came_later_is_none_that_the_record_is_of(without_smoke, tmp_path):
+    """One for Windows in an FMU of Linux had passed a replay, and would run there."""
+    path = edited(without_smoke, tmp_path / "more.fmu", {"binaries/win64/mass.dll": "of another machine"})
+    verdict, detail = rows_of(path)["record"]
+    assert verdict == "FAIL" and "were added after it was made: binaries/win64/mass.dll." in detail

@@ -184,7 +184,8 @@ def _si(said: Sentence, value: float, signal: Signal, metric: str) -> float:
             )
         return value / 100 if unit else value
     if what.of == PLAIN and unit:
-        raise UnitError(f"accept: '{text}': {metric} is a number. Write {value:g} without a unit.")
+        share = value / 100 if unit == "%" else value
+        raise UnitError(f"accept: '{text}': {metric} is a number. Write {share:g} without a unit.")
     if what.of == PLAIN:
         return value
     of = "s" if what.of == TIME else signal.unit

@@ -50,6 +50,11 @@ def test_a_number_alone_is_asked_for_its_unit_where_the_output_is_shown_in_perce
         understood(text)
 
 
+def test_a_plain_number_in_percent_is_told_as_that_number():
+    with pytest.raises(UnitError, match=r"vv20 is a number\. Write 1\.5 without a unit"):
+        understood("arm_angle.vv20 < 150 %")
+
+
 def test_groups_and_other_models_are_read():
     one = understood("load=2: pump.p.rmse < 1 bar")
     assert (one.group, one.output, one.high) == ("load=2", "pump.p", 1e5)

@@ -24,6 +24,7 @@ from .summary_html import SmallTable, summary_html
 from .units import compatible
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
+_NUMBERS = ("value", "bounds", "sigma")  # of a setting, in its unit
 
 
 class Model:
@@ -82,6 +83,8 @@ class Model:
         """The same structure with further values, bounds, sigmas or sources, by path."""
         merged = {k: dict(v) for k, v in self.settings.items()}
         for path, change in self._in_si(settings).items():
+            if "unit" not in change and any(change.get(key) is not None for key in _NUMBERS):
+                merged.get(path, {}).pop("unit", None)  # of the numbers before, and it vouches for no others
             merged.setdefault(path, {}).update(change)
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
@@ -283,7 +286,7 @@ class Model:
                 f"{self.name}.{entry.path}: the value is in {change['unit']}, the model needs {entry.unit}. "
                 "Correct the unit or the value."
             )
-        alone = [key for key in ("value", "bounds", "sigma") if key in change]
+        alone = [key for key in _NUMBERS if key in change]
         if d.written_in and alone and "unit" not in change:
             raise DeclarationError(
                 f"{self.name}.{entry.path}: declared in {d.written_in}, so {alone[0]} {change[alone[0]]} alone may "

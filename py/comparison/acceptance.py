@@ -18,10 +18,13 @@ from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, worst
 from .earlier import earlier
 from .metric import METRICS, SCORED
+from .rating import INNER
 from .sentence import other_of
 from .tags import of_group
 from .uneven import uneven
 from .variants import Variant
+
+FLAT = 2 * INNER  # of the largest measurement: what moves less lies in the inner corridor of a constant, all of it
 
 
 @dataclass(frozen=True)
@@ -133,6 +136,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         doubt=_doubt(comparison, model, about),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         seen=_seen(comparison, model, holding),
+        flat=_flat(comparison, about, holding),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
@@ -165,6 +169,20 @@ def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
     known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
     return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
+
+
+def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:
+    """That an output hardly moves against its size, of a metric that counts by that, in words; "" of any other."""
+    records = [r for r in comparison.records if r.name in holding]
+    if not METRICS[about.metric].from_zero or not records:
+        return ""
+    known = [(r, r[about.output][np.isfinite(r[about.output])]) for r in records]
+    shares = {r.name: float(np.ptp(y) / np.abs(y).max()) for r, y in known if len(y) and np.ptp(y)}
+    least = min(shares.values(), default=np.inf)
+    if least > FLAT:
+        return ""
+    zero = f"{about.metric} counts from 0 {records[0].units[about.output]}".removesuffix(" 1")
+    return f"{zero}: {about.output} moves by only {100 * least:.2g} % of its size, and errors as large hardly count"
 
 
 def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:

@@ -92,10 +92,11 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:
-    """SHA-256 of the recordings that a model was fitted to or a block trained on, as far as its provenance says it."""
+    """SHA-256 of the recordings that a model was fitted to, or a block trained on or chosen by, as far as its
+    provenance says it."""
     rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
     known = frozenset(r["sha256"] for r in rows if r.get("sha256"))
-    return known | _hashes(provenance, "trained_on") | _hashes(provenance, "physics_trained_on")
+    return known.union(*(_hashes(provenance, key) for key in ("trained_on", "selected_on", "physics_trained_on")))
 
 
 def _hashes(provenance: Mapping, key: str) -> frozenset[str]:

@@ -58,7 +58,8 @@ class Judged:
     a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
     earlier comparison that it is held against, in sentences. among : of an overall criterion all outputs that it is
     about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that it was
-    judged on and that the model was made from.
+    judged on and that the model was made from. flat : that the output hardly moves against its size, which the metric
+    counts by, in words; "" where it moves.
     """
 
     criterion: Criterion
@@ -75,6 +76,7 @@ class Judged:
     among: tuple[str, ...] = ()
     left_out: str = ""
     seen: tuple[str, ...] = ()
+    flat: str = ""
 
     @property
     def which(self) -> str:
@@ -118,8 +120,7 @@ class Judged:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
-        if self.uneven:
-            told.append(self.uneven)
+        told += [words for words in (self.flat, self.uneven) if words]
         told += [sentence.rstrip(".") for sentence in self.otherwise]
         if self.doubt:
             of_band = METRICS[one.metric].of_band

@@ -184,10 +184,16 @@ def _si(said: Sentence, value: float, signal: Signal, metric: str) -> float:
             )
         return value / 100 if unit else value
     if what.of == PLAIN and unit:
-        raise UnitError(f"accept: '{text}': {metric} is a number. Write {value:g} without a unit.")
-    of = {TIME: "s", PLAIN: "1"}.get(what.of, signal.unit)
-    if not unit and of == "1":
+        share = value / 100 if unit == "%" else value
+        raise UnitError(f"accept: '{text}': {metric} is a number. Write {share:g} without a unit.")
+    if what.of == PLAIN:
         return value
+    of = "s" if what.of == TIME else signal.unit
+    if not unit and of == "1":
+        raise UnitError(
+            f"accept: '{text}': {signal.name} is a pure number, shown in %, so {value:g} alone may mean {value:g} % or "
+            f"{100 * value:g} %. Write {value:g} %, or {value:g} 1."
+        )
     return _converted(said, value, signal.name if of == signal.unit else metric, of)
 
 

@@ -18,7 +18,8 @@ class Metric:
     of : what it is measured in. field : of a `Score`; "" where it is made from one. least, most : what it can be, in SI
     or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
     without a band has none. at_times : over recordings it is the mean of those in which it is defined: not all rest.
-    percent : people read this share in percent. undefined : why a recording has no number of
+    from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. percent : people
+    read this share in percent. undefined : why a recording has no number of
     it, with ``{output}``.
     """
 
@@ -31,6 +32,7 @@ class Metric:
     sized: bool = False
     of_band: bool = False
     at_times: bool = False
+    from_zero: bool = False
     percent: bool = False
 
     @property
@@ -51,10 +53,10 @@ METRICS: Mapping[str, Metric] = {
     "fit": Metric(SHARE, "fit_percent", _STILL, -math.inf, 1.0, best=True, percent=True),  # the NRMSE fit
     "coverage": Metric(SHARE, "coverage", _NO_BAND, most=1.0, best=True, of_band=True, percent=True),  # of a 95 % band
     "r2": Metric(SHARE, "r2", _STILL, -math.inf, 1.0, best=True),  # the coefficient of determination
-    "theil": Metric(SHARE, "theil", _STILL, most=1.0),  # Theil's inequality coefficient
+    "theil": Metric(SHARE, "theil", _STILL, most=1.0, from_zero=True),  # Theil's inequality coefficient
     "iso18571": Metric(  # the overall rating of ISO/TS 18571
         SHARE, "iso18571", "{output} or its prediction does not move, is too short, or the mode is not free run",
-        most=1.0, best=True,
+        most=1.0, best=True, from_zero=True,
     ),
     "lag": Metric(  # how late or early the prediction is
         TIME, "lag",

@@ -7,6 +7,7 @@ import datetime
 import itertools
 import math
 import re
+import unicodedata
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from numbers import Real
@@ -15,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
-from hydrotwin.models.language.units import compatible, convert, to_si
+from hydrotwin.models.language.units import compatible, convert, dimension, power, to_si
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
 
@@ -23,7 +24,8 @@ from .sentence import NUMBER, number_of
 
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
-_QUANTITY = re.compile(rf"(?P<number>{NUMBER})\s*(?P<unit>[^\W\d_].*|[%°].*)?")
+_QUANTITY = re.compile(rf"(?P<number>{NUMBER})(?:\s*(?P<unit>[^\W\d_].*|[%°‰].*)|\s+(?P<per>1/.*))?")
+_COMMA = re.compile(r"(?<=\d),(?=\d)")  # a decimal one
 SAME = 1e-6  # relative: a column that changes less is one number, rounded
 DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K
 
@@ -90,7 +92,8 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     unit = record.display_units.get(name, record.units[name])
     if found and not number_of(found["step"]) > 0:
         raise DeclarationError(f"tags: {tag} = '{what}': conditions differ by more than nothing. Write a step above 0.")
-    if found and not compatible(found["unit"] or "1", record.units[name]):
+    alone = found and not found["unit"] and unit != "1"  # 10 of a column in % is no 1000 %
+    if found and (alone or not compatible(found["unit"] or "1", record.units[name])):
         raise UnitError(
             f"tags: {tag} = '{what}': {name} is in {unit}. Write for example '{name} by {found['step']} {unit}'."
         )
@@ -137,9 +140,12 @@ def _meaning(value: str) -> object:
     (True, True)
     >>> _meaning("2 t") == _meaning("2000 kg"), _meaning("40 degC") == _meaning("313.15 K"), _meaning("2 t") == "2 t"
     (True, True, False)
+    >>> _meaning("50 %") == _meaning("0,5"), _meaning("60 1/min") == _meaning("60 rpm")
+    (True, True)
     """
-    if found := _QUANTITY.fullmatch(value):
-        return _quantity(number_of(found["number"]), found["unit"] or "")
+    value = unicodedata.normalize("NFC", value)
+    if found := _QUANTITY.fullmatch(_COMMA.sub(".", value, count=1)):
+        return _quantity(number_of(found["number"]), found["unit"] or found["per"] or "1")
     for kind in (datetime.date, datetime.time, datetime.datetime):
         try:
             return kind.fromisoformat(value)
@@ -148,11 +154,13 @@ def _meaning(value: str) -> object:
     return value
 
 
-def _quantity(number: float, unit: str) -> tuple[str, str]:
-    """A number and its unit, in SI where it is one, in as many digits as two ways of writing it share."""
+def _quantity(number: float, unit: str) -> tuple[object, ...]:
+    """A number and its unit: in SI, where it is one, with its dimension, for N/m2 is Pa; in as many digits as two ways
+    of writing it share."""
+    kind: tuple[object, ...] = (unit,)
     with contextlib.suppress(UnitError):
-        number, unit = to_si(number, unit) if unit else (number, unit)
-    return f"{number + 0.0:.{DIGITS}g}", unit
+        (number, _), kind = to_si(number, unit), (*dimension(unit), power("rad", unit))
+    return f"{number + 0.0:.{DIGITS}g}", *kind
 
 
 def check_tags(records: Sequence[Record]) -> None:

@@ -9,11 +9,11 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import convert
 from hydrotwin.records import Record
 
 from .fmu_process.master import is_scalar
 from .foreign import Description, kind_of
+from .parameter_sets import in_own_unit
 from .unit_meanings import unit_name
 
 AT_REST = "inputs at their start values"
@@ -37,14 +37,13 @@ def own_value(name: str, given: float | str, description: Description):
     whole = description.whole.get(name)
     number, unit = _number(name, given, {t: n for n, t in whole.items.items()} if whole else {})
     factor, offset = description.scales[name]
-    if unit:
-        number = convert(number, unit, description.units[name])
-    elif isinstance(given, str) and (factor, offset) != (1.0, 0.0):
-        own, si = unit_name(variable), description.units[name]
+    if not unit and isinstance(given, str) and (factor, offset) != (1.0, 0.0):
+        called, si = unit_name(variable), description.units[name]
         raise DeclarationError(
-            f"{name}: declared in {own}, so {given} alone may mean {own} or {si}. Give the unit: {name}={given}{own}."
+            f"{name}: declared in {called}, so {given} alone may mean {called} or {si}. "
+            f"Give the unit: {name}={given}{called}."
         )
-    own = np.array([(number - offset) / factor])
+    own = np.array([in_own_unit(number, unit, name, "", description) if unit else (number - offset) / factor])
     if whole:
         own = whole.rounded(own, lambda _: f"{name}: {given} is no {whole.kind}, which it must be")
     return float(own[0])

@@ -22,6 +22,9 @@ from .rules.declared import Declared
 from .unit_meanings import Meaning, meaning_of, redefined
 from .whole_numbers import Whole, whole_of
 
+DESCRIPTION = "modelDescription.xml"
+RELATIVE = "relativeQuantity"  # of a variable: it is a difference, and the zero of its unit does not count (FMI 2.2.7)
+
 
 @dataclass(frozen=True, eq=False)
 class Description:
@@ -131,7 +134,21 @@ def read_description(path: Path) -> ModelDescription:
         ) from None
     if not md.fmiVersion.startswith(("2", "3")):
         raise DataError(f"{path}: FMI {md.fmiVersion} is not supported. FMI 2.0 and 3.0 are.")
+    _say_differences(md, read_file(path, DESCRIPTION))
     return md
+
+
+def _say_differences(md: ModelDescription, text: bytes) -> None:
+    """Which variables say themselves whether they are differences; FMPy 0.3.27 reads that of types alone."""
+    if RELATIVE.encode() not in text:
+        return
+    said = {}
+    for variable in ET.fromstring(text).iterfind("./ModelVariables/*"):
+        own = variable.find("Real") if variable.tag == "ScalarVariable" else variable
+        if own is not None and own.get(RELATIVE) is not None:
+            said[variable.get("name")] = own.get(RELATIVE) in ("true", "1")
+    for variable in (v for v in md.modelVariables if v.name in said):
+        variable.relativeQuantity = said[variable.name]
 
 
 def _is_output(md: ModelDescription, name: str) -> bool:
@@ -142,7 +159,7 @@ def _annotated(path: Path) -> tuple[dict[str, str], dict[str, str], bool, float 
     """What an FMU of hydrotwin says of itself: start parameters and what measures them, whether they are all there is,
     its period."""
     try:
-        text = read_file(path, "modelDescription.xml")
+        text = read_file(path, DESCRIPTION)
         if b"hydrotwin" not in text:
             return {}, {}, False, None
         root = ET.fromstring(text)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from fmpy.model_description import BaseUnit
+
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
-from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.units import convert, convert_difference, describe, dimension
 
 from .foreign import Description
 from .related import local, xml_of
 from .ssp_text import Unit
-from .unit_meanings import unit_name
+from .unit_meanings import Meaning, defined, is_difference, unit_name
 
 WORDS = {"true": 1.0, "false": 0.0}
 
@@ -33,32 +35,68 @@ def parameters_of(content: bytes, where: str, description: Description) -> Mappi
     root = xml_of(content, where)
     if local(root.tag) != "ParameterSet":
         raise DataError(f"{where}: no parameter set (its root is '{local(root.tag)}', not 'ParameterSet').")
+    units = _defined_in(root, where)
     found = {}
     for parameter in (e for e in root.iter() if local(e.tag) == "Parameter"):
         name, value = parameter.get("name", ""), next(iter(parameter), None)
         if name not in description.scales:
             raise DataError(f"{where}: no variable '{name}' in the FMU. {nearest(name, description.scales)}")
         if value is not None:
-            found[name] = _own_value(value.attrib, name, where, description)
+            number, unit = _number(value.attrib, name, where), value.get("unit", "")
+            if unit in units:
+                found[name] = _converted(number, units[unit], name, where, description)
+            else:
+                found[name] = in_own_unit(number, unit, name, where, description)
     return found
 
 
-def _own_value(given: Mapping[str, str], name: str, where: str, description: Description) -> float:
+def _defined_in(root, where: str) -> Mapping[str, Meaning]:
+    """Units that the file defines itself, by name: what it says counts, and not what others call so."""
+    found = {}
+    for unit in (e for e in root.iter() if local(e.tag) == "Unit"):
+        base = next((e for e in unit if local(e.tag) == "BaseUnit"), None)
+        if base is not None:
+            try:
+                found[unit.get("name", "")] = defined(unit.get("name", ""), BaseUnit(**base.attrib))
+            except (TypeError, ValueError):
+                raise DataError(f"{where}: the unit '{unit.get('name')}' is defined by no numbers.") from None
+    return found
+
+
+def _number(given: Mapping[str, str], name: str, where: str) -> float:
     text = given.get("value", "")
     try:
-        value = WORDS[text] if text in WORDS else float(text)
+        return WORDS[text] if text in WORDS else float(text)
     except ValueError:
         raise DataError(f"{where}: '{name}' is no number (got '{text}'), and only numbers can be set.") from None
-    return in_own_unit(value, given.get("unit", ""), name, where, description)
+
+
+def _converted(value: float, meaning: Meaning, name: str, where: str, description: Description) -> float:
+    """A number in a unit that its file defines, in that of a variable."""
+    factor, offset = description.scales[name]
+    zero = 0.0 if _relative(name, description) else meaning.offset
+    if dimension(meaning.si) != dimension(description.units[name]):
+        got, needed = describe(meaning.si), describe(description.units[name])
+        raise UnitError(f"{where}: '{name}': its unit is {got} by its definition there, and the FMU needs {needed}.")
+    same = (meaning.factor, zero) == (factor, offset)
+    return value if same else (meaning.factor * value + zero - offset) / factor
+
+
+def _relative(name: str, description: Description) -> bool:
+    return is_difference(next(v for v in description.source.modelVariables if v.name == name))
 
 
 def in_own_unit(value, unit: str, name: str, where: str, description: Description):
-    """A number or an array that is in ``unit`` ("" for the FMU's own) in the unit of a variable. Raises UnitError."""
+    """A number or an array that is in ``unit`` ("" for the FMU's own) in the unit of a variable. Raises UnitError.
+
+    What the FMU calls its unit is its unit, whatever others call so. Of a difference zeros of units do not count.
+    """
     variable = next(v for v in description.source.modelVariables if v.name == name)
     if not unit or unit == unit_name(variable):
         return value
     factor, offset = description.scales[name]
     try:
-        return (convert(value, unit, description.units[name]) - offset) / factor
+        turned = convert_difference if is_difference(variable) else convert
+        return (turned(value, unit, description.units[name]) - offset) / factor
     except UnitError as error:
-        raise UnitError(f"{where}: '{name}': {error}") from None
+        raise UnitError(f"{where}: '{name}': {error}" if where else f"'{name}': {error}") from None

@@ -22,6 +22,7 @@ from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
 from .fmu_settings import AT_REST, LEFT_OUT, REDEFINED, at_rest, own_value, unrecorded
 from .foreign import Description, describe_fmu, kind_of
+from .inside import fitted_recordings
 
 TIME_LIMIT = 120.0
 MEAN = "the FMU takes no slopes, and each of its steps sees the mean"
@@ -315,7 +316,7 @@ def read_fmu(
         parameters=tuple(_parameter(v, description) for v in md.modelVariables if _is_parameter(v)),
         description=description, starts={**description.measured, **description.starts, **starts},
         values=dict(values), time_limit=time_limit,
-        provenance=_provenance(md, description, [v.name for v in predicted]), named=tuple(outputs or ()),
+        provenance=_provenance(Path(path), description, [v.name for v in predicted]), named=tuple(outputs or ()),
         notes=_notes(description, outputs),
     )  # fmt: skip
     if isinstance(interpolation, str):
@@ -369,8 +370,7 @@ def _check_settable(path, md, names) -> None:
 
 
 def _signal(variable, description: Description) -> Signal:
-    factor, _ = description.scales[variable.name]
-    nominal = abs(float(variable.nominal) * factor) if variable.nominal else 1.0
+    nominal = abs(float(variable.nominal) * description.scales[variable.name][0]) if variable.nominal else 1.0
     moving = variable.type in FLOATS and variable.variability != "discrete"
     return Signal(
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
@@ -384,17 +384,16 @@ def _is_parameter(variable) -> bool:
 
 
 def _parameter(variable, description: Description) -> ParameterValue:
-    factor, offset = description.scales[variable.name]
-    value = factor * float(str(variable.start).split()[0]) + offset
-    text = variable.description or ""
-    return ParameterValue(variable.name, value, description.units[variable.name], description=text)
+    (factor, offset), own = description.scales[variable.name], float(str(variable.start).split()[0])
+    unit, about = description.units[variable.name], variable.description or ""
+    return ParameterValue(variable.name, factor * own + offset, unit, description=about)
 
 
-def _provenance(md, description: Description, outputs: Sequence[str]) -> dict:
+def _provenance(path: Path, description: Description, outputs: Sequence[str]) -> dict:
+    md = description.source
     facts = {"tool": md.generationTool, "date": md.generationDateAndTime, "guid": md.guid, "fmi": md.fmiVersion}
-    late = late_outputs(md, outputs, [v.name for v in inputs_of(md)])
-    if late:
+    if late := late_outputs(md, outputs, [v.name for v in inputs_of(md)]):
         facts[LATE] = ", ".join(late)
     facts |= {LEFT_OUT: ", ".join(description.left_out), REDEFINED: "; ".join(description.redefined)}
-    facts["units taken as 1"] = ", ".join(description.unknown_units)
+    facts |= {"units taken as 1": ", ".join(description.unknown_units), "trained_on": fitted_recordings(path)}
     return {k: v for k, v in facts.items() if v}

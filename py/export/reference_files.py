@@ -7,33 +7,29 @@ the FMU's parameter values, of every file beside it, and of all that the FMU com
 
 from __future__ import annotations
 
-import hashlib
 import json
 import posixpath
-import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tomlkit
 
-from hydrotwin.models.language.credibility import KEY, Credibility, from_data
+from hydrotwin.models.language.credibility import Credibility
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 
-from .archive import file_names, read_file
+from .archive import read_file
 from .experiments import TYPE, Experiment, experiments_text, series_text
 from .foreign import Description
+from .inside import RECORD_FILE, RECORD_FORMAT, made_of, sha256_of
 from .parameter_sets import own_unit
 from .reader import FmuBlock, read_fmu
-from .related import FOLDER, MANIFEST, REPORT, SMOKE, VALIDATION, Related, content_of, manifest_text
+from .related import FOLDER, MANIFEST, REPORT, SMOKE, VALIDATION, Related, manifest_text
 from .ssp_text import Parameter, parameter_set
 
-RECORD_FILE = f"{FOLDER}/credibility.toml"
 TOLD = "documentation/fmi-ls-ref.txt"
-MADE_OF = ("modelDescription.xml", "sources/", "binaries/")
-RECORD_FORMAT = "hydrotwin-credibility/1"  # its number goes up where keys change their meaning or go
 SMALL = 500_000  # bytes of text up to which the smoke test, which nobody asked for, goes along
 LARGEST = 20_000_000  # bytes of text of all experiments: an FMU is sent by mail
 
@@ -55,22 +51,6 @@ class Carried:
         return self.smoke is not None or bool(self.experiments) or self.credibility is not None
 
 
-@dataclass(frozen=True)
-class Inside:
-    """The record that an FMU carries along.
-
-    contents : hash of the parameter values that it is of. files : those beside it, by hash. made_of : the same of the
-    description, the sources and the binaries; older records do not have it.
-    """
-
-    made_by: str
-    model: str
-    contents: str
-    credibility: Credibility
-    files: Mapping[str, str]
-    made_of: Mapping[str, str] = field(default_factory=dict)
-
-
 def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | bytes]:
     """Files for the finished FMU at ``path``. Raises DeclarationError for too much, DataError for what does not fit."""
     fmu = read_fmu(path, interpolation="hold")
@@ -89,7 +69,9 @@ def reference_files(path: Path, carried: Carried, tool: str) -> dict[str, str | 
         told = "Inputs of recordings, and what the model gives for them"
         related.append(Related(f"{FOLDER}/validation.exp", VALIDATION, TYPE, told))
     if carried.credibility is not None:
-        files[RECORD_FILE] = _record_text(fmu, carried.credibility, (files, _made_of(path)), tool)
+        files[RECORD_FILE] = _record_text(
+            fmu, carried.credibility, (files, {n: read_file(path, n) for n in made_of(path)}), tool
+        )
         told = "Where the model was fitted and judged: recordings by hash, criteria, results, versions"
         related.append(Related(RECORD_FILE, REPORT, "application/toml", told))
     return files | ({MANIFEST: manifest_text(related), TOLD: _told(related, carried)} if related else {})
@@ -156,23 +138,18 @@ def _tables(stem: str, record: Record, fmu: FmuBlock, tool: str) -> dict[str, st
     return files | ({f"{stem}-start.ssv": parameter_set(f"start of {record.name}", tool, values)} if values else {})
 
 
-def _made_of(path: Path) -> dict[str, bytes]:
-    """What an FMU computes with and says of itself: units, start values, equations."""
-    return {n: read_file(path, n) for n in file_names(path) if n.startswith(MADE_OF) and not n.endswith("/")}
-
-
 def _record_text(
     fmu: FmuBlock, credibility: Credibility, files: tuple[Mapping[str, str | bytes], Mapping[str, bytes]], tool: str
 ) -> str:
     """files : those beside the record, and those that the FMU is made of."""
-    beside, made_of = ({name: _sha256(text) for name, text in sorted(some.items())} for some in files)
+    beside, computes = ({name: sha256_of(text) for name, text in sorted(some.items())} for some in files)
     content = {
         "format": RECORD_FORMAT,
         "made_by": tool,
         "model": fmu.name,
         "parameters_sha256": parameters_digest(fmu.description),
         "files": beside,
-        "made_of": made_of,
+        "made_of": computes,
     }
     return f"{tomlkit.dumps(content)}\n{credibility.as_toml()}"
 
@@ -180,34 +157,4 @@ def _record_text(
 def parameters_digest(description: Description) -> str:
     """SHA-256 of the parameters of an FMU and their start values, as its modelDescription.xml says them."""
     rows = [(v.name, str(v.start)) for v in description.source.modelVariables if v.causality == "parameter"]
-    return _sha256(json.dumps(sorted(rows), ensure_ascii=False))
-
-
-def _sha256(content: str | bytes) -> str:
-    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()
-
-
-def record_of(path: Path) -> Inside:
-    """The record inside an FMU. Raises DataError where it is missing, damaged, changed or of a newer version."""
-    try:
-        told = tomllib.loads(content_of(path, RECORD_FILE).decode())
-        if told["format"] != RECORD_FORMAT:
-            raise DataError(
-                f"{RECORD_FILE}: of another version ('{told['format']}', this one reads '{RECORD_FORMAT}'). Update "
-                "hydrotwin, or export the FMU again."
-            )
-        own = (str(told["made_by"]), str(told["model"]), str(told["parameters_sha256"]))
-        made_of = dict(told.get("made_of", {}))
-        return Inside(*own, from_data(told.get(KEY), RECORD_FILE), dict(told["files"]), made_of)
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{RECORD_FILE}: damaged ({type(error).__name__}: {error}). Export the FMU again.") from None
-
-
-def changed_files(path: Path, inside: Inside) -> list[str]:
-    """Files of the record that are no longer what it was made with, or gone.
-
-    Sources and binaries may be gone, for who passes an FMU on may leave them out.
-    """
-    here = set(file_names(path))
-    asked = {**inside.files, **{name: digest for name, digest in inside.made_of.items() if name in here}}
-    return [n for n, digest in asked.items() if n not in here or _sha256(content_of(path, n)) != digest]
+    return sha256_of(json.dumps(sorted(rows), ensure_ascii=False))

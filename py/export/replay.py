@@ -17,9 +17,10 @@ from .experiments import CSV, SSV, TRANSIENT, TYPES, Experiment, Series, experim
 from .fmu_process.master import is_scalar
 from .fmu_process.verdicts import FAIL, NOT_TRIED, PASS, REMARK
 from .foreign import Description
+from .inside import RECORD_FILE, Inside, added_files, changed_files, record_of
 from .parameter_sets import in_own_unit, parameters_of
 from .reader import FmuBlock, StartValueWarning, read_fmu
-from .reference_files import RECORD_FILE, Inside, changed_files, parameters_digest, record_of
+from .reference_files import parameters_digest
 from .related import EXPERIMENT, RESULT, Related, content_of, missing, related_of
 
 OTHERS = 1e-2  # of the range of an output: how far results of another solver may be apart, where a file does not say it
@@ -147,6 +148,11 @@ def _record(path: Path, description: Description, wrong: str) -> tuple[str, str]
         return (
             wrong,
             f"files of the FMU were changed or are gone: {', '.join(changed[:SHOWN])}. Export the model again.",
+        )
+    if added := added_files(path, inside):
+        return wrong, (
+            f"files that it computes with were added after it was made: {', '.join(added[:SHOWN])}. The record "
+            "knows nothing of what they compute. Export the model where they are needed."
         )
     failed = [one for one in inside.credibility.evidence if one.passed is False]
     return (wrong if failed else PASS), f"{inside.model}, by {inside.made_by}: {_sentences(inside)}"

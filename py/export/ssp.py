@@ -18,9 +18,9 @@ from hydrotwin.simulation.block import Block
 
 from .archive import file_names, write_archive
 from .fmu_process.master import FLOATS, inputs_of, outputs_of
+from .inside import RECORD_FILE
 from .parameter_sets import own_unit
 from .reader import FmuBlock, read_fmu
-from .reference_files import RECORD_FILE
 from .srmd import srmd_text
 from .ssp_text import (
     NEWEST,

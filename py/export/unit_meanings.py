@@ -51,7 +51,12 @@ def meaning_of(variable, md: ModelDescription, chosen: str | None) -> Meaning:
     known = _known(text, strict=bool(chosen))
     base = None if chosen else next((d.baseUnit for d in md.unitDefinitions if d.name == text), None)
     found = _by_definition(text, base, known) if base is not None else _by_name(known)
-    return replace(found, offset=0.0) if _is_difference(variable) else found
+    return replace(found, offset=0.0) if is_difference(variable) else found
+
+
+def defined(name: str, base: BaseUnit) -> Meaning:
+    """What a unit stands for that a file defines itself, as `meaning_of` reads it."""
+    return _by_definition(name, base, _known(name, strict=False))
 
 
 def redefined(meanings: Mapping[str, Meaning]) -> tuple[str, ...]:
@@ -110,10 +115,10 @@ def _words(meaning: Meaning) -> str:
     return f"{meaning.factor:g} {meaning.si}{zero}"
 
 
-def _is_difference(variable) -> bool:
-    declared = getattr(variable, "declaredType", None)
-    own = getattr(variable, "relativeQuantity", False)
-    return bool(own or (declared is not None and getattr(declared, "relativeQuantity", False)))
+def is_difference(variable) -> bool:
+    """Whether only differences of a variable say something: as it says itself, else as its type says."""
+    own, declared = getattr(variable, "relativeQuantity", None), getattr(variable, "declaredType", None)
+    return bool(getattr(declared, "relativeQuantity", False) if own is None else own)
 
 
 def _si_text(base: BaseUnit) -> str:

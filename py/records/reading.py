@@ -172,6 +172,12 @@ def constant(name: str, text: str) -> tuple[float, str]:
     return float(match[1]), match[2] or "1"
 
 
+def is_alone(text: str) -> bool:
+    """Whether a constant is a number without a unit; true and false are as they are."""
+    match = _VALUE.fullmatch(text.strip())
+    return bool(match) and not match[2]
+
+
 def beside(path: Path) -> tuple[Reading, str]:
     """What ``import.toml`` in the folder of a recording says about it, and its name; nothing where there is none."""
     file = path.parent / BESIDE

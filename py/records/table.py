@@ -16,7 +16,8 @@ from hydrotwin.models.language.units import parse_unit, to_si
 
 from .clocks import PERIODS, called_time, counts_time, holds_stamps, in_seconds, sampled_at, time_column
 from .columns import Column, Table
-from .reading import Reading, constant
+from .constants import with_constants
+from .reading import Reading
 from .record import Record
 from .repairs import order_of
 
@@ -38,7 +39,7 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
         table = _with_clock(_without_missing(table, reading, refused), reading.clock)
     else:  # a repair counts the samples of a stamp: none may be gone before
         table = _without_missing(_with_clock(table, reading.clock), reading, refused)
-    table = _with_constants(table, reading)
+    table = with_constants(table, reading, refused)
     return _in_si(table, name, reading, refused, {n: word for n, word in words.items() if n in refused})
 
 
@@ -363,22 +364,6 @@ def _missing(table: Table, absent: np.ndarray, j: int) -> str:
 
 
 # -- the record --------------------------------------------------------------------------------------------------------
-def _with_constants(table: Table, reading: Reading) -> Table:
-    """What was not recorded, at the value that a person gives; it replaces a column of that name."""
-    if not reading.constants:
-        return table
-    n = len(table.columns[0].values)
-    given = {name: constant(name, text) for name, text in reading.constants.items()}
-    columns = [c for c in table.columns if c.name not in given]
-    columns += [Column(name, unit, np.full(n, value)) for name, (value, unit) in given.items()]
-    here = {c.name for c in table.columns}
-    said = ", ".join(
-        f"{name} = {text}{' in place of what was recorded' if name in here else ''}"
-        for name, text in reading.constants.items()
-    )
-    return replace(table, columns=tuple(columns), understood=f"{table.understood}, set {said}".removeprefix(", "))
-
-
 def _in_si(table: Table, name: str, reading: Reading, refused: dict[str, str], words: dict[str, str]) -> Record:
     signals, units, display = {}, {}, {}
     for column in table.columns:

@@ -23,7 +23,7 @@ DEFINITIONS = (
     (
         "Theil’s U",
         "theil",
-        "rms(y − p) / (rms y + rms p); 0 is best, 1 worst; it depends on where the unit has its zero",
+        "rms(y − p) / (rms y + rms p); 0 is best, 1 worst; it depends on where the SI unit has its zero",
         "Theil, Economic Forecasts and Policy, 2nd ed. (1961), section 2.5",
     ),
     (
@@ -36,7 +36,8 @@ DEFINITIONS = (
         "ISO 18571",
         "iso18571",
         "R = 0.4 Z + 0.2 EP + 0.2 EM + 0.2 ES, of corridor, phase, magnitude after time warping, and slope; at most "
-        "1000 uniform samples; excellent above 0.94, good above 0.8, fair above 0.58",
+        "1000 uniform samples; errors count against the size of y, so it depends on where the SI unit has its zero "
+        "(of temperatures at 0 K); excellent above 0.94, good above 0.8, fair above 0.58",
         "ISO/TS 18571:2014",
     ),
     (

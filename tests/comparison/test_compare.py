@@ -66,6 +66,15 @@ def test_a_recording_in_a_file_of_other_bytes_is_the_same_one():
     assert "another file" not in " ".join(notices(run([made], [one, other])))
 
 
+def test_a_block_that_recordings_chose_has_seen_them():
+    made = Toy("true")
+    one = dataclasses.replace(recording(1), digest="hash 1")
+    for chosen, seen in (([{"name": "run_1", "sha256": "hash 1"}], (one.name,)), ("the training loss", ())):
+        made.provenance = {"trained_on": [], "selected_on": chosen}
+        judged = acceptance(run([made], [one]), Wanted(("arm_angle.rmse < 1 rad",))).judged
+        assert judged[0].seen == seen
+
+
 def test_means_are_those_of_the_recordings():
     comparison = run([TRUE])
     each = scores(comparison, output="arm_angle", mode="free run")

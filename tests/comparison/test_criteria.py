@@ -29,7 +29,8 @@ def understood(text):
         ("Druck A.rmse < 1 bar", "Druck A", "rmse", -np.inf, 1e5),
         ("Druck A.coverage in [0.9, 0.99]", "Druck A", "coverage", 0.9, 0.99),
         ("oil.bias < 1.5 degC", "oil", "bias", -np.inf, 1.5),
-        ("ratio.rmse < 0.03", "ratio", "rmse", -np.inf, 0.03),
+        ("ratio.rmse < 3 %", "ratio", "rmse", -np.inf, 0.03),
+        ("ratio.rmse < 0.03 1", "ratio", "rmse", -np.inf, 0.03),
         ("arm_angle.fit > 90 %", "arm_angle", "fit", 0.9, np.inf),
         ("arm_angle.nrmse < 0.02", "arm_angle", "nrmse", -np.inf, 0.02),
         ("arm_angle.coverage in [0.9, 0.99]", "arm_angle", "coverage", 0.9, 0.99),
@@ -40,6 +41,18 @@ def test_a_bound_is_read_in_its_unit(text, output, metric, low, high):
     one = understood(text)
     assert (one.output, one.metric, one.group, one.than) == (output, metric, "", "")
     assert (one.low, one.high) == pytest.approx((low, high))
+
+
+@pytest.mark.parametrize("text", ["ratio.rmse < 2", "ratio.bias < 0.5", "ratio.max in [0, 1]", "ratio.steady < 1"])
+def test_a_number_alone_is_asked_for_its_unit_where_the_output_is_shown_in_percent(text):
+    """2 had been 200 %: a model that was 8 % off passed."""
+    with pytest.raises(UnitError, match=r"ratio is a pure number, shown in %, so .* Write .* %, or .* 1"):
+        understood(text)
+
+
+def test_a_plain_number_in_percent_is_told_as_that_number():
+    with pytest.raises(UnitError, match=r"vv20 is a number\. Write 1\.5 without a unit"):
+        understood("arm_angle.vv20 < 150 %")
 
 
 def test_groups_and_other_models_are_read():

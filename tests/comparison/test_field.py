@@ -195,3 +195,27 @@ def test_a_comparison_is_judged_by_them_in_free_run():
     assert np.isfinite(of["validation_1", "free run"].iso18571) and np.isnan(of["validation_1", "one step"].iso18571)
     mean = next(s for s in comparison.means if (s.model, s.output, s.mode) == ("good", "arm_angle", "free run"))
     assert mean.r2 == pytest.approx(np.mean([of[f"validation_{k}", "free run"].r2 for k in (1, 2)]))
+
+
+class Shifted:
+    """A model that gives the temperature of a recording, and 12 K more."""
+
+    name, kind, provenance = "warm", "physical", {}
+    inputs, outputs = (Signal("u", "V"),), (Signal("oil", "K"),)
+
+    def free_run(self, record):
+        return Record(record.time, {"oil": record["oil"] + 12.0}, {"oil": "K"}, "warm")
+
+    one_step = free_run
+
+
+@pytest.mark.parametrize(("swing", "flat"), [(1.0, True), (40.0, False)])
+def test_what_counts_from_the_zero_of_a_unit_says_where_the_output_hardly_moves(swing, flat):
+    record = Record(TIME, {"u": STEPS, "oil": 293.15 + swing * STEPS}, {"u": "V", "oil": "K"}, "steps")
+    comparison = compare([Shifted()], [record], repeats=1)
+    asked = ("oil.iso18571 > 0.9", "oil.theil < 5 %", "oil.rmse < 13 K")
+    iso, theil, rmse = acceptance(comparison, Wanted(asked)).judged
+    assert iso.passed and theil.passed and not rmse.caution
+    says = "counts from 0 K: oil moves by only 0.34 % of its size, and errors as large hardly count" if flat else ""
+    for one in (iso, theil):
+        assert one.caution == (f"{one.criterion.metric} {says}" if flat else "")

@@ -10,7 +10,7 @@ import pytest
 
 from hydrotwin.comparison import Tags, read_scenario
 from hydrotwin.comparison.running import read_all
-from hydrotwin.comparison.tags import of_group
+from hydrotwin.comparison.tags import check_tags, of_group
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import read_record
 
@@ -160,3 +160,40 @@ def test_one_value_in_two_writings_is_asked_about(recording):
     hot = [replace(records[0], tags={"oil": "40 degC"})]
     assert of_group(hot, "oil=313.15 K") == of_group(hot, "oil=104 degF") == ("run",) and of_group(hot, "oil=40") == ()
     assert of_group([replace(records[0], tags={})], "load=7") == ()
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("50 %", "0.5"),
+        ("10 kPa", "10 kN/m2"),
+        ("5 W", "5 J/s"),
+        ("60 1/min", "60 rpm"),  # as columns are told
+        ("2,5 t", "2500 kg"),
+        ("kühl", "ku\u0308hl"),  # as macOS writes names of files
+    ],
+)
+def test_one_condition_in_two_spellings_is_asked_about_and_found_by_either(recording, one, other):
+    record, _ = recording
+    told = [replace(record, name="a", tags={"load": one}), replace(record, name="b", tags={"load": other})]
+    with pytest.raises(DeclarationError, match="one condition, or two"):
+        check_tags(told)
+    assert of_group(told, f"load={one}") == of_group(told, f"load={other}") == ("a", "b")
+
+
+@pytest.mark.parametrize(
+    ("one", "other"), [("60 1/s", "60 rad/s"), ("1/2", "1"), ("11/2026", "1 1/2026"), ("5 K", "5 degC")]
+)
+def test_conditions_that_look_alike_are_two(recording, one, other):
+    told = [replace(recording[0], name=value, tags={"load": value}) for value in (one, other)]
+    check_tags(told)
+    assert of_group(told, f"load={one}") == (one,)
+
+
+def test_a_column_in_percent_is_rounded_in_percent(tmp_path):
+    """By 10 had been by 1000 %: every recording was of one condition, 0."""
+    (tmp_path / "run.csv").write_text("time [s],valve [%]\n0,61\n0.1,62\n0.2,63\n")
+    record = read_record(tmp_path / "run.csv")
+    with pytest.raises(UnitError, match=r"valve is in %. Write for example 'valve by 10 %'"):
+        Tags(columns={"valve": "valve by 10"}).put(record, tmp_path / "run.csv")
+    assert Tags(columns={"valve": "valve by 10 %"}).put(record, tmp_path / "run.csv").tags == {"valve": "60 %"}

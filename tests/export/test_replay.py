@@ -11,13 +11,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from hydrotwin.export import check_fmu, export_fmu, reference_files, reference_run
+from hydrotwin.comparison.band import made_from
+from hydrotwin.export import check_fmu, export_fmu, read_fmu, reference_files, reference_run
 from hydrotwin.export.archive import write_archive
 from hydrotwin.export.experiments import experiments_of, experiments_text, series_of, series_text
 from hydrotwin.export.foreign import describe_fmu
 from hydrotwin.export.reference import reference_experiment
 from hydrotwin.export.replay import carried_rows
-from hydrotwin.models.language.credibility import JUDGE, Credibility, Evidence, versions
+from hydrotwin.models.language.credibility import FIT, JUDGE, Credibility, Evidence, versions
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation.simulate import InaccurateWarning
@@ -59,6 +60,17 @@ def fmu(tmp_path_factory) -> Path:
 def without_smoke(tmp_path_factory) -> Path:
     """Each run of an FMU is a process: of what is wrong one experiment tells enough."""
     return carrying(tmp_path_factory.mktemp("carrying") / "mass.fmu", reference=None)
+
+
+def test_an_fmu_knows_the_recordings_that_it_was_fitted_to(tmp_path, fmu):
+    """Judged on those it had passed without a word; of its model file that is told."""
+    seen = ({"name": "bench_1", "sha256": "c" * 64, "role": FIT},)
+    fitted = Evidence("identify", "2026-05-03T10:00:00+02:00", "a" * 64, versions(), seen)
+    path = carrying(tmp_path / "m.fmu", credibility=Credibility((fitted, EVIDENCE)), experiments=(), reference=None)
+    assert made_from(read_fmu(path).provenance) == {"c" * 64}
+    assert made_from(read_fmu(fmu).provenance) == frozenset()
+    damaged = edited(path, tmp_path / "damaged.fmu", {RECORD: "format = 3"})
+    assert made_from(read_fmu(damaged).provenance) == frozenset()
 
 
 def rows_of(path: Path, again: bool = True) -> dict[str, tuple[str, str]]:
@@ -391,3 +403,10 @@ def test_a_run_that_half_the_step_changes_is_no_experiment(tmp_path):
     refused = pytest.raises(SolveError, match=r"half the step changes .* so nobody can meet its results")
     with pytest.warns(InaccurateWarning), refused:
         reference_experiment(chaotic, record)
+
+
+def test_a_binary_that_came_later_is_none_that_the_record_is_of(without_smoke, tmp_path):
+    """One for Windows in an FMU of Linux had passed a replay, and would run there."""
+    path = edited(without_smoke, tmp_path / "more.fmu", {"binaries/win64/mass.dll": "of another machine"})
+    verdict, detail = rows_of(path)["record"]
+    assert verdict == "FAIL" and "were added after it was made: binaries/win64/mass.dll." in detail

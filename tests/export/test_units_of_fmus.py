@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import re
+import zipfile
+from types import SimpleNamespace
+
 import pytest
 from fmpy.model_description import BaseUnit, ModelDescription, ScalarVariable, SimpleType, Unit
 
 from hydrotwin.export import check_fmu, read_fmu
+from hydrotwin.export.fmu_settings import own_value
+from hydrotwin.export.parameter_sets import parameters_of
 from hydrotwin.export.unit_meanings import meaning_of, redefined
+from hydrotwin.models.language.errors import UnitError
 from tests.export.foreign import rewritten
 
 
@@ -81,3 +88,51 @@ def test_an_fmu_tells_that_its_units_are_others(fmus, tmp_path):
     assert any("is 2 rad by its definition, and 1 rad by its name" in note for note in block.notes)
     row = next(row for row in check_fmu(fmu).rows if row.name == "units")
     assert row.verdict == "remark" and "2 rad" in row.detail
+
+
+@pytest.fixture
+def celsius_lag(fmus, tmp_path):
+    """An FMU with a parameter in degC that says itself whether it is a difference."""
+
+    def written(attribute: str):
+        defined = '<UnitDefinitions>\n    <Unit name="degC"><BaseUnit K="1" offset="273.15" /></Unit>'
+        with zipfile.ZipFile(fmus["lag"]) as archive:
+            xml = archive.read("modelDescription.xml").decode()
+        old = re.search(r'<ScalarVariable name="gain".*?</ScalarVariable>', xml, re.S).group()
+        new = re.sub(r"<Real [^>]*/>", f'<Real unit="degC" {attribute} start="20"/>', old)
+        return read_fmu(rewritten(fmus["lag"], tmp_path / "rise.fmu", xml={"<UnitDefinitions>": defined, old: new}))
+
+    return written
+
+
+def test_a_difference_is_known_from_the_file_of_an_fmu(celsius_lag):
+    rise = celsius_lag('relativeQuantity="true"')
+    assert rise.description.scales["gain"] == (1.0, 0.0)
+    assert [rise.with_values({"gain": f"5 {unit}"}).values["gain"] for unit in ("degC", "K")] == [5.0, 5.0]
+    assert celsius_lag('relativeQuantity="false"').description.scales["gain"] == (1.0, 273.15)
+
+
+def test_what_an_fmu_calls_its_unit_is_its_unit_where_a_user_sets_it():
+    gauge = BaseUnit(kg=1, m=-1, s=-2, factor=1e5, offset=101325.0)
+    described = SimpleNamespace(
+        source=SimpleNamespace(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
+        units={"p": "Pa"}, scales={"p": (1e5, 101325.0)}, whole={},
+    )  # fmt: skip
+    assert meaning("bar", gauge).offset == 101325.0
+    assert own_value("p", "2 bar", described) == 2.0
+    assert own_value("p", "301325 Pa", described) == pytest.approx(2.0)
+
+
+def test_units_that_a_parameter_set_defines_itself_count_there():
+    described = SimpleNamespace(
+        source=SimpleNamespace(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
+        units={"p": "Pa"}, scales={"p": (1e5, 0.0)},
+    )  # fmt: skip
+    text = (
+        '<ParameterSet><Parameters><Parameter name="p"><Real value="2" unit="bar"/></Parameter></Parameters><Units>'
+        '<Unit name="bar"><BaseUnit {base} factor="1e5" offset="101325"/></Unit></Units></ParameterSet>'
+    )
+    pressure = text.format(base='kg="1" m="-1" s="-2"')
+    assert parameters_of(pressure.encode(), "x.ssv", described)["p"] == pytest.approx(3.01325)
+    with pytest.raises(UnitError, match="length by its definition there"):
+        parameters_of(text.format(base='m="1"').encode(), "x.ssv", described)

@@ -98,10 +98,14 @@ def test_a_setting_is_in_the_unit_it_says(change):
 
 
 def test_a_number_alone_for_what_was_declared_in_bar_is_asked_for_its_unit():
+    of_a_file = Model(Line(), "line", settings={"relief.setting": {"value": 200e5, "unit": "Pa", "sigma": 1e5}})
+    assert of_a_file.with_settings({"relief.setting": {"sigma": None, "free": True}}).flat.parameters
     for refused in (
         lambda: Relief(setting=200),
         lambda: Model(Line(), "line", settings={"relief.setting": 200}).flat,
         lambda: Model(Line(), "line", settings={"relief.setting": {"bounds": (100, 300)}}).flat,
+        lambda: of_a_file.with_settings({"relief.setting": 210}).flat,  # the unit of the file is that of its number
+        lambda: of_a_file.with_settings({"relief.setting": {"value": 210, "sigma": None}}).flat,
     ):
         with pytest.raises(DeclarationError, match=r"declared in bar, so .* alone may mean bar or Pa"):
             refused()

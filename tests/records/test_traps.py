@@ -288,6 +288,16 @@ def test_a_constant_may_be_scaled_and_be_true(tmp_path):
     assert record["current"].tolist() == [0.5, 0.5] and record["on"].tolist() == [1, 1]
 
 
+def test_a_constant_without_a_unit_is_refused_as_a_column_without_one(tmp_path):
+    """50 of a valve in % had been 5000 %."""
+    path = written(tmp_path, "time [s],p [bar]\n0,1\n1,2\n")
+    record = read_record(path, constants=["valve=50", "other=50 %", "gear=3 1", "off=0", "q=2"], scale="q=5 L/min")
+    with pytest.raises(DataError, match=r"'valve = 50' has no unit. Write it behind the number"):
+        record["valve"]
+    assert [record[n][0] for n in ("other", "gear", "off")] == [0.5, 3.0, 0.0]
+    assert record["q"][0] == pytest.approx(10e-3 / 60)
+
+
 def test_a_scale_belongs_to_one_column_however_names_are_turned(tmp_path):
     path = written(tmp_path, "time [s],a [V],b [V],c [V]\n0,1,10,100\n1,2,20,200\n")
     swapped = read_record(path, columns=["a=b", "b=a"], scale="a=2 1")

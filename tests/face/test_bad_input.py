@@ -181,6 +181,7 @@ COMMANDS = {
     # compare
     "compare cehA --validate run.csv --out report": ["no scenario file 'cehA'", "--model cehA"],
     "compare m.py:axis@gap/model.toml --out report": ["no scenario file", "--model m.py:axis@gap/model.toml"],
+    "compare run.CSV --model cehA --out report": ["is a recording", "--validate run.CSV"],
     "compare --out report": ["give either a scenario file, or --model and --validate"],
     "compare --model cehA --out report": ["no recording to compare on", "Give --validate REC"],
     "compare scenario.toml --model cehA --out report": ["give either a scenario file, or --model"],

@@ -125,9 +125,7 @@ def compare(
     check_ssp_version(ssp, ssp_version)
     if junit_file is not None:
         check_file(junit_file, ".xml")
-    if scenario is not None and not scenario.exists() and (scenario.suffix != ".toml" or "@" in str(scenario)):
-        given = shlex.quote(str(scenario))
-        raise DeclarationError(f"compare: no scenario file '{scenario}'. A model is given by --model {given}.")
+    _check_scenario(scenario)
     if (scenario is None) == (not models):
         raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
     if scenario is None and not validate:
@@ -318,3 +316,17 @@ def print_comparison(comparison, accepted=None) -> None:
     for good, line in acceptance_lines(accepted, units) if accepted else ():
         out.print(line, style="green" if good else "red")
     out.print(answer(comparison, units))
+
+
+def _check_scenario(scenario: Path | None) -> None:
+    """What stands where a scenario file does, and is none. Raises DeclarationError with how it is given."""
+    from hydrotwin.records import SUFFIXES
+
+    if scenario is None:
+        return
+    given = shlex.quote(str(scenario))
+    if scenario.name.lower().endswith(SUFFIXES):
+        told = f"'{scenario}' is a recording, and no scenario file. A recording is given by --validate {given}."
+        raise DeclarationError(f"compare: {told}")
+    if not scenario.exists() and (scenario.suffix != ".toml" or "@" in str(scenario)):
+        raise DeclarationError(f"compare: no scenario file '{scenario}'. A model is given by --model {given}.")

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.fits.job import factor
 from hydrotwin.discovery.fits.whole import trajectories
 from tests.discovery.slides import begun, records
 
@@ -55,6 +56,12 @@ def test_looks_begin_where_windows_led_the_base_if_its_fit_bent_it_far_from_ther
     assert search.jobs.glance(base, None).starts == (led,)
     job = search.jobs.next(friction(search), 0)
     assert job.stages == (0, 0) and all(start["mass.mass"] == led["mass.mass"] for start in job.starts)
+
+
+def test_what_lies_below_the_noise_is_no_factor():
+    noise = np.array([0.1, np.nan, 0.0])
+    assert factor(noise, 0.9 * noise, 0.0 * noise) == 1.0 == factor(noise, 0.0 * noise, noise)
+    assert np.isclose(factor(noise, 3.0 * noise, 0.0 * noise), 3.0) and np.isclose(factor(noise, noise, 3 * noise), 3.0)
 
 
 def test_else_looks_begin_where_the_base_ended_in_the_part_they_see(search):

@@ -194,6 +194,11 @@ def apart(size: np.ndarray, other: np.ndarray) -> float:
     return float(np.nanmax(np.where((size == 0) & (other == 0), 0.0, factors), initial=0.0))
 
 
+def factor(noise: np.ndarray, size: np.ndarray, other: np.ndarray) -> float:
+    """The largest factor between two sizes (ny,) of what is left, of which what lies below the noise tells nothing."""
+    return float(np.exp(apart(not_below(noise, size), not_below(noise, other))))
+
+
 def inside(flat: FlatModel, values: Mapping[str, float]) -> dict[str, float]:
     """Values clipped to the parameters' bounds."""
     known = {p.name: p.bounds for p in flat.parameters}

@@ -18,7 +18,7 @@ from hydrotwin.identification.problem import free_parameters
 from hydrotwin.models.language.errors import SolveError
 
 from ..evidence.deciding import DECIDING
-from ..fits.job import Fitted, Job, Look, Question
+from ..fits.job import Fitted, Job, Look, Question, factor
 from ..fits.nearby import lowest_nearby
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
@@ -65,8 +65,7 @@ class Search:
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
-        limited = np.isfinite(self.until)  # the time limit is seen between batches
-        self.batch = self.effort.together if limited else self.effort.batch
+        self.batch = self.effort.together if np.isfinite(self.until) else self.effort.batch  # then limits are seen
         self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
     def go(self) -> Entry | None:
@@ -132,7 +131,7 @@ class Search:
 
         jobs.led = base.look.values if base.look and base.look.left is None else None
         found = look(table.question) if jobs.led else None
-        bent = isinstance(found, Look) and np.nanmax(found.size / base.fitted.rmse) > LEFT
+        bent = isinstance(found, Look) and factor(table.question.noise, found.size, base.fitted.rmse) > LEFT
         base.look, jobs.led = (found, jobs.led) if bent else (as_look(base.fitted), None)
         if not slow:
             jobs.extent, base.look = enough_of(table, look, base.look)

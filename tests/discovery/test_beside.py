@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from types import SimpleNamespace
 
 import numpy as np
@@ -83,6 +84,55 @@ def test_at_the_end_of_the_time_a_pair_is_held_against_its_effects_alone(monkeyp
     search.go()
     assert search.table.entry([by["coulomb_friction"]]).fitted
     assert [c.id for c in standing(search.table).best.members] == ["coulomb_friction"]
+
+
+def test_what_promises_alone_is_led_on_alone_and_what_promises_alike_together(monkeypatch):
+    """Fits of what promises nothing, beside the one that does, were a third of a search."""
+    search, led = filled(base=100.0), []
+    promised = {"coulomb_friction": 0.2, "null_bias": 0.99, "dead_time": 0.98, "stribeck_friction": 0.99}
+    entries = [search.table.entry([c]) for c in search.table.candidates]
+
+    def advance(chosen):
+        led.append({e.members[0].id for e in chosen})
+        for entry in chosen:
+            entry.fitted = leaving(90.0)
+
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: promised[e.members[0].id])
+    monkeypatch.setattr(search, "_advance", advance)
+    search._climb(entries)
+    assert led[0] == {"coulomb_friction"} and led[1] == set(promised) - led[0]
+
+
+def test_no_pair_is_formed_before_every_single_effect_was_looked_at(monkeypatch):
+    """A pair that bends far enough stood for an effect that nobody had looked at."""
+    search, order = filled(base=100.0), []
+    entries = [search.table.entry([c]) for c in search.table.candidates]
+    search.effort = dataclasses.replace(search.effort, together=1)
+
+    def advance(chosen, first=1):
+        order.extend("look" for e in chosen)
+        chosen[0].fitted = chosen[0].fitted or leaving(20.0)
+
+    monkeypatch.setattr(search, "_advance", advance)
+    monkeypatch.setattr(search, "_fit_as_it_stands", lambda entries: None)
+    monkeypatch.setattr(search, "_grow", lambda: order.append("grow"))
+    search._looked(entries)
+    assert order == ["grow", *["look"] * len(entries)]  # before them, of what smaller structures left
+
+
+def test_nothing_is_fitted_through_its_windows_again_where_something_explains_all(monkeypatch):
+    search, asked = filled(base=100.0, coulomb_friction=1.0, null_bias=50.0), []
+    search.jobs.windows = search.table.question
+    [bias] = [e for e in search.table.fitted if e.key and e.members[0].id == "null_bias"]
+    monkeypatch.setattr(search.jobs, "anew", asked.append)
+    monkeypatch.setattr(search, "_ran", lambda jobs, function=None: ["not asked"] * len(jobs))
+    monkeypatch.setattr(search, "_free_base", lambda known: None)
+    search._settle([bias])
+    assert not asked
+    [friction] = [e for e in search.table.fitted if e.key and e.members[0].id == "coulomb_friction"]
+    friction.fitted = leaving(40.0)
+    search._settle([bias])
+    assert asked == [bias]
 
 
 @pytest.mark.parametrize("explained", [True, False])

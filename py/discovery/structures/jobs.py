@@ -26,7 +26,7 @@ SOON = 2.0  # looks that a fit may take which is soon done if it is right
 class Effort:
     """How far a search goes.
 
-    fits : structures of a size that are fitted though they promise less than the best. pool : single effects, the most
+    fits : structures that are fitted at last though they promise less than the best. pool : single effects, the most
     promising, of which pairs and larger structures are made. look, seconds : the most that a look and a fit take [s].
     iterations : the most of every stage of a fit. batch : looks between which the most promising are fitted.
     together : structures that are led on at once.

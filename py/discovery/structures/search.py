@@ -100,7 +100,7 @@ class Search:
         if not self.table.explained():
             self._to_whole_recordings()
         self._through(self.most)
-        self._climb(list(self.table.entries.values()))
+        self._climb(list(self.table.entries.values()), self.effort.fits)
         self.alternatives.settle()
 
     def _through(self, most: int) -> list[Entry]:
@@ -298,20 +298,21 @@ class Search:
             best.fitted = None
         self._settle([best])
 
-    def _climb(self, entries: Sequence[Entry]) -> None:
+    def _climb(self, entries: Sequence[Entry], later: int = 0) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
-        Ends when what is left promises less than the best did and reached, or a few later; reached, if it explains all.
+        Ends when what is left promises less than the best did and reached, or so many later; reached, if it explains
+        all.
         """
         table, beyond = self.table, 0
         while waiting := sorted((e for e in entries if e.open), key=table.promise):
             done = [e for e in entries if e.fitted and e.members]
             best = min(done, key=table.share, default=None)
-            reached = table.share(best) if best else -1.0
+            reached = table.share(best) if best else table.promise(waiting[0])
             if best and not table.explained():  # else what looked no better than the best did is asked from there
                 reached = max(reached, table.promise(best))
             near = table.promise(waiting[0]) < SAME + reached
-            if not near and (table.explained() or beyond >= self.effort.fits):
+            if not near and (table.explained() or beyond >= later):
                 return
             level = SAME + (reached if near else table.promise(waiting[0]))
             chosen = [e for e in waiting if table.promise(e) < level][: self.effort.together]

@@ -150,7 +150,7 @@ def test_whole_recordings_take_over_where_windows_explain_nothing(monkeypatch, e
         return []
 
     monkeypatch.setattr(search, "_through", through)
-    monkeypatch.setattr(search, "_climb", lambda entries: None)
+    monkeypatch.setattr(search, "_climb", lambda entries, later=0: None)
     monkeypatch.setattr(search.alternatives, "settle", lambda: None)
     search.go()
     assert asked == [(2, True), (3, explained)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.answer.standing import standing
+from hydrotwin.discovery.structures.alternatives import FIRST
 from hydrotwin.discovery.structures.search import OutOfTime
 from tests.discovery.slides import begun, records
 
@@ -48,6 +49,16 @@ def test_what_promised_nothing_from_a_bent_base_is_found_from_the_right_one(righ
     right.alternatives.settle()
     assert twin.beside < 0.1 and twin.fitted
     assert right.table.score(twin) < 100.0 < 0.1 * right.table.score(right.table.entry())
+
+
+def test_what_only_bends_the_base_goes_no_further_than_the_first_steps(right):
+    """Useless effects walk the same way as the base without any; a twin is ahead of it at once."""
+    asked, run = [], right.alternatives.run
+    right.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
+    right.alternatives.settle()
+    looks = {name: [j.iterations for j in asked if name in j.label and j.stages == (0, 0)] for name in EFFECTS[1:]}
+    assert looks["null_bias"] == looks["sensor_scale"] == [FIRST]
+    assert len(looks["presliding_friction"]) == 2 and looks["presliding_friction"][1] > FIRST
 
 
 def test_the_others_are_asked_anew_only_from_what_leaves_clearly_less(right):

@@ -1,26 +1,30 @@
 """Alternatives: what else could be missing, asked from where the best structure ended.
 
 Where that explains all, the base is right, whatever it was bent to while an effect was missing: a few steps from there
-show of every other effect whether it explains as much. What does is fitted. Effects that were asked so, and were not
-fitted, are no longer in question.
+show of every other effect whether it explains as much. Without any effect the base would bend again to hide the gap,
+and with a useless one it takes the same way: those that are not ahead of it after the first steps go no further. What
+explains much is fitted. Effects that were asked so, and were not fitted, are no longer in question.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hydrotwin.models.effects import Candidate
 
+from ..evidence.deciding import DECIDING
 from ..evidence.score import Floor, score
 from ..fits.job import Job, Look, Question
-from .extent import enough_of
+from .extent import ENOUGH, enough_of
 from .jobs import Jobs
 from .table import Entry, Table
 
 LIKELY = 0.25  # of the gap that the best structure closes: an effect that a few steps left more of is not fitted
+FIRST = 3  # steps after which an effect has to leave less than the rest of the best alone would, on its way to its bend
+AHEAD = 0.5  # of the squares that the rest leaves after as many steps: an effect that leaves more only bends it, too
 
 
 @dataclass(eq=False)
@@ -56,7 +60,8 @@ class Alternatives:
             left = self.table.score(best)
             if self.best is best and best.members and self.table.explained([best]) and left < self.least:
                 self.least = left - self.table.temperature
-                self._instead(best)
+                for one in best.members:
+                    self._instead(best, one)
 
     def less(self, best: Entry) -> list[Entry]:
         """What says less than the best: without one of its effects, or with a plainer form of it."""
@@ -74,20 +79,32 @@ class Alternatives:
             self.table.keep_better(entry, found)
 
     # -- in the place of one effect ------------------------------------------------------------------------------
-    def _instead(self, best: Entry) -> None:
-        """Look from there at every effect in the place of each of the best's; fit those that explain as much."""
-        for one in best.members:
-            others = [self.table.entry(members) for members in self.table.instead(best, one)]
-            others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
-            others.sort(key=self.table.promise)
-            question, gap = self._gap(best, one)
-            seen: list[tuple[Entry, Look]] = []
-            for batch in batches(others, self.batch):
-                looks = self.run([self.jobs.glance_from(best, e, question) for e in batch])
-                for entry, look in zip(batch, looks, strict=True):
-                    entry.beside = self._share(look, gap) if isinstance(look, Look) else np.inf
-                    seen += [(entry, look)] if entry.beside < LIKELY else []
-            self._fit_likely(sorted(seen, key=lambda pair: pair[0].beside))
+    def _instead(self, best: Entry, one: Candidate) -> None:
+        """Look from there at every effect in the place of one of the best's; fit those that explain as much."""
+        others = [self.table.entry(members) for members in self.table.instead(best, one)]
+        others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
+        ahead = self._ahead(best, one, sorted(others, key=self.table.promise))
+        question, gap = self._gap(best, one, ENOUGH)  # what the rest can bend to shows in so much
+        seen = self._looked(ahead, gap, lambda e: self.jobs.glance_on(best, e, ahead[e], question))
+        likely = [(e, look) for e, look in seen.items() if e.beside < LIKELY]
+        self._fit_likely(sorted(likely, key=lambda pair: pair[0].beside))
+
+    def _ahead(self, best: Entry, one: Candidate, others: Sequence[Entry]) -> dict[Entry, Look]:
+        """Entries, with their looks, that leave clearly less after the first steps than the rest alone."""
+        question, gap = self._gap(best, one, DECIDING.visible)
+        (bent,) = self.run([self.jobs.left_by(self._rest(best, one), best, question, FIRST)])
+        level = AHEAD * self._size(bent) if isinstance(bent, Look) else np.inf
+        seen = self._looked(others, gap, lambda e: self.jobs.glance_from(best, e, question, FIRST))
+        return {e: look for e, look in seen.items() if self._size(look) < level}
+
+    def _looked(self, entries: Iterable[Entry], gap: Look, job: Callable[[Entry], Job]) -> dict[Entry, Look]:
+        """Looks of entries by a job of each, as far as they came to an end; what they leave of a gap is kept."""
+        found = {}
+        for batch in batches(list(entries), self.batch):
+            for entry, look in zip(batch, self.run([job(e) for e in batch]), strict=True):
+                entry.beside = self._share(look, gap) if isinstance(look, Look) else np.inf
+                found |= {entry: look} if isinstance(look, Look) else {}
+        return found
 
     def _fit_likely(self, seen: Sequence[tuple[Entry, Look]]) -> None:
         """Fit structures, the likeliest first, until none of those that are fitted together explains all."""
@@ -98,14 +115,21 @@ class Alternatives:
             if not any(e.fitted and self.table.explained([e]) for e, _ in together):
                 return
 
-    def _gap(self, best: Entry, one: Candidate) -> tuple[Question, Look]:
-        """The shortest beginnings of recordings in which it shows that an effect is missing, and what is left there."""
-        rest = self.table.entry([m for m in best.members if m is not one])
+    def _gap(self, best: Entry, one: Candidate, well: float) -> tuple[Question, Look]:
+        """The shortest beginnings of recordings that show with so many nats what is missing, and what is left there."""
+        rest = self._rest(best, one)
 
         def look(question: Question):
             return self.run([self.jobs.left_by(rest, best, question)])[0]
 
-        return enough_of(self.table, look, look(self.table.question))
+        return enough_of(self.table, look, look(self.table.question), well)
+
+    def _rest(self, best: Entry, one: Candidate) -> Entry:
+        return self.table.entry([m for m in best.members if m is not one])
+
+    def _size(self, look: Look) -> float:
+        """Sum of squares that a look leaves, in variances of the noise."""
+        return float(np.nansum(look.left.squares / np.square(self.table.noise)))
 
     def _share(self, look: Look, gap: Look) -> float:
         """Share of a gap that a look leaves, of nats above white noise: all are compared with each other."""

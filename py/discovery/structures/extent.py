@@ -47,17 +47,19 @@ def beginnings(question: Question, part: float) -> Question:
     return dataclasses.replace(question, fit=tuple(cut))
 
 
-def enough_of(table: Table, look: Callable[[Question], object], whole: Look) -> tuple[Question, Look]:
+def enough_of(
+    table: Table, look: Callable[[Question], object], whole: Look, well: float = ENOUGH
+) -> tuple[Question, Look]:
     """The shortest beginnings of the recordings that show the gap well, and what is left there.
 
     Where twice as much would be too long for a look, a fair share of the gap is enough. look : of a structure through
-    the recordings of a question; whole : what that left of all of them.
+    the recordings of a question; whole : what that left of all of them; well : nats that show it well.
     """
     floor = table.floor()
     total = score(whole.left, floor)
     samples = sum(len(r.time) for r in table.question.fit)
     for part in PARTS:
-        enough = ENOUGH if 2 * part * samples <= LONG else 0.0
+        enough = well if 2 * part * samples <= LONG else 0.0
         if total <= enough:
             continue
         question = beginnings(table.question, part)

@@ -149,17 +149,22 @@ class Jobs:
         known, seconds = best.fitted, SOON * self.effort.look
         return self.of(entry, self.beside(entry, best)[1:], states=known.states, size=known.rmse, seconds=seconds)
 
-    def left_by(self, entry: Entry, best: Entry, question: Question) -> Job:
-        """A run through the recordings of a question of a part of the best structure, as that has its values."""
+    def left_by(self, entry: Entry, best: Entry, question: Question, steps: int = 0) -> Job:
+        """So many steps of a part of the best in the recordings of a question, from where the best has its values."""
         known, names = best.fitted, self.table.names(entry)
         begin = {n: v for n, v in known.values.items() if n in names}
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
-        return dataclasses.replace(self.of(entry, [begin], **settings), question=question, iterations=0)
+        return dataclasses.replace(self.of(entry, [begin], **settings), question=question, iterations=steps)
 
-    def glance_from(self, best: Entry, entry: Entry, question: Question) -> Job:
-        """A few steps through the recordings of a question from where the best ended, effects at usual sizes."""
-        job = self.from_there(entry, best)
-        return dataclasses.replace(job, question=question, stages=(0, 0), seconds=self.effort.look)
+    def glance_from(self, best: Entry, entry: Entry, question: Question, steps: int) -> Job:
+        """So many steps in the recordings of a question from where the best ended, effects at usual sizes."""
+        job, seconds = self.from_there(entry, best), self.effort.look
+        return dataclasses.replace(job, question=question, stages=(0, 0), seconds=seconds, iterations=steps)
+
+    def glance_on(self, best: Entry, entry: Entry, look: Look, question: Question) -> Job:
+        """A few steps more from where such a look ended."""
+        settings = {"stages": (0, 0), "seconds": self.effort.look, "states": look.states, "size": best.fitted.rmse}
+        return dataclasses.replace(self.of(entry, [look.values], **settings), question=question)
 
     def starts(self, entry: Entry) -> list[dict[str, float]]:
         """Starts of a structure: each of its effects at usual values, the base where its user put it."""

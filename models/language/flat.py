@@ -28,7 +28,7 @@ class Signal:
     the recordings, and holds it without any.
     ``chosen_by`` is who says so, "model", "user", "recording" or "fit", and ``why`` the reason in words. ``shift`` [s]:
     its recorded column is taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays
-    the input, if any.
+    the input, if any. ``written_in`` is the unit in which it is declared, or shown, where that is not SI.
     """
 
     name: str
@@ -41,6 +41,7 @@ class Signal:
     chosen_by: str | None = "model"
     shift: float = 0.0
     why: str = ""
+    written_in: str = ""
 
     @property
     def held(self) -> bool:
@@ -87,7 +88,10 @@ def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str
 
 @dataclass(frozen=True)
 class StateVariable:
-    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it."""
+    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it.
+
+    ``written_in`` as of a `Signal`.
+    """
 
     name: str
     unit: str
@@ -95,13 +99,14 @@ class StateVariable:
     nominal: float = 1.0
     bounds: tuple[float, float] = (-np.inf, np.inf)
     measured_by: str | None = None
+    written_in: str = ""
 
 
 @dataclass(frozen=True)
 class ParameterValue:
     """A parameter with its value: dotted path, SI unit, bounds, scale, uncertainty and source.
 
-    ``free`` marks the parameters that identification frees by default.
+    ``free`` marks the parameters that identification frees by default. ``written_in`` as of a `Signal`.
     """
 
     name: str
@@ -113,6 +118,7 @@ class ParameterValue:
     source: str = ""
     description: str = ""
     free: bool = False
+    written_in: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)

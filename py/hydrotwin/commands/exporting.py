@@ -20,6 +20,7 @@ from .shared import (
     InterpolationOption,
     JsonOption,
     ModelArgument,
+    StepOption,
     check_file,
     examples,
     interpolation_from,
@@ -68,9 +69,7 @@ def export(
             "adaptive; auto is as accurate as simulate: explicit with steps cut around contacts, or adaptive"
         ),
     ] = "auto",
-    step: Annotated[
-        float | None, typer.Option(metavar="S", help="longest internal step in seconds; the model's own by default")
-    ] = None,
+    step: StepOption = None,
     experiment: Annotated[
         list[Path] | None,
         typer.Option(

@@ -16,7 +16,7 @@ from .errors import DeclarationError, UnitError
 from .units import Unit, convert, convert_difference, describe, display_units, parse_unit
 
 NUMBER = r"[-+\N{MINUS SIGN}]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+\N{MINUS SIGN}]?\d+)?"
-_WRITTEN = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.DOTALL)
+_WRITTEN = re.compile(rf"\s*({NUMBER})(?:\s+|(?![\d.,]))(.*?)\s*", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -114,14 +114,15 @@ def usual(asked: Wanted) -> str:
 
 def _refused(error: UnitError, unit: str, asked: Wanted) -> str:
     """Why a unit is refused, with units of the quantity."""
-    si, own = asked.target.si, asked.own.get(unit)
+    si = asked.target.si
     units = ", ".join(dict.fromkeys(u for u in (asked.written_in, asked.target.text, *display_units(si)) if u))
+    if own := asked.own.get(unit):
+        return f"'{unit}' is {describe(own.si)} by its definition there, not {describe(si)}. Write it in {units}."
     try:
-        got, needed = describe(own.si if own else unit), describe(si)
+        parse_unit(unit)
     except UnitError:
         return f"{error} It is in {units}."
-    by = " by its definition there" if own else ""
-    return str(error) if got == needed else f"'{unit}' is {got}{by}, and {needed} is needed. Write it in {units}."
+    return str(error)
 
 
 def _is_number(given: object) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
 from hydrotwin.models.language.parameter_file import read_toml
 from hydrotwin.models.language.quantities import Wanted, apart, in_unit
 from hydrotwin.models.language.units import parse_unit
@@ -133,8 +133,10 @@ _EXAMPLES = {
 def _rate(text: str | float) -> float:
     try:
         rate = in_unit(text, Wanted("rate", "Hz"), "--rate {}")
-    except HydrotwinError as error:
+    except UnitError as error:
         raise DataError(str(error)) from None
+    except DeclarationError:
+        rate = 0.0
     if not rate > 0:
         raise DataError(f"rate: no sampling rate (got '{text}'). Write samples per second: --rate 1000.")
     return rate

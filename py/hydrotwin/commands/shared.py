@@ -45,14 +45,14 @@ InterpolationOption = Annotated[
 ]
 
 
-def in_seconds(text: str | float) -> float:
-    """A time of an option in seconds: ``0.002`` or ``2ms``."""
-    return in_unit(text, Wanted("time", "s"), "{}")
+def step_in_seconds(text: str | float) -> float:
+    """The time of ``--step`` in seconds: ``0.002`` or ``2ms``."""
+    return in_unit(text, Wanted("--step", "s"), "--step 1ms")
 
 
 StepOption = Annotated[
     float | None,
-    typer.Option(parser=in_seconds, metavar="TIME", help="longest internal step, seconds or 1ms; the model's own else"),
+    typer.Option(parser=step_in_seconds, metavar="TIME", help="longest internal step, seconds or 1ms; the model's own else"),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 
@@ -130,7 +130,7 @@ def bounds_from(
         low, of = low if both[0][1] else f"{low} {both[1][1]}", _called(path, high, asked, option)
         found[path] = tuple(_in_si(text, of, option, f"{path}=LOW:{{}}") for text in (low, high))
         if not found[path][0] < found[path][1]:
-            raise DeclarationError(f"{option} {path}={pair}: the lower bound is not below the upper. Turn them round.")
+            raise DeclarationError(f"{option} {path}={pair}: no low below high. Turn the bounds round.")
     return found
 
 

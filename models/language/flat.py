@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from .errors import DeclarationError, nearest
+from .quantities import in_si, wanted
 
 
 @dataclass(frozen=True)
@@ -166,15 +167,12 @@ class FlatModel:
         return next((names for names, solved in self.loops if float(solved(t, x, u, p)) != 1), "")
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> np.ndarray:
-        """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""
+        """Values of all parameters, shape (np,), SI, with ``changes`` by path applied: in SI, or texts with a unit."""
         values = np.array([p.value for p in self.parameters], dtype=float)
         for name, value in (changes or {}).items():
-            try:
-                values[self.index_of(name)] = value
-            except (TypeError, ValueError):
-                raise DeclarationError(
-                    f"{self.name}.{name}: {value!r} is no number. Give its value in SI, without a unit."
-                ) from None
+            k = self.index_of(name)
+            asked = wanted(self.parameters[k], self.name)
+            values[k] = in_si(value, asked)
         return values
 
     def index_of(self, parameter: str) -> int:

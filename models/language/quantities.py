@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from numbers import Real
 
 from .errors import DeclarationError, UnitError
@@ -88,6 +88,11 @@ def in_unit(given: float | str, asked: Wanted, example: str = "") -> float:
             f"{other}. Give the unit: {form.replace('{}', _of(number, asked.written_in))}."
         )
     return number
+
+
+def in_si(given, asked: Wanted) -> float:
+    """A number of a program, which is in SI, or a text with its unit. Raises as `in_unit`."""
+    return in_unit(given, asked) if isinstance(given, str) else in_unit(given, replace(asked, written_in=""))
 
 
 def in_target(values, unit: str, asked: Wanted):

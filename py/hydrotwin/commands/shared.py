@@ -52,7 +52,9 @@ def step_in_seconds(text: str | float) -> float:
 
 StepOption = Annotated[
     float | None,
-    typer.Option(parser=step_in_seconds, metavar="TIME", help="longest internal step, seconds or 1ms; the model's own else"),
+    typer.Option(
+        parser=step_in_seconds, metavar="TIME", help="longest internal step, seconds or 1ms; the model's own else"
+    ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
 

@@ -22,8 +22,8 @@ class Loop:
     """``command = C(z) (reference - measured)``, kept within ``limits``.
 
     reference : column of the recordings with the wanted value, in the unit of ``measured``.
-    measured : output that is fed back. command : input that the controller sets; its ``limits`` are in SI, or texts with
-        a unit, which those of a command that is declared in another unit need.
+    measured : output that is fed back. command : input that the controller sets.
+    limits : in SI, or texts with a unit, which those of a command that is declared in another one need.
     numerator, denominator : of C in powers of z, highest first, in SI (python-control's ``tf(num, den, period)``).
     """
 
@@ -98,9 +98,9 @@ def controller_block(loop: Loop, plant: Block) -> Block:
     from hydrotwin.simulation.control_system import from_control
 
     units = {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
-    for wanted, kind in ((loop.measured, "output"), (loop.command, "input")):
-        if wanted not in units:
-            raise DeclarationError(f"loop: {plant.name} has no {kind} '{wanted}'. {nearest(wanted, units)}")
+    for name, kind in ((loop.measured, "output"), (loop.command, "input")):
+        if name not in units:
+            raise DeclarationError(f"loop: {plant.name} has no {kind} '{name}'. {nearest(name, units)}")
     error = control.tf(list(loop.numerator), list(loop.denominator), loop.period)
     single = control.ss(error)
     two = control.ss(

@@ -185,9 +185,9 @@ def _checked(key: str, value: object, where: str):
             raise DeclarationError(f"{where} {key} is no list of texts (got {value!r}). Write {key} = ['...'].")
         return tuple(value)
     if key in ("step", "period"):
-        seconds = in_unit(value, Wanted(f"{where} {key}", "s"), f"{key} = '{{}}'")
+        seconds = in_unit(value, Wanted(f"{where} {key}", "s"), f"{key} = '2ms'")
         if not seconds > 0:
-            raise DeclarationError(f"{where} {key} is no time above zero (got {value!r}). Give seconds, such as 0.002.")
+            raise DeclarationError(f"{where} {key} is no time above zero (got {value!r}). Write {key} = '2ms'.")
         return seconds
     if not isinstance(value, str):
         raise DeclarationError(f"{where} {key} is no text (got {value!r}). Put it in quotes.")

@@ -6,6 +6,7 @@ import errno
 import functools
 import os
 import shlex
+import sys
 from pathlib import Path
 
 import pytest

@@ -65,7 +65,7 @@ def settling(
     measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
     A move that ends inside a hole of an input, nobody knows when, is left out. It is the mean size over the moves, so
     that one that settles too late does not make up for one that settles too soon, with the sign of the mean. NaN where
-    the measurement never settles after a move. Noise leaves a band late: the prediction is given that of the sensor.
+    the measurement never settles after a move. Noise leaves a band late, and is taken out.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
     width, measured, found = _width(record), record[output], []
@@ -79,9 +79,9 @@ def settling(
         time, y, p = (values[part][known] for values in (record.time, measured, predicted))
         if len(y) <= width or not settled[part.stop - 1 - width // 2]:
             continue
-        band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2, LARGEST * sigma)
-        p = _as_noisy(p, y, sigma, width)
-        found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
+        band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2)
+        quiet = _without_noise(y, p, sigma, width)
+        found.append(_settles(time, p, band, width) - _settles(time, quiet, band, width))
     return _signed_size(found, np.ones(len(found)))
 
 
@@ -125,13 +125,13 @@ def _settles(time: np.ndarray, values: np.ndarray, band: float, width: int) -> f
     return float(time[min(outside[-1] + 1, len(time) - 1)] - time[0]) if len(outside) else 0.0
 
 
-def _as_noisy(predicted: np.ndarray, measured: np.ndarray, sigma: float, width: int) -> np.ndarray:
-    """A prediction (n,) with the noise of its measurement: what is fast in its error, no larger than noise is."""
+def _without_noise(measured: np.ndarray, predicted: np.ndarray, sigma: float, width: int) -> np.ndarray:
+    """What is measured (n,) without what is fast in the error of its prediction, as far as noise is so large."""
     if not sigma or len(measured) < width:
-        return predicted
+        return measured
     error = measured - predicted
     fast = error - uniform_filter1d(error, width, mode="nearest")
-    return predicted + np.clip(fast, -LARGEST * sigma, LARGEST * sigma)
+    return measured - np.clip(fast, -LARGEST * sigma, LARGEST * sigma)
 
 
 def _width(record: Record) -> int:

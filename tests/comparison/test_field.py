@@ -226,5 +226,5 @@ def test_noise_makes_no_prediction_settle_sooner_than_what_is_measured():
     u = np.where((TIME > 2) & (TIME < 7), 1.0, 0.0)
     y = answer(u, 0.4)
     noise = 0.01 * np.random.default_rng(0).standard_normal((6, len(y)))
-    assert np.mean([settling_of(u, y + e, y) for e in noise]) == pytest.approx(0.0, abs=0.06)
-    assert np.mean([settling_of(u, y + e, answer(u, 0.5)) for e in noise]) == pytest.approx(0.1 * np.log(20), abs=0.1)
+    assert np.mean([settling_of(u, y + e, y) for e in noise]) == pytest.approx(0.0, abs=0.03)
+    assert np.mean([settling_of(u, y + e, answer(u, 0.5)) for e in noise]) == pytest.approx(0.1 * np.log(20), abs=0.03)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import ClassVar
 
@@ -130,6 +130,7 @@ class FlatModel:
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
     loops : nonlinear ones, each by the unknowns it is solved for and ``(t, x, u, p) -> 1`` where it has a solution.
+    provenance : of its values, where a fit found them; other values have none.
     black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
 
@@ -145,6 +146,7 @@ class FlatModel:
     step: float = 1e-3
     description: str = ""
     loops: tuple[tuple[str, ca.Function], ...] = ()
+    provenance: Mapping = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
@@ -194,6 +196,7 @@ class FlatModel:
             parameters=tuple(
                 dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
             ),
+            provenance={} if changes else self.provenance,
         )
 
 

@@ -222,7 +222,7 @@ def test_what_counts_from_the_zero_of_a_unit_says_where_the_output_hardly_moves(
 
 
 def test_noise_makes_no_prediction_settle_sooner_than_what_is_measured():
-    """A noisy measurement leaves its band late: a right prediction without noise had settled 0.1 s and more too soon."""
+    """A noisy measurement leaves its band late: a right prediction had settled 0.1 s and more too soon."""
     u = np.where((TIME > 2) & (TIME < 7), 1.0, 0.0)
     y = answer(u, 0.4)
     noise = 0.01 * np.random.default_rng(0).standard_normal((6, len(y)))

@@ -140,19 +140,12 @@ def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
 
 def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
-    from hydrotwin.identification.bands import SPREAD, Spread
-
     roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
     return {
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        **fit.flat.provenance,
         "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
-        "chi2_per_sample": float(fit.chi2_per_dof),
-        "noise": dict(fit.noise),
-        "rmse": fit.rmse,
-        "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
-        "findings": [str(f) for f in fit.findings],
-        SPREAD: Spread.of(fit).told(),
     }
 
 

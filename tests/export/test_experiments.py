@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import casadi as ca
 import numpy as np
 import pytest
 
+from hydrotwin.export import check_fmu, export_fmu, read_fmu
 from hydrotwin.export.experiments import experiments_of, experiments_text, series_of, series_text
 from hydrotwin.export.reference import reference_experiment
+from hydrotwin.learned.evidence import credibility_of_block
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.records import Record
 from hydrotwin.simulation.simulate import InaccurateWarning
-from tests.export.systems import clocked_mass
+from tests.export.systems import clocked_mass, lag_block
 from tests.export.test_replay import INSIDE, bench, carrying
 
 
@@ -58,3 +62,16 @@ def test_a_run_that_half_the_step_changes_is_no_experiment(tmp_path):
     refused = pytest.raises(SolveError, match=r"half the step changes .* so nobody can meet its results")
     with pytest.warns(InaccurateWarning), refused:
         reference_experiment(chaotic, record)
+
+
+def test_the_fmu_of_a_learned_block_knows_what_it_was_trained_on_and_its_card(tmp_path):
+    """It carried no record, so that a criterion on its training recordings passed without a caution."""
+    card = {"outputs": {"angle": {"unit": "rad", "rmse": 0.01, "band": {}}}, "says": "held out: 0.01 rad"}
+    rows = [{"name": "train_1", "sha256": "a" * 64, "samples": 9}]
+    told = {"kind": "arx", "trained_on": rows, "selected_on": "parts of the training", "free_run": card}
+    block = dataclasses.replace(lag_block(), provenance=told)
+    fmu = export_fmu(block, tmp_path / "lag.fmu", credibility=credibility_of_block(block))
+    assert read_fmu(fmu).provenance["trained_on"] == [{"name": "train_1", "sha256": "a" * 64}]
+    (row,) = (row for row in check_fmu(fmu).rows if row.name == "record")
+    assert row.verdict == "pass" and "1 recording to fit: no criteria; angle RMSE 0.01 rad" in row.detail
+    assert credibility_of_block(lag_block()) is None

@@ -80,12 +80,11 @@ def in_unit(given: float | str, asked: Wanted, example: str = "") -> float:
     number, own = found
     if own:
         return in_target(number, own, asked)
-    if asked.written_in and not _is_same(number, asked):
-        target = asked.target
-        other = target.si if target.text == asked.written_in else target.text
+    declared, other = _two_readings(asked)
+    if _read_as(number, declared, asked) != _read_as(number, other, asked):
         raise DeclarationError(
             f"{asked.name}: declared in {asked.written_in}, so {_short(number)} alone may mean {asked.written_in} or "
-            f"{other}. Give the unit: {form.replace('{}', _of(number, asked.written_in))}."
+            f"{other.text}. Give the unit: {form.replace('{}', _of(number, asked.written_in))}."
         )
     return number
 
@@ -134,10 +133,17 @@ def _is_number(given: object) -> bool:
     return isinstance(given, Real) and not isinstance(given, bool)
 
 
-def _is_same(number: float, asked: Wanted) -> bool:
-    """Whether a number means the same in both units: zero does, where they have one zero."""
+def _two_readings(asked: Wanted) -> tuple[Unit, Unit]:
+    """The units in which a number alone may be meant; twice the same where there is one."""
+    target = asked.target
+    if not asked.written_in:
+        return target, target
     declared = asked.own.get(asked.written_in) or parse_unit(asked.written_in)
-    return number == 0.0 and (asked.difference or declared.offset == asked.target.offset == 0.0)
+    return declared, parse_unit(target.si) if target.text == asked.written_in else target
+
+
+def _read_as(number: float, unit: Unit, asked: Wanted) -> float:
+    return unit.factor * number + (0.0 if asked.difference else unit.offset)
 
 
 def _short(number: float) -> str:

@@ -82,9 +82,11 @@ def simulate(
     if output:
         check_file(output, *WRITTEN, sources=[input])
     thing = load(model)
-    changes, reading = constants_among(changes, {s.name for s in as_contender(thing).inputs}, reading)
+    is_fmu = hasattr(thing, "with_values")  # which reads what is set of its inputs itself, by the units that it defines
+    inputs = set() if is_fmu else {s.name for s in as_contender(thing).inputs}
+    changes, reading = constants_among(changes, inputs, reading)
     (record,) = read_all([input], reading)
-    if hasattr(thing, "with_values"):
+    if is_fmu:
         if step is not None or method != "auto":
             raise DeclarationError(f"simulate: '{model}' is an FMU, which --step and --method do not reach. Drop them.")
         texts = texts_from(changes, "--set")

@@ -24,8 +24,8 @@ from .writing import toml_values
 
 FORMAT = 1  # of the block; goes up where keys change their meaning or go
 KEY = "credibility"  # of the block in a model file
-IDENTIFY, GAP, COMPARE = "identify", "gap", "compare"
-MADE_BY = (IDENTIFY, GAP, COMPARE)
+IDENTIFY, GAP, COMPARE, LEARN = "identify", "gap", "compare", "learn"
+MADE_BY = (IDENTIFY, GAP, COMPARE, LEARN)
 FIT, JUDGE = "fit", "judge"  # roles of a recording: values follow it, or it had no part in them
 NEXT = "Take the block [credibility] out, or fit or record the model again."
 _ACTING = ("model", "effects", "inputs")  # of a model file: what its runs depend on, beside values and their spread
@@ -44,7 +44,7 @@ class StaleEvidenceWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Evidence:
-    """One time at which a model was fitted (``by`` identify or gap) or judged (``by`` compare).
+    """One time at which a model was fitted (``by`` identify, gap or learn) or judged (``by`` compare).
 
     contents : hash of the model it is of. recordings : rows ``name``, ``sha256`` and ``role``, fit or judge.
     metrics : rows ``output``, ``unit``, ``role``, ``mode`` and numbers, SI. criteria : rows ``text``, ``passed``,
@@ -75,7 +75,8 @@ class Evidence:
         made = ", ".join(f"{name} {number}" for name, number in self.versions.items())
         doubted = ", ".join(str(name) for name in _listed(self.facts.get("untrusted_bands")))
         doubt = f". Its bands cannot be trusted for {doubted}" if doubted else ""
-        return f"{self.by} on {self.date[:10]} ({made}), {on or 'no recordings'}: {self._result()}{doubt}"
+        when = f" on {self.date[:10]}" if self.date else ""
+        return f"{self.by}{when} ({made}), {on or 'no recordings'}: {self._result()}{doubt}"
 
     def _result(self) -> str:
         if self.criteria:

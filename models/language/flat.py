@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 from typing import ClassVar
 
@@ -17,6 +17,7 @@ import casadi as ca
 import numpy as np
 
 from .errors import DeclarationError, nearest
+from .quantities import in_si, wanted
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class Signal:
     the recordings, and holds it without any.
     ``chosen_by`` is who says so, "model", "user", "recording" or "fit", and ``why`` the reason in words. ``shift`` [s]:
     its recorded column is taken for so much later than it is stamped. ``dead_time`` names the parameter [s] that delays
-    the input, if any.
+    the input, if any. ``written_in`` is the unit in which it is declared, or shown, where that is not SI.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Signal:
     chosen_by: str | None = "model"
     shift: float = 0.0
     why: str = ""
+    written_in: str = ""
 
     @property
     def held(self) -> bool:
@@ -87,7 +89,10 @@ def changed(inputs: Sequence[Signal], changes: Mapping[str, Mapping], owner: str
 
 @dataclass(frozen=True)
 class StateVariable:
-    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it."""
+    """A state: dotted path, SI unit, typical magnitude, physical bounds, and the output that measures it.
+
+    ``written_in`` as of a `Signal`.
+    """
 
     name: str
     unit: str
@@ -95,13 +100,14 @@ class StateVariable:
     nominal: float = 1.0
     bounds: tuple[float, float] = (-np.inf, np.inf)
     measured_by: str | None = None
+    written_in: str = ""
 
 
 @dataclass(frozen=True)
 class ParameterValue:
     """A parameter with its value: dotted path, SI unit, bounds, scale, uncertainty and source.
 
-    ``free`` marks the parameters that identification frees by default.
+    ``free`` marks the parameters that identification frees by default. ``written_in`` as of a `Signal`.
     """
 
     name: str
@@ -113,6 +119,7 @@ class ParameterValue:
     source: str = ""
     description: str = ""
     free: bool = False
+    written_in: str = ""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,6 +130,7 @@ class FlatModel:
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
     loops : nonlinear ones, each by the unknowns it is solved for and ``(t, x, u, p) -> 1`` where it has a solution.
+    provenance : of its values, where a fit found them; other values have none.
     black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
 
@@ -138,6 +146,7 @@ class FlatModel:
     step: float = 1e-3
     description: str = ""
     loops: tuple[tuple[str, ca.Function], ...] = ()
+    provenance: Mapping = field(default_factory=dict)
 
     def __repr__(self) -> str:
         counts = (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs))
@@ -160,15 +169,12 @@ class FlatModel:
         return next((names for names, solved in self.loops if float(solved(t, x, u, p)) != 1), "")
 
     def parameter_vector(self, changes: Mapping[str, float] | None = None) -> np.ndarray:
-        """Values of all parameters, shape (np,), SI, with ``changes`` by path applied."""
+        """Values of all parameters, shape (np,), SI, with ``changes`` by path applied: in SI, or texts with a unit."""
         values = np.array([p.value for p in self.parameters], dtype=float)
         for name, value in (changes or {}).items():
-            try:
-                values[self.index_of(name)] = value
-            except (TypeError, ValueError):
-                raise DeclarationError(
-                    f"{self.name}.{name}: {value!r} is no number. Give its value in SI, without a unit."
-                ) from None
+            k = self.index_of(name)
+            asked = wanted(self.parameters[k], self.name)
+            values[k] = in_si(value, asked)
         return values
 
     def index_of(self, parameter: str) -> int:
@@ -190,6 +196,7 @@ class FlatModel:
             parameters=tuple(
                 dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
             ),
+            provenance={} if changes else self.provenance,
         )
 
 

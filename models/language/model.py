@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -14,14 +15,14 @@ from .acting import refuse_idle
 from .additions import Addition
 from .component import Component
 from .declarations import finite
-from .errors import DeclarationError, SolveError, TopologyError, UnitError, nearest
+from .errors import DeclarationError, SolveError, TopologyError, nearest
 from .flat import FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, no_parameter
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
+from .quantities import Wanted, in_target, in_unit
 from .regularity import check_solvable, loops_of
 from .summary_html import SmallTable, summary_html
-from .units import compatible
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
 _NUMBERS = ("value", "bounds", "sigma")  # of a setting, in its unit
@@ -250,9 +251,13 @@ class Model:
             name=self.name,
             description=(type(self.root).__doc__ or "").strip().split("\n")[0],
             inputs=changed([self._input(i) for i in e.inputs], self.inputs_changed, self.name),
-            outputs=tuple(Signal(o.path, o.unit, o.declaration.description, o.declaration.nominal) for o in e.outputs),
+            outputs=tuple(
+                Signal(o.path, o.unit, d.description, d.nominal, written_in=d.written_in)
+                for o in e.outputs
+                for d in [o.declaration]
+            ),
             states=tuple(
-                StateVariable(s.path, s.unit, d.description, d.nominal, d.bounds, measured[s.path])
+                StateVariable(s.path, s.unit, d.description, d.nominal, d.bounds, measured[s.path], d.written_in)
                 for s in e.states
                 for d in [s.declaration]
             ),
@@ -268,30 +273,24 @@ class Model:
         return flat
 
     @property
-    def written_in(self) -> dict[str, str]:
-        """Parameter -> the unit it is declared in, where that is not SI: of those a number alone may mean two."""
-        entries = self._solved.elaboration.parameters
-        return {e.path: e.declaration.written_in for e in entries if e.declaration.written_in}
+    def asked(self) -> dict[str, Wanted]:
+        """Parameter, those that follow others too -> what a number for it is asked for."""
+        return {e.path: self._asked(e) for e in self._solved.elaboration.parameters}
+
+    def _asked(self, entry) -> Wanted:
+        return Wanted(f"{self.name}.{entry.path}", entry.unit, entry.declaration.written_in)
 
     def _input(self, entry) -> Signal:
         d = entry.declaration
         dead_time = self._solved.dead_times.get(entry.path)
         by = "model" if d.interpolation else None
-        return Signal(entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by)
+        return Signal(
+            entry.path, entry.unit, d.description, d.nominal, d.interpolation, dead_time, d.default, by,
+            written_in=d.written_in,
+        )  # fmt: skip
 
     def _parameter(self, entry, follows: float | None = None) -> ParameterValue:
-        d, change = entry.declaration, self.settings.get(entry.path, {})
-        if not compatible(change.get("unit", entry.unit), entry.unit):
-            raise UnitError(
-                f"{self.name}.{entry.path}: the value is in {change['unit']}, the model needs {entry.unit}. "
-                "Correct the unit or the value."
-            )
-        alone = [key for key in _NUMBERS if key in change]
-        if d.written_in and alone and "unit" not in change:
-            raise DeclarationError(
-                f"{self.name}.{entry.path}: declared in {d.written_in}, so {alone[0]} {change[alone[0]]} alone may "
-                f"mean {d.written_in} or {entry.unit}. Give the unit: {{'{alone[0]}': .., 'unit': '{d.written_in}'}}."
-            )
+        d, change = entry.declaration, self._numbers_of(entry)
         value = change.get("value", follows if callable(d.value) else d.value)
         if value is None:
             raise DeclarationError(
@@ -313,7 +312,22 @@ class Model:
             source=change.get("source", d.source),
             description=d.description,
             free=bool(change.get("free", d.free)),
+            written_in=d.written_in,
         )
+
+    def _numbers_of(self, entry) -> Mapping:
+        """What is set of a parameter, its numbers in SI."""
+        change, asked = dict(self.settings.get(entry.path, {})), self._asked(entry)
+        unit = change.get("unit")
+        for key in (key for key in _NUMBERS if change.get(key) is not None):
+            if unit:
+                of = replace(asked, difference=key == "sigma")
+                several = isinstance(change[key], tuple)
+                turned = [in_target(n, unit, of) for n in (change[key] if several else [change[key]])]
+                change[key] = tuple(turned) if several else turned[0]
+            for number in np.atleast_1d(change[key]) if asked.written_in and not unit else ():
+                in_unit(float(number), asked, f"{{'{key}': .., 'unit': '{asked.written_in}'}}")
+        return change
 
     # -- looking inside ----------------------------------------------------------------------------------------
     def observe(self, paths: Iterable[str]) -> ca.Function:

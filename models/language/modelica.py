@@ -333,11 +333,11 @@ class _PackageWriter:
 
 def _changed_settings(model: Model, elaboration: Elaboration, renamed: Mapping[str, str]) -> dict[str, str]:
     """Values of the model that differ from the declarations, by path."""
-    values = {}
+    values, known = {}, {p.name: p.value for p in model.flat.parameters}
     for path, setting in model.settings.items():
         first, dot, rest = path.partition(".")
         if "value" in setting:
-            values[f"{renamed.get(first, first)}{dot}{rest}"] = setting["value"]
+            values[f"{renamed.get(first, first)}{dot}{rest}"] = known.get(path, setting["value"])
     declared = {entry.path: entry.declaration.value for entry in elaboration.parameters}
     return {p: f"={modelica_number(value)}" for p, value in values.items() if value != declared.get(p)}
 

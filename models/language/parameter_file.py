@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from .errors import DataError, DeclarationError, HydrotwinError, nearest
-from .units import parse_unit
+from .units import counts_turns_or_not, parse_unit
 
 _KEYS = ("value", "unit", "bounds", "free", "source", "sigma", "note")
 _WORDS = (
@@ -80,7 +80,7 @@ def _of_file(entry: Mapping, where: str) -> dict:
 def setting_in_si(entry: Mapping, where: str, error: type[HydrotwinError] = DeclarationError) -> dict:
     """What is said of one parameter, its numbers in SI: the one place where settings of any origin become so.
 
-    Without a unit they are in SI already.
+    Without a unit they are in SI already; those in 1/min stay so until it is known whether an angle is needed.
 
     Raises
     ------
@@ -126,6 +126,8 @@ def _convert(setting: dict, where: str) -> None:
         unit = parse_unit(setting["unit"])
     except HydrotwinError as error:
         raise type(error)(f"{where}: {error}") from None
+    if counts_turns_or_not(setting["unit"]):
+        return
     setting["unit"] = unit.si
     if setting.get("value") is not None:
         setting["value"] = unit.factor * setting["value"] + unit.offset

@@ -29,10 +29,12 @@ _DISPLAY = {
     "Pa": ("bar", "MPa", "kPa", "psi"), "rad": ("deg",), "rad/s": ("rpm", "deg/s"), "rad/s2": ("deg/s2",),
     "m": ("mm", "cm"), "m/s": ("mm/s",), "m/s2": ("m/s2",), "m2": ("mm2", "cm2"), "m3": ("L", "cm3"),
     "m3/s": ("L/min", "cm3/s"), "m3/rad": ("cm3/rev",), "N": ("kN",), "1": ("%",), "s": ("s", "ms"), "kg": ("kg", "t"),
-    "W": ("kW",), "J": ("kJ",), "K": ("degC",), "Pa/s": ("bar/s",), "m3/(s.Pa)": ("L/(min.bar)",), "A": ("A", "mA"),
+    "W": ("kW",), "J": ("kJ",), "K": ("K", "degC"), "Pa/s": ("bar/s",), "m3/(s.Pa)": ("L/(min.bar)",), "A": ("A", "mA"),
 }  # fmt: skip
 
-_GAUGE = re.compile(r"\b([mk]?bar|[kM]?Pa|psi) *(?:\( *(g|rel|ü|a|abs) *\)|(?: |(?=[üga]\b))(g|rel|ü|a|abs)\b)", re.I)
+_GAUGE = re.compile(
+    r"\b([mk]?bar|[kM]?Pa|psi) *(?:\( *(g|rel|ü|a|abs) *\)|(?:[ _]|(?=[üga]\b))(g|rel|ü|a|abs)\b)", re.I
+)
 _TEMPERATURE = re.compile(r"(?:grad|degrees?|deg) *(c|f)(?:elsius|ahrenheit)?", re.IGNORECASE)
 _TOKEN = re.compile(
     r"(?P<sqrt>sqrt\()|(?P<open>\()|(?P<close>\))|(?P<over>/)|(?P<power>\*\*|\^)|(?P<times>[.*·⋅ ])"
@@ -197,7 +199,7 @@ def _scaled(values, factor: float, offset: float):
 def _meant(from_: str, to: str) -> Unit:
     """``from_`` understood for a conversion to ``to``: a bare 1/min counts turns, unless ``to`` holds no angle."""
     unit = parse_unit(from_)
-    rate = not _power("rad", parse_unit(to).si) and _Reader(from_).read() == _PER_MINUTE
+    rate = not _power("rad", parse_unit(to).si) and counts_turns_or_not(from_)
     return _unit(from_, _PER_MINUTE) if rate else unit
 
 
@@ -217,6 +219,11 @@ def _hides_turns(one: Unit, two: Unit) -> bool:
     return not with_angle.dimension[1] or not {"min", "h"}.isdisjoint(_Reader(without.text).read())
 
 
+def counts_turns_or_not(unit: str) -> bool:
+    """Whether what a unit means depends on what is needed: 1/min is revolutions, or a rate where no angle is."""
+    return _Reader(unit).read() == _PER_MINUTE
+
+
 def power(symbol: str, unit: str) -> Fraction:
     """The exponent of a symbol in the SI form of a unit: 1 for rad in rpm."""
     return _power(symbol, parse_unit(unit).si)
@@ -229,7 +236,7 @@ def _power(symbol: str, si: str) -> Fraction:
 def way_out(unit: str, needed: str) -> str:
     """What to write instead of a unit that is not the one needed."""
     if dimension(unit) != dimension(needed):
-        return f"Units of that dimension: {', '.join(dict.fromkeys((si_unit(unit), *display_units(unit))))}."
+        return f"Write it in {', '.join(dict.fromkeys((si_unit(needed), *display_units(needed))))}."
     if _power("rad", parse_unit(needed).si) and dimension(needed) == dimension("1/s"):
         return f"'{unit}' does not say whether it counts radians or turns: write rad/s, rpm or rev/s."
     if _power("rad", parse_unit(needed).si):

@@ -197,6 +197,12 @@ def _check_model(one: Criterion, asked: Asked, model: str) -> None:
         raise DeclarationError(
             f"accept: '{one.text}': {model} gives no {one.output}. It gives {', '.join(given) or 'nothing scored'}."
         )
+    if METRICS[one.metric].of_band and given[one.output] != one.output:
+        measured = ", ".join(f"{name}.{one.metric}" for name, made in given.items() if name == made)
+        raise DeclarationError(
+            f"accept: '{one.text}': {one.output} is a slope, and bands are of what sensors read. Judge {measured}, "
+            "each by a criterion of its own."
+        )
     if METRICS[one.metric].of_band and not asked.banded(model, one.output):
         banded = [e.name for e in asked.entrants if asked.banded(e.name, one.output)]
         have = f"Those with one: {', '.join(banded)}." if banded else "`identify` gives a model one."

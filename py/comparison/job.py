@@ -143,7 +143,7 @@ def _predict(contender, mode: str, job: Job, found: _Found) -> Run | None:
         found.failures.append(Failure(contender.name, record.name, mode, _sentence(error)))
         return None
     if mode == FREE_RUN:
-        prediction = with_rates(prediction, plan.sloped)
+        prediction = with_rates(prediction, plan.sloped, record)
     deviation, chance = _band_of(contender, job, prediction, mode)
     signals, units = dict(prediction.signals), dict(prediction.units)
     return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
 
@@ -22,6 +23,7 @@ class Loop:
 
     reference : column of the recordings with the wanted value, in the unit of ``measured``.
     measured : output that is fed back. command : input that the controller sets.
+    limits : in SI, or texts with a unit, which those of a command that is declared in another one need.
     numerator, denominator : of C in powers of z, highest first, in SI (python-control's ``tf(num, den, period)``).
     """
 
@@ -31,7 +33,7 @@ class Loop:
     period: float
     numerator: tuple[float, ...]
     denominator: tuple[float, ...]
-    limits: tuple[float, float] = (-np.inf, np.inf)
+    limits: tuple[float | str, float | str] = (-np.inf, np.inf)
 
 
 def read_loop(table: Mapping, where: str) -> Loop:
@@ -44,12 +46,17 @@ def read_loop(table: Mapping, where: str) -> Loop:
             raise DeclarationError(f"{where}: [loop] has no '{key}'. It needs {', '.join(_KEYS[:-1])}.")
     try:
         return Loop(
-            str(table["reference"]), str(table["measured"]), str(table["command"]), float(table["period"]),
+            str(table["reference"]), str(table["measured"]), str(table["command"]),
+            in_unit(table["period"], Wanted(f"{where}: [loop] period", "s"), "period = '{}'"),
             tuple(float(c) for c in table["numerator"]), tuple(float(c) for c in table["denominator"]),
-            tuple(float(c) for c in table.get("limits", (-np.inf, np.inf))),
+            tuple(_limit(c) for c in table.get("limits", (-np.inf, np.inf))),
         )  # fmt: skip
     except (TypeError, ValueError) as error:
         raise DeclarationError(f"{where}: [loop] holds something that is no number ({error}). Correct it.") from None
+
+
+def _limit(given: object) -> float | str:
+    return given if isinstance(given, str) else float(given)
 
 
 def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
@@ -64,15 +71,24 @@ def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
                 f"loop: {getattr(thing, 'name', thing)} cannot be put under the controller. Only models and blocks can."
             )
         plant = lower(thing, loop.period)
+    controller = controller_block(loop, plant)  # which knows the command
     block = close_loop(
         plant,
-        controller_block(loop, plant),
+        controller,
         feedback={"measured": loop.measured},
         command={loop.command: "command"},
-        limits={loop.command: loop.limits},
+        limits={loop.command: limits_of(loop, plant)},
         name=name or plant.name,
     )
     return BlockContender(block, kind=str(plant.provenance.get("kind", "physical")), name=name or plant.name)
+
+
+def limits_of(loop: Loop, plant: Block) -> tuple[float, float]:
+    """The limits of the command in SI. Raises DeclarationError or UnitError for what is none."""
+    asked = next(wanted(s, "loop") for s in plant.inputs if s.name == loop.command)
+    return tuple(
+        c if isinstance(c, float) and np.isinf(c) else in_unit(c, asked, "limits = ['{}', ..]") for c in loop.limits
+    )
 
 
 def controller_block(loop: Loop, plant: Block) -> Block:
@@ -82,9 +98,9 @@ def controller_block(loop: Loop, plant: Block) -> Block:
     from hydrotwin.simulation.control_system import from_control
 
     units = {s.name: s.unit for s in (*plant.inputs, *plant.outputs)}
-    for wanted, kind in ((loop.measured, "output"), (loop.command, "input")):
-        if wanted not in units:
-            raise DeclarationError(f"loop: {plant.name} has no {kind} '{wanted}'. {nearest(wanted, units)}")
+    for name, kind in ((loop.measured, "output"), (loop.command, "input")):
+        if name not in units:
+            raise DeclarationError(f"loop: {plant.name} has no {kind} '{name}'. {nearest(name, units)}")
     error = control.tf(list(loop.numerator), list(loop.denominator), loop.period)
     single = control.ss(error)
     two = control.ss(

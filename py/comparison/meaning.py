@@ -217,5 +217,6 @@ def _converted(said: Sentence, value: float, what: str, of: str) -> float:
     if not fits:
         got = f"'{unit}' does not fit" if unit else "a unit is missing"
         share = " A share of the range is nrmse." if unit == "%" else ""
-        raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {value:g} {usual}.{share}")
+        numbers = " and ".join(f"{number:g} {usual}" for number in said.numbers)
+        raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {numbers}.{share}")
     return convert_difference(value, unit, of)

@@ -11,6 +11,7 @@ from hydrotwin.models.language.units import si_unit
 from hydrotwin.records import Record
 
 WINDOW = 0.05  # s, over which a slope is taken
+GAP = 3.0  # usual samples, or half windows: a longer stretch without a sample is a gap
 
 
 def rate_signal(signal: Signal) -> Signal:
@@ -29,26 +30,34 @@ def rate_name(name: str) -> str:
     return f"{name}.rate"
 
 
-def with_rates(record: Record, signals: Sequence[Signal]) -> Record:
+def with_rates(record: Record, signals: Sequence[Signal], measured: Record | None = None) -> Record:
     """The record with the rates of those signals that it holds.
 
         r(t) = (y(t + w/2) - y(t - w/2)) / w
 
     w is WINDOW, or two samples where these are longer; at the ends the window is cut. White noise of y comes out
-    sqrt(2)/w times as large.
+    sqrt(2)/w times as large. A sensor with samples of its own, slower than the record, has its slope at those, and none
+    where the window reaches into a gap; measured : the record whose samples count, by default this one.
     """
-    held = [s for s in signals if s.name in record.signals]
-    if not held or len(record.time) < 3:
-        return record
-    half = max(WINDOW / 2, record.period)
-    after = np.minimum(record.time + half, record.time[-1])
-    before = np.maximum(record.time - half, record.time[0])
-    rates, units = {}, {}
-    for signal in held:
-        values = record[signal.name]
+    measured, rates, units = measured or record, {}, {}
+    for signal in (s for s in signals if s.name in record.signals):
         rate = rate_signal(signal)
-        rates[rate.name] = (np.interp(after, record.time, values) - np.interp(before, record.time, values)) / (
-            after - before
+        known = (
+            np.isfinite(measured[signal.name]) if signal.name in measured.signals else np.ones(len(record.time), bool)
         )
-        units[rate.name] = rate.unit
-    return record.with_signals(rates, units)
+        if known.sum() >= 3:
+            rates[rate.name] = np.full(len(record.time), np.nan)
+            rates[rate.name][known] = _slopes(record.time[known], record[signal.name][known])
+            units[rate.name] = rate.unit
+    return record.with_signals(rates, units) if rates else record
+
+
+def _slopes(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Slopes (n,) at the samples; NaN where the window ends in a gap."""
+    steps = np.diff(time)
+    usual = float(np.median(steps))
+    half = max(WINDOW / 2, usual)
+    after, before = np.minimum(time + half, time[-1]), np.maximum(time - half, time[0])
+    slopes = (np.interp(after, time, values) - np.interp(before, time, values)) / (after - before)
+    beside = [steps[np.clip(np.searchsorted(time, at) - 1, 0, len(steps) - 1)] for at in (after, before)]
+    return np.where(np.maximum(*beside) <= GAP * max(usual, WINDOW / 2), slopes, np.nan)

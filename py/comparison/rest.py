@@ -6,13 +6,14 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from hydrotwin.records import NoiseFloor, Record
 
 REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
 STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
 HELD = 0.001  # the same of an input: at the crest of a slow motion it is not held
+LARGEST = 4.0  # sigmas: no noise of a sample is larger
 SETTLED = 0.05  # of the largest distance from the final value: what stays nearer, or rests, has settled
 
 
@@ -64,11 +65,12 @@ def settling(
     measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
     A move that ends inside a hole of an input, nobody knows when, is left out. It is the mean size over the moves, so
     that one that settles too late does not make up for one that settles too soon, with the sign of the mean. NaN where
-    the measurement never settles after a move.
+    the measurement never settles after a move. Noise leaves a band late, and is taken out.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
     width, measured, found = _width(record), record[output], []
-    settled, room = rests(record, [output], noise), _room(measured, _sigma(output, noise))
+    sigma = _sigma(output, noise)
+    settled, room = rests(record, [output], noise), _room(measured, sigma)
     told = np.all([np.isfinite(record[n]) for n in inputs], axis=0)
     for part in _after_moves(inputs_rest(record, inputs, noise), width):
         if not np.all(told[part.start - 1 : part.start + 1]):  # the move ended in a hole
@@ -78,7 +80,8 @@ def settling(
         if len(y) <= width or not settled[part.stop - 1 - width // 2]:
             continue
         band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2)
-        found.append(_settles(time, p, band, width) - _settles(time, y, band, width))
+        quiet = _without_noise(y, p, sigma, width)
+        found.append(_settles(time, p, band, width) - _settles(time, quiet, band, width))
     return _signed_size(found, np.ones(len(found)))
 
 
@@ -120,6 +123,15 @@ def _settles(time: np.ndarray, values: np.ndarray, band: float, width: int) -> f
     """Seconds until values (n,) stay within a band about their last ones."""
     outside = np.flatnonzero(np.abs(values - values[-width:].mean()) > band)
     return float(time[min(outside[-1] + 1, len(time) - 1)] - time[0]) if len(outside) else 0.0
+
+
+def _without_noise(measured: np.ndarray, predicted: np.ndarray, sigma: float, width: int) -> np.ndarray:
+    """What is measured (n,) without what is fast in the error of its prediction, as far as noise is so large."""
+    if not sigma or len(measured) < width:
+        return measured
+    error = measured - predicted
+    fast = error - uniform_filter1d(error, width, mode="nearest")
+    return measured - np.clip(fast, -LARGEST * sigma, LARGEST * sigma)
 
 
 def _width(record: Record) -> int:

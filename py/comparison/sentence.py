@@ -13,11 +13,11 @@ import re
 from dataclasses import dataclass
 
 from hydrotwin.models.language.errors import DeclarationError, UnitError
+from hydrotwin.models.language.quantities import NUMBER, number_of
 from hydrotwin.models.language.units import parse_unit
 
 from .rewriting import forms
 
-NUMBER = r"[-+\N{MINUS SIGN}]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+\N{MINUS SIGN}]?\d+)?"
 EXAMPLES = "'position.rmse < 2 mm', 'position.fit > 90 %', 'position.coverage in [0.9, 0.99]'"
 IN, THAN = "in", "not worse than"
 SIGNS = {"<": "<", "＜": "<", ">": ">", "＞": ">", "<=": "<=", "=<": "<=", ">=": ">=", "=>": ">=", "≤": "<=",
@@ -109,11 +109,6 @@ def _than(text: str, found: re.Match) -> Sentence | None:
         )
     by = share / 100 if found["percent"] else share
     return Sentence(text, found["group"] or "", found["what"] or "", THAN, than=other_of(text), by=by)
-
-
-def number_of(text: str) -> float:
-    """A number as `NUMBER` finds it."""
-    return float(text.replace("\N{MINUS SIGN}", "-"))
 
 
 def _unit(unit: str | None) -> str:

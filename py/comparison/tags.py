@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
+from hydrotwin.models.language.quantities import NUMBER, number_of
 from hydrotwin.models.language.units import compatible, convert, dimension, power, to_si
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import SUFFIXES, Record
-
-from .sentence import NUMBER, number_of
 
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, fields
 
 from hydrotwin.identification.beginning import check_initial_states
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.quantities import Wanted, in_unit
 from hydrotwin.simulation.propagator import METHODS
 
 BASE = "base"  # the scenario as it stands: the variant that changes nothing
@@ -184,9 +185,10 @@ def _checked(key: str, value: object, where: str):
             raise DeclarationError(f"{where} {key} is no list of texts (got {value!r}). Write {key} = ['...'].")
         return tuple(value)
     if key in ("step", "period"):
-        if isinstance(value, bool) or not isinstance(value, float | int) or not 0 < value < math.inf:
-            raise DeclarationError(f"{where} {key} is no time above zero (got {value!r}). Give seconds, such as 0.002.")
-        return float(value)
+        seconds = in_unit(value, Wanted(f"{where} {key}", "s"), f"{key} = '2ms'")
+        if not seconds > 0:
+            raise DeclarationError(f"{where} {key} is no time above zero (got {value!r}). Write {key} = '2ms'.")
+        return seconds
     if not isinstance(value, str):
         raise DeclarationError(f"{where} {key} is no text (got {value!r}). Put it in quotes.")
     if key == "initial_states":

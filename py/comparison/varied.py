@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import fnmatch
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language import Model
-from hydrotwin.models.language.errors import DeclarationError, UnitError, nearest
-from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.errors import DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.flat import FlatModel, no_parameter
+from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 
 from .contender import PhysicalContender
 from .variants import Variant
 
 SAME = 1e-12  # relative: the same number, read in one unit or another
 _OF_NO_FIT = {"sigma": None, "source": "set for this comparison"}
-_VALUE = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*?)?\s*")
 
 
 @dataclass(frozen=True)
@@ -50,19 +48,23 @@ def varied(one: Thing, variant: Variant) -> object:
 def with_values(thing, values: Mapping[str, object]) -> object:
     """The model with these values, in SI or as a text with a unit. What a fit said of a value that is set is gone.
 
-    Raises DeclarationError for a text that is no number, and what the model raises for what it cannot take.
+    Raises DeclarationError for a text that is no number and a number alone that may mean two, and what the model raises
+    for what it cannot take.
     """
     if hasattr(thing, "with_values"):
         return thing.with_values({path: _as_written(value) for path, value in values.items()})
-    settings = {path: _setting(path, value) for path, value in values.items()}
+    own = _asked(thing)
+    if unknown := [path for path in values if path not in own]:
+        raise no_parameter(thing.name, unknown[0], own)
+    numbers = {path: in_unit(value, own[path]) for path, value in values.items()}
     if isinstance(thing, Model):
-        return thing.with_settings({path: {**_OF_NO_FIT, **change} for path, change in settings.items()})
-    units = {p.name: p.unit for p in thing.parameters}
-    for path in (path for path in settings if path not in units):
-        raise DeclarationError(f"{thing.name}: no parameter '{path}'. {nearest(path, list(units))}")
-    return thing.with_parameters(
-        {n: convert(s["value"], s.get("unit", units[n]), units[n]) for n, s in settings.items()}
-    )
+        return thing.with_settings({n: {**_OF_NO_FIT, "value": v, "unit": own[n].unit} for n, v in numbers.items()})
+    return thing.with_parameters(numbers)
+
+
+def _asked(thing) -> Mapping[str, Wanted]:
+    """What can be set of a model with equations."""
+    return thing.asked if isinstance(thing, Model) else {p.name: wanted(p, thing.name) for p in thing.parameters}
 
 
 def _as_written(value: object) -> str:
@@ -109,10 +111,10 @@ def check_variant(things: Sequence[Thing], variant: Variant, where: str) -> None
     models = [one.thing for one in asked if isinstance(one.thing, Model)]
     if variant.effects_on and not models:
         raise DeclarationError(f"{where}: none of its models has equations that an effect could be added to.")
-    for wanted in variant.effects_on:
-        labels = [word for model in models for c in _fitting(model, wanted) for word in (c.id, c.label)]
-        if wanted not in labels:
-            raise DeclarationError(f"{where}: '{wanted}' fits in no model. {nearest(wanted, sorted(set(labels)))}")
+    for effect in variant.effects_on:
+        labels = [word for model in models for c in _fitting(model, effect) for word in (c.id, c.label)]
+        if effect not in labels:
+            raise DeclarationError(f"{where}: '{effect}' fits in no model. {nearest(effect, sorted(set(labels)))}")
     made = [_with_effects(model, variant) if variant.effects_on else model for model in models]
     known = set().union(*map(settable, [*made, *(one.thing for one in asked)]))
     for path in variant.parameters:
@@ -146,41 +148,28 @@ def _with_effects(model: Model, variant: Variant) -> Model:
     """Without those to put off, with those to add that fit it."""
     off = [a for a in model.additions if any(fnmatch.filter(_names(a), p) for p in variant.effects_off)]
     model = model.without(off) if off else model
-    found = [_candidate(model, wanted) for wanted in variant.effects_on]
+    found = [_candidate(model, effect) for effect in variant.effects_on]
     added = [one.addition for one in found if one]
     return model.plus(added, sought=True) if added else model
 
 
-def _candidate(model: Model, wanted: str) -> Candidate | None:
+def _candidate(model: Model, effect: str) -> Candidate | None:
     """The effect of the catalogue at its one place, or at the place that is named; None where it does not fit."""
-    fitting = [c for c in _fitting(model, wanted) if wanted in (c.id, c.label)]
+    fitting = [c for c in _fitting(model, effect) if effect in (c.id, c.label)]
     if len(fitting) > 1:
         labels = ", ".join(c.label for c in fitting)
-        raise DeclarationError(f"{model.name}: '{wanted}' fits at several places. Name one: {labels}.")
+        raise DeclarationError(f"{model.name}: '{effect}' fits at several places. Name one: {labels}.")
     return fitting[0] if fitting else None
 
 
-def _fitting(model: Model, wanted: str) -> list[Candidate]:
-    return [c for c in candidates(model, [wanted.partition(" at ")[0]], merged=False) if not c.site.frees]
+def _fitting(model: Model, effect: str) -> list[Candidate]:
+    return [c for c in candidates(model, [effect.partition(" at ")[0]], merged=False) if not c.site.frees]
 
 
 def _has(thing, path: str, value: float | str) -> bool:
     """Whether a parameter has this value already: set once more, an identified one would lose what is known of it."""
     own = next((p for p in getattr(thing, "flat", thing).parameters if p.name == path), None)
-    if own is None or (isinstance(value, str) and not _VALUE.fullmatch(value)):
-        return False
-    told = _setting(path, value)
     try:
-        number = convert(told["value"], told.get("unit", own.unit), own.unit)
-    except UnitError:  # the model says it where it is set
+        return own is not None and math.isclose(in_unit(value, wanted(own)), own.value, rel_tol=SAME, abs_tol=0.0)
+    except HydrotwinError:  # the model says it where it is set
         return False
-    return math.isclose(number, own.value, rel_tol=SAME, abs_tol=0.0)
-
-
-def _setting(path: str, value: object) -> Mapping[str, object]:
-    if not isinstance(value, str):
-        return {"value": value}
-    found = _VALUE.fullmatch(value)
-    if not found:
-        raise DeclarationError(f"{path}: '{value}' is no number. Write it in SI, or with its unit: '35 bar'.")
-    return {"value": float(found[1])} | ({"unit": found[2]} if found[2] else {})

@@ -7,8 +7,6 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from hydrotwin.models.language.units import display_units
-
 from .type_definitions import type_definitions, type_names
 from .unit_definitions import unit_definitions
 from .variables import Variable
@@ -135,7 +133,7 @@ def starts_annotation(variables: Sequence[Variable], header: Header) -> ET.Eleme
 def units_and_types(variables: Sequence[Variable], fmi: int) -> list[ET.Element]:
     """``UnitDefinitions`` and, where a variable has a type, ``TypeDefinitions``."""
     types = type_definitions(variables, fmi)
-    return [unit_definitions(v.unit for v in variables), *([] if types is None else [types])]
+    return [unit_definitions((v.unit, v.shown) for v in variables), *([] if types is None else [types])]
 
 
 def _scalar_variable(reference: int, variable: Variable, sampled: bool, types: Mapping[str, str]) -> ET.Element:
@@ -168,9 +166,8 @@ def real_attributes(variable: Variable, types: Mapping[str, str]) -> dict[str, s
     """Type, unit, bounds, nominal and start value; importers that skip types find all but the quantity here."""
     typed = variable.unit in types and variable.kind != "time"
     attributes = ({"declaredType": types[variable.unit]} if typed else {}) | {"unit": variable.unit}
-    best = display_units(variable.unit)[0]
-    if best != variable.unit:
-        attributes["displayUnit"] = best
+    if variable.shown != variable.unit:
+        attributes["displayUnit"] = variable.shown
     low, high = variable.bounds
     if math.isfinite(low):
         attributes["min"] = repr(float(low))

@@ -66,7 +66,7 @@ def _fitted(lowered: Lowered) -> list[str]:
         if p.sigma is None:
             continue
         shown = [_number(p.value, p.sigma, 1.0, 0.0, p.unit)]
-        best = display_units(p.unit)[0]
+        best = p.written_in or display_units(p.unit)[0]
         if best != p.unit:
             shown.append(_number(p.value, p.sigma, *display_factor(p.unit, best), best))
         percent = f"{100 * p.sigma / abs(p.value):.2g} %" if p.value else ""

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.quantities import apart, in_unit
 from hydrotwin.records import Record
 
 from .fmu_process.master import is_scalar
 from .foreign import Description, kind_of
-from .parameter_sets import in_own_unit
-from .unit_meanings import unit_name
+from .parameter_sets import asked_of
 
 AT_REST = "inputs at their start values"
 LEFT_OUT = "outputs left out"
 REDEFINED = "units as the FMU defines them"
-_NUMBER = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(\S.*)?")
 
 
 def own_value(name: str, given: float | str, description: Description):
@@ -35,32 +33,19 @@ def own_value(name: str, given: float | str, description: Description):
         kind = kind_of(variable)
         raise DeclarationError(f"{name}: it is {kind}, and only single numbers and texts can be set. Leave it out.")
     whole = description.whole.get(name)
-    number, unit = _number(name, given, {t: n for n, t in whole.items.items()} if whole else {})
-    factor, offset = description.scales[name]
-    if not unit and isinstance(given, str) and (factor, offset) != (1.0, 0.0):
-        called, si = unit_name(variable), description.units[name]
-        raise DeclarationError(
-            f"{name}: declared in {called}, so {given} alone may mean {called} or {si}. "
-            f"Give the unit: {name}={given}{called}."
-        )
-    own = np.array([in_own_unit(number, unit, name, "", description) if unit else (number - offset) / factor])
+    items = {"true": 1.0, "false": 0.0, **({t: n for n, t in whole.items.items()} if whole else {})}
+    if isinstance(given, str) and given.strip() in items:
+        own = float(items[given.strip()])
+    elif isinstance(given, str) and whole and whole.items and apart(given) is None:
+        raise DeclarationError(f"{name}: '{given}' is none of its items. {nearest(given, items)}")
+    elif isinstance(given, str):
+        own = in_unit(given, asked_of(name, description), f"{name}={{}}")
+    else:
+        factor, offset = description.scales[name]
+        own = (float(given) - offset) / factor
     if whole:
-        own = whole.rounded(own, lambda _: f"{name}: {given} is no {whole.kind}, which it must be")
-    return float(own[0])
-
-
-def _number(name: str, given: float | str, items: Mapping[str, int]) -> tuple[float, str]:
-    """Number and unit, "" where none is given."""
-    if not isinstance(given, str):
-        return float(given), ""
-    words = {"true": 1.0, "false": 0.0, **items}
-    if given.strip() in words:
-        return float(words[given.strip()]), ""
-    found = _NUMBER.fullmatch(given)
-    if not found:
-        known = nearest(given, items) if items else "Write a number in SI, or with its unit: 35bar."
-        raise DeclarationError(f"{name}: '{given}' is no number. {known}")
-    return float(found[1]), found[2] or ""
+        own = whole.rounded(np.array([own]), lambda _: f"{name}: {given} is no {whole.kind}, which it must be")[0]
+    return float(own)
 
 
 def unrecorded(inputs: Sequence[Signal], starts: Mapping[str, float], records: Sequence[Record]) -> list[Signal]:

@@ -23,6 +23,7 @@ class StartParameter:
     output : the output whose first sample a run takes it from. measured : the one that measures it, taken where every
         state is set at once.
     follows : until somebody sets it, the state follows from the other starts, the inputs and the parameters.
+    written_in : the unit in which the state is declared; "" for SI.
     """
 
     name: str
@@ -34,6 +35,7 @@ class StartParameter:
     output: str | None = None
     measured: str | None = None
     follows: bool = False
+    written_in: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +135,7 @@ def lower_block(block: Block, name: str) -> Lowered:
             f"{s.name} at the start",
             s.nominal,
             output=s.name,
+            written_in=s.written_in,
         )
         for s in _start_outputs(block)
     )
@@ -207,7 +210,7 @@ def _state_starts(flat: FlatModel, given: list[str]) -> tuple[StartParameter, ..
         text = f"start of: {s.description or s.name}{'; follows from the others unless set' if follows else ''}"
         return StartParameter(
             f"{s.name}.start", s.unit, float(x0[position[name]]), text, s.nominal, s.bounds,
-            None if follows else s.measured_by, s.measured_by, follows,
+            None if follows else s.measured_by, s.measured_by, follows, s.written_in,
         )  # fmt: skip
 
     return tuple(parameter(name) for name in (*given, *(n for n in position if n not in given)))

@@ -7,15 +7,13 @@ import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Sequence
 
-from hydrotwin.models.language.units import display_units
-
 from .variables import Variable
 
 QUANTITIES = {
     "Pa": "Pressure", "N": "Force", "N.m": "Torque", "kg": "Mass", "m": "Length", "m2": "Area", "m3": "Volume",
     "m/s": "Velocity", "m/s2": "Acceleration", "rad": "Angle", "rad/s": "AngularVelocity",
     "rad/s2": "AngularAcceleration", "m3/s": "VolumeFlowRate", "V": "ElectricPotential", "A": "ElectricCurrent",
-    "s": "Time", "Hz": "Frequency", "K": "ThermodynamicTemperature", "W": "Power", "J": "Energy", "kg/m3": "Density",
+    "s": "Time", "Hz": "Frequency", "W": "Power", "J": "Energy", "kg/m3": "Density",
     "N/m": "TranslationalSpringConstant", "N.s/m": "TranslationalDampingConstant",
 }  # fmt: skip
 
@@ -51,9 +49,9 @@ def type_attributes(unit: str, variables: Sequence[Variable]) -> dict[str, str]:
     A bound is there only when every variable has one: a variable without would inherit it.
     """
     attributes = {"quantity": QUANTITIES[unit], "unit": unit}
-    best = display_units(unit)[0]
-    if best != unit:
-        attributes["displayUnit"] = best
+    best = {v.shown for v in variables}
+    if len(best) == 1 and best != {unit}:
+        attributes["displayUnit"] = best.pop()
     low, high = min(v.bounds[0] for v in variables), max(v.bounds[1] for v in variables)
     if math.isfinite(low):
         attributes["min"] = repr(float(low))

@@ -9,18 +9,19 @@ from collections.abc import Iterable
 from hydrotwin.models.language.units import BASE_UNITS, dimension, display_units, parse_unit
 
 
-def unit_definitions(units: Iterable[str]) -> ET.Element:
-    """The ``UnitDefinitions`` element for FMI 2.0, sorted by name.
+def unit_definitions(units: Iterable[tuple[str, str]]) -> ET.Element:
+    """The ``UnitDefinitions`` element for FMI 2.0, sorted by name, of units and what variables are shown in.
 
     A unit with roots, such as m3/(s.sqrt(Pa)), has no integer exponents and is defined by its name alone.
     """
     element = ET.Element("UnitDefinitions")
-    for unit in sorted(set(units)):
+    used = set(units)
+    for unit in sorted({unit for unit, _ in used}):
         definition = ET.SubElement(element, "Unit", name=unit)
         exponents = base_exponents(unit)
         if exponents is not None:
             ET.SubElement(definition, "BaseUnit", {k: str(v) for k, v in exponents.items() if v})
-        for shown in shown_units(unit):
+        for shown in dict.fromkeys((*shown_units(unit), *sorted(s for u, s in used if u == unit and s != unit))):
             factor, offset = display_factor(unit, shown)
             attributes = {"name": shown, "factor": repr(factor)} | ({"offset": repr(offset)} if offset else {})
             ET.SubElement(definition, "DisplayUnit", attributes)

@@ -30,6 +30,10 @@ class Meaning:
     guessed: bool = False
     said: str = ""
 
+    def unit(self, name: str) -> Unit:
+        """The same as a unit of that name."""
+        return Unit(name, self.si, self.factor, self.offset, ())
+
 
 def unit_name(variable) -> str | None:
     """The unit of a variable, its own or its type's; None when there is none."""
@@ -57,6 +61,31 @@ def meaning_of(variable, md: ModelDescription, chosen: str | None) -> Meaning:
 def defined(name: str, base: BaseUnit) -> Meaning:
     """What a unit stands for that a file defines itself, as `meaning_of` reads it."""
     return _by_definition(name, base, _known(name, strict=False))
+
+
+def units_defined_in(md: ModelDescription) -> dict[str, Unit]:
+    """The units that an FMU defines, those of display too, by name: within it these names mean what it says."""
+    found = {}
+    for unit in (d for d in md.unitDefinitions if d.baseUnit is not None):
+        meaning = defined(unit.name, unit.baseUnit)
+        found[unit.name] = meaning.unit(unit.name)
+        for shown in unit.displayUnits or ():
+            factor = meaning.factor / float(shown.factor)
+            zero = meaning.offset - factor * float(shown.offset)
+            own, usual = Unit(shown.name, meaning.si, factor, zero, ()), _known(shown.name, strict=False)
+            found.setdefault(shown.name, usual if usual and _alike(own, usual) else own)
+    return found
+
+
+def _alike(own: Unit, usual: Unit) -> bool:
+    near = _near(own.factor, usual.factor, abs(usual.factor))
+    return own.si == usual.si and near and _near(own.offset, usual.offset, max(1.0, abs(usual.offset)))
+
+
+def shown_in(variable) -> str:
+    """The unit in which a variable is to be shown, its own or its type's; "" where none is said."""
+    declared = getattr(variable, "declaredType", None)
+    return getattr(variable, "displayUnit", None) or getattr(declared, "displayUnit", None) or ""
 
 
 def redefined(meanings: Mapping[str, Meaning]) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.models.language.units import si_unit
+from hydrotwin.models.language.units import display_units, si_unit
 
 from .lower import Lowered
 
@@ -29,6 +29,7 @@ class Variable:
     starts_from : value references of the inputs and parameters it follows from at the start.
     of : value reference of the state whose derivative this is.
     measured_by, restarts_from : of a start parameter, see ``output`` and ``measured`` of `StartParameter`.
+    written_in : the unit in which the model declares it; "" for SI.
     """
 
     name: str
@@ -43,6 +44,13 @@ class Variable:
     of: int | None = None
     measured_by: str | None = None
     restarts_from: str | None = None
+    written_in: str = ""
+
+    @property
+    def shown(self) -> str:
+        """The unit in which to show it. A ratio may be no share, and of kelvins nobody knows whether they are from a
+        zero or a difference, unless it is declared so."""
+        return self.written_in or (self.unit if self.unit in ("1", "K") else display_units(self.unit)[0])
 
     @property
     def structured(self) -> bool:
@@ -61,9 +69,14 @@ def variables_of(lowered: Lowered, *, always_time: bool = False) -> tuple[Variab
     first_state = sum(sizes)
     depends = _Dependencies(lowered, first_state)
     rows = [
-        *(Variable(s.name, "input", s.unit, s.description, s.default, s.nominal) for s in lowered.inputs),
         *(
-            Variable(p.name, "parameter", p.unit, _parameter_text(p), p.value, p.nominal, p.bounds)
+            Variable(s.name, "input", s.unit, s.description, s.default, s.nominal, written_in=s.written_in)
+            for s in lowered.inputs
+        ),
+        *(
+            Variable(
+                p.name, "parameter", p.unit, _parameter_text(p), p.value, p.nominal, p.bounds, written_in=p.written_in
+            )
             for p in lowered.parameters
         ),
         *(
@@ -77,15 +90,26 @@ def variables_of(lowered: Lowered, *, always_time: bool = False) -> tuple[Variab
                 s.bounds,
                 measured_by=s.output,
                 restarts_from=s.measured,
+                written_in=s.written_in,
             )
             for s in lowered.starts
         ),
         *(
-            Variable(s.name, "output", s.unit, s.description, nominal=s.nominal, **depends.of_output(k))
+            Variable(
+                s.name,
+                "output",
+                s.unit,
+                s.description,
+                nominal=s.nominal,
+                written_in=s.written_in,
+                **depends.of_output(k),
+            )
             for k, s in enumerate(lowered.outputs)
         ),
         *(
-            Variable(n, "state", s.unit, s.description, nominal=s.nominal, **depends.of_state(k))
+            Variable(
+                n, "state", s.unit, s.description, nominal=s.nominal, written_in=s.written_in, **depends.of_state(k)
+            )
             for k, (n, s) in enumerate(zip(names, lowered.states, strict=True))
         ),
     ]

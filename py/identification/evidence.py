@@ -1,4 +1,4 @@
-"""What a fit leaves in the block [credibility] of its model file."""
+"""What a fit leaves with its model: where it comes from, and the block [credibility] of its file."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ from collections.abc import Sequence
 from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
 from hydrotwin.records import Record
 
+from .bands import SPREAD, Spread
 from .fit import Fit
 
 MODE = "free run"
 ROLES = {"train": FIT, "validate": JUDGE}
+
+
+def provenance_of_fit(fit: Fit) -> dict:
+    """What the fitted model says of its making: recordings, noise, errors, and how sure the fit is (`Spread`)."""
+    return {
+        "recordings": [{"name": r.name, "role": r.role, "sha256": r.digest or ""} for r in fit.records],
+        "chi2_per_sample": float(fit.chi2_per_dof),
+        "noise": dict(fit.noise),
+        "rmse": fit.rmse,
+        "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
+        "findings": [str(f) for f in fit.findings],
+        SPREAD: Spread.of(fit).told(),
+    }
 
 
 def evidence_of_fit(fit: Fit, train: Sequence[Record], judged: Sequence[Record]) -> Evidence:

@@ -17,6 +17,7 @@ from hydrotwin.simulation import prepare
 from .answer import answer
 from .assumptions import PATIENCE, doubted
 from .descent import Task, undecided
+from .evidence import provenance_of_fit
 from .fit import Finding, Fit
 from .loss import Loss
 from .noise import output_noise
@@ -132,7 +133,8 @@ def identify(
         judged = recordings(flat, validate, outputs, "validation record")
         fit = answer(undecided(task), minima, judged, settings, began)
         said = [*(Finding("assumption", (), f"identify: {s}") for c in given_up for s in c.sentences), *said]
-        return dataclasses.replace(fit, findings=(*said, *fit.findings))
+        fit = dataclasses.replace(fit, findings=(*said, *fit.findings))
+        return dataclasses.replace(fit, flat=dataclasses.replace(fit.flat, provenance=provenance_of_fit(fit)))
 
 
 def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:

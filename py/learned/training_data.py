@@ -78,7 +78,8 @@ def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tup
     for item in wanted:
         if isinstance(item, str):
             record[item]
-            item = Signal(item, record.units[item])
+            unit, shown = record.units[item], record.display_units.get(item, "")
+            item = Signal(item, unit, written_in=shown if shown != unit else "")
         named.append(item)
     return tuple(named)
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import fnmatch
-import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
 from hydrotwin.models.language.parameter_file import read_toml
-from hydrotwin.models.language.units import convert, parse_unit
+from hydrotwin.models.language.quantities import Wanted, apart, in_unit
+from hydrotwin.models.language.units import parse_unit
 
 from .clocks import HOURS, MINUTES
 from .decimal_sign import SIGNS
@@ -22,7 +22,6 @@ from .scale import Scale, scales_of
 BESIDE = "import.toml"
 MISSING = ("error", "drop rows", "keep")
 _TRUTH = {"true": 1.0, "false": 0.0}
-_VALUE = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
 _TABLES = {"columns": "columns", "units": "units", "scale": "scale", "set": "constants"}  # of a file -> fields
 _PLAIN = ("time", "rate", "clock", "missing", "decimal", "delimiter", "encoding", "sheet")
 
@@ -132,12 +131,13 @@ _EXAMPLES = {
 
 
 def _rate(text: str | float) -> float:
-    match = _VALUE.fullmatch(str(text).strip())
     try:
-        rate = convert(float(match[1]), match[2] or "Hz", "Hz") if match else math.nan
-    except HydrotwinError as error:
-        raise DataError(f"rate: {error}") from None
-    if not (0 < rate < math.inf):
+        rate = in_unit(text, Wanted("rate", "Hz"), "--rate {}")
+    except UnitError as error:
+        raise DataError(str(error)) from None
+    except DeclarationError:
+        rate = 0.0
+    if not rate > 0:
         raise DataError(f"rate: no sampling rate (got '{text}'). Write samples per second: --rate 1000.")
     return rate
 
@@ -163,19 +163,17 @@ def constant(name: str, text: str) -> tuple[float, str]:
     """``"35 bar"`` -> (35.0, "bar"). Raises `DataError` for anything else."""
     if text.strip().lower() in _TRUTH:
         return _TRUTH[text.strip().lower()], "1"
-    match = _VALUE.fullmatch(text.strip())
-    if not match:
-        raise DataError(f"set: '{name}' is no number with a unit (got '{text}'). {_EXAMPLES['constants']}")
-    _checked_unit(name, match[2] or "1")
-    if not math.isfinite(float(match[1])):
-        raise DataError(f"set: '{name}' is not finite (got '{text}'). {_EXAMPLES['constants']}")
-    return float(match[1]), match[2] or "1"
+    found = apart(text)
+    if not found:
+        raise DataError(f"set: '{name}' is no finite number with a unit (got '{text}'). {_EXAMPLES['constants']}")
+    _checked_unit(name, found[1] or "1")
+    return found[0], found[1] or "1"
 
 
 def is_alone(text: str) -> bool:
     """Whether a constant is a number without a unit; true and false are as they are."""
-    match = _VALUE.fullmatch(text.strip())
-    return bool(match) and not match[2]
+    found = apart(text)
+    return found is not None and not found[1]
 
 
 def beside(path: Path) -> tuple[Reading, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError
+from hydrotwin.models.language.quantities import apart
 from hydrotwin.models.language.units import parse_unit, si_unit, to_si
 
 _FORM = "Write --scale command=0.05 V/%."
@@ -36,24 +36,22 @@ def parse_scale(text: str) -> Scale:
     Scale(column='command', factor=0.05, unit='V/%')
     """
     column, equals, rest = text.partition("=")
-    match = re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?\d+)?)\s*(.*)", rest.strip())
-    if not (equals and column.strip() and match):
+    found = apart(rest)
+    if not (equals and column.strip() and found):
         raise DataError(f"scale: not understood (got '{text}'). {_FORM}")
+    factor, unit = found
     try:
-        factor = float(match[1])
-        si_unit(match[2] or "1")
-    except ValueError:
-        raise DataError(f"scale: '{match[1]}' is not a number (got '{text}'). {_FORM}") from None
+        si_unit(unit or "1")
     except UnitError as error:
         raise UnitError(f"scale: '{text}': {error}") from None
-    if zero := next((u for u in re.split(r"[*/.\u00b7^()\s]+", match[2]) if _has_zero(u)), None):
+    if zero := next((u for u in re.split(r"[*/.\u00b7^()\s]+", unit) if _has_zero(u)), None):
         raise DataError(
             f"scale: {zero} has a zero of its own, which a factor cannot give (got '{text}'). Write K for differences "
             f"of temperature; a temperature needs the column in {zero}."
         )
-    if factor == 0 or not math.isfinite(factor):
-        raise DataError(f"scale: the factor of '{column.strip()}' must be finite and not zero (got '{text}'). {_FORM}")
-    return Scale(column.strip(), factor, match[2] or "1")
+    if factor == 0:
+        raise DataError(f"scale: the factor of '{column.strip()}' must not be zero (got '{text}'). {_FORM}")
+    return Scale(column.strip(), factor, unit or "1")
 
 
 def _has_zero(unit: str) -> bool:

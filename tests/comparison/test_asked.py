@@ -95,6 +95,7 @@ MODELS = {"good": Toy("good"), "speed": Toy("speed", outputs=(SPEED,)), "angle":
         ("arm_angle not worse than speed", "speed gives no arm_angle", {}),
         ("arm_angle.coverage in [0.9, 0.99]", "angle has no band of arm_angle in free run.*identify", {}),
         ("arm_angle.vv20 < 2", "has no band", {}),
+        ("arm_angle.rate.vv20 < 2", "is a slope.* Judge arm_angle.vv20", {"rates": ("arm_angle",)}),
         ("arm_angle.rmse < 1 deg", "no output 'arm_angle'. Known: motor_speed", {"outputs": ("motor_speed",)}),
         ("arm_angle.iso18571 > 0.8", "free run only.*one step", {"modes": ("one step", "free run")}),
         ("arm_angle.rate.rmse < 1 deg/s", "free run only", {"modes": ("one step",), "rates": ("arm_angle",)}),

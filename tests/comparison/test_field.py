@@ -79,8 +79,8 @@ def test_settling_is_the_difference_of_the_settling_times():
     assert settling_of(u, y, faster) == pytest.approx(-0.1 * np.log(20), abs=0.015)
     opposite = np.where(TIME < 4, slower, faster)
     assert settling_of(u, y, opposite) == pytest.approx(-(0.15 + 0.1 + 0.1) / 3 * np.log(20), abs=0.015)
-    noise = 0.01 * np.random.default_rng(1).standard_normal(len(TIME))
-    assert settling_of(u, y + noise, slower) == pytest.approx(0.15 * np.log(20), abs=0.06)
+    noise = 0.01 * np.random.default_rng(1).standard_normal((4, len(TIME)))
+    assert np.mean([settling_of(u, y + e, slower) for e in noise]) == pytest.approx(0.15 * np.log(20), abs=0.06)
 
 
 def test_every_step_of_a_staircase_is_a_move():
@@ -219,3 +219,12 @@ def test_what_counts_from_the_zero_of_a_unit_says_where_the_output_hardly_moves(
     says = "counts from 0 K: oil moves by only 0.34 % of its size, and errors as large hardly count" if flat else ""
     for one in (iso, theil):
         assert one.caution == (f"{one.criterion.metric} {says}" if flat else "")
+
+
+def test_noise_makes_no_prediction_settle_sooner_than_what_is_measured():
+    """A noisy measurement leaves its band late: a right prediction had settled 0.1 s and more too soon."""
+    u = np.where((TIME > 2) & (TIME < 7), 1.0, 0.0)
+    y = answer(u, 0.4)
+    noise = 0.01 * np.random.default_rng(0).standard_normal((6, len(y)))
+    assert np.mean([settling_of(u, y + e, y) for e in noise]) == pytest.approx(0.0, abs=0.03)
+    assert np.mean([settling_of(u, y + e, answer(u, 0.5)) for e in noise]) == pytest.approx(0.1 * np.log(20), abs=0.03)

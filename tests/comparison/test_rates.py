@@ -37,3 +37,16 @@ def test_rates_are_scored_in_free_run_beside_the_outputs():
 def test_the_rate_of_an_output_nobody_has_is_refused():
     with pytest.raises(DeclarationError, match="Did you mean 'arm_angle'"):
         compare([Toy("true")], [recording(1)], rates=["arm_angel"])
+
+
+def test_a_slow_sensor_has_its_slope_at_its_own_samples_and_none_across_a_gap():
+    """It was told as a column without a sample, to be repaired."""
+    record = recording(1)
+    slow, holed = record["arm_angle"].copy(), record["arm_angle"].copy()
+    slow[np.arange(len(slow)) % 8 > 0] = holed[300:400] = np.nan
+    for values, fewest in ((slow, 95), (holed, 680)):
+        one = record.with_signals({"arm_angle": values})
+        found = compare([Toy("true")], [one], rates=["arm_angle"], modes=["free run"], repeats=1)
+        (score,) = (s for s in found.scores if s.output == "arm_angle.rate")
+        assert not found.failures and fewest <= score.samples <= np.isfinite(values).sum()
+        assert score.rmse < 2 * np.sqrt(2) / 0.05 * 2e-4

@@ -7,21 +7,19 @@ import xml.etree.ElementTree as ET
 import zipfile
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from hydrotwin.comparison.band import made_from
 from hydrotwin.export import check_fmu, export_fmu, read_fmu, reference_files, reference_run
 from hydrotwin.export.archive import write_archive
-from hydrotwin.export.experiments import experiments_of, experiments_text, series_of, series_text
+from hydrotwin.export.experiments import experiments_of, series_of, series_text
 from hydrotwin.export.foreign import describe_fmu
 from hydrotwin.export.reference import reference_experiment
 from hydrotwin.export.replay import carried_rows
 from hydrotwin.models.language.credibility import FIT, JUDGE, Credibility, Evidence, versions
-from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
+from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.records import Record
-from hydrotwin.simulation.simulate import InaccurateWarning
 from tests.export.systems import clocked_mass, lag_block
 
 INSIDE = "extra/org.fmi-standard.fmi-ls-ref/"
@@ -357,52 +355,6 @@ def test_a_missed_criterion_fails_a_replay_as_it_fails_the_check_of_a_model_file
     missed = Evidence(**{**vars(EVIDENCE), "criteria": ({**EVIDENCE.criteria[0], "passed": False, "margin": -0.5},)})
     found = check_fmu(carrying(tmp_path / "m.fmu", credibility=Credibility((missed,))), replay=True)
     assert not found.passed and {r.name: r.verdict for r in found.rows}["record"] == "FAIL"
-
-
-# -- tables and settings -------------------------------------------------------------------------------------------
-def test_a_table_gives_every_bit_back_and_the_last_of_equal_times_counts():
-    time = np.array([0.0, 0.1 + 0.2, 1e-300 + 1.0])
-    columns = {"a": np.array([1 / 3, -0.0, 5e-324]), "x[1]": np.arange(3.0)}
-    series = series_of(series_text(time, columns).encode(), "t.csv")
-    assert (series.time == time).all() and all((series.columns[n] == columns[n]).all() for n in columns)
-    twice = series_of(b"\xef\xbb\xbfTime, a ,on,word\n0,1,false,x\n0,2,true,y\n1,3,true,z\n", "t.csv")
-    assert (twice.time == [0, 1]).all() and (twice.columns["a"] == [2, 3]).all()
-    assert (twice.columns["on"] == [1, 1]).all() and twice.others == {"word": "x"}
-    for text in (b"", b"time,a\n0,1\n", b"a,time\n0,1\n1,2\n", b"\xff\xfe\x00"):
-        with pytest.raises(DataError, match=r"t\.csv: "):
-            series_of(text, "t.csv")
-
-
-def test_experiments_are_read_as_they_were_written():
-    experiment = experiments_of(
-        experiments_text("s", [], INSIDE.rstrip("/")).encode(), f"{INSIDE}a.exp"
-    )  # fmt: skip
-    assert experiment == ()
-    with pytest.raises(DataError, match="experiment 'x': 'stopTime' is no number"):
-        experiments_of(b'<Experiments><Experiment name="x" stopTime="soon"/></Experiments>', "a.exp")
-
-
-def test_a_recording_that_cannot_be_an_experiment_is_refused(tmp_path):
-    record = bench()
-    with pytest.raises(DataError, match="as an experiment of clocked mass it lacks force"):
-        carrying(tmp_path / "m.fmu", experiments=[Record(record.time, {"place": record["place"]}, {"place": "m"}, "r")])
-    with pytest.raises(DeclarationError, match=r"'implicit' .* starts in equilibrium"):
-        reference_experiment(clocked_mass(), record, method="implicit")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_run_that_half_the_step_changes_is_no_experiment(tmp_path):
-    from tests.simulation.small_models import small_model
-
-    record = Record(np.arange(0.0, 60.0, 0.01), {}, {}, "wild")
-    chaotic = small_model(
-        "lorenz", ["x", "y", "z"], {"r": 28.0},
-        lambda t, x, u, p: (ca.vertcat(10 * (x[1] - x[0]), x[0] * (p[0] - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]), x),
-        start=[1.0, 1.0, 1.0], step=0.01,
-    )  # fmt: skip
-    refused = pytest.raises(SolveError, match=r"half the step changes .* so nobody can meet its results")
-    with pytest.warns(InaccurateWarning), refused:
-        reference_experiment(chaotic, record)
 
 
 def test_a_binary_that_came_later_is_none_that_the_record_is_of(without_smoke, tmp_path):

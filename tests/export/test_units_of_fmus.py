@@ -115,7 +115,7 @@ def test_a_difference_is_known_from_the_file_of_an_fmu(celsius_lag):
 def test_what_an_fmu_calls_its_unit_is_its_unit_where_a_user_sets_it():
     gauge = BaseUnit(kg=1, m=-1, s=-2, factor=1e5, offset=101325.0)
     described = SimpleNamespace(
-        source=SimpleNamespace(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
+        source=ModelDescription(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
         units={"p": "Pa"}, scales={"p": (1e5, 101325.0)}, whole={},
     )  # fmt: skip
     assert meaning("bar", gauge).offset == 101325.0
@@ -125,7 +125,7 @@ def test_what_an_fmu_calls_its_unit_is_its_unit_where_a_user_sets_it():
 
 def test_units_that_a_parameter_set_defines_itself_count_there():
     described = SimpleNamespace(
-        source=SimpleNamespace(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
+        source=ModelDescription(modelVariables=[ScalarVariable("p", 0, unit="bar", type="Real")]),
         units={"p": "Pa"}, scales={"p": (1e5, 0.0)},
     )  # fmt: skip
     text = (

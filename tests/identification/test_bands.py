@@ -7,6 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.comparison import compare
+from hydrotwin.comparison.band import made_from
 from hydrotwin.identification import Spread, deviations, identify
 from hydrotwin.identification.beginning import StartEstimate, StartState, estimate_start
 from hydrotwin.models.language.errors import DataError
@@ -109,3 +111,12 @@ def test_the_start_that_is_estimated_is_off_by_what_it_says(fit):
     assert np.sqrt(np.diag(told)) == pytest.approx([s.sigma for s in found[0].states], rel=0.3)
     assert np.std(values, axis=0) == pytest.approx(np.sqrt(np.diag(told)), rel=0.35)
     assert np.corrcoef(values.T)[0, 1] == pytest.approx(told[0, 1] / np.sqrt(told[0, 0] * told[1, 1]), abs=0.3)
+
+
+def test_the_flat_model_of_a_fit_knows_where_it_comes_from_until_a_value_is_another(fit):
+    """Compared from Python, it had neither bands nor a caution on the recordings that it was fitted to."""
+    train = dataclasses.replace(recorded(drive(), 1, noise=NOISE), digest="a" * 64)
+    fitted = identify(drive(), [train], free=["motor.gain"]).flat
+    (one,) = compare([fitted], [train], modes=["free run"]).entrants
+    assert made_from(one.provenance) == {"a" * 64} and {b.output for b in one.bands} == set(NOISE)
+    assert not fitted.with_parameters({"motor.gain": 2.0}).provenance

@@ -136,7 +136,7 @@ def test_a_wrong_unit_string_is_refused_with_a_next_step(text, says):
 
 
 def test_units_of_another_dimension_do_not_convert():
-    with pytest.raises(UnitError, match=r"'bar': cannot become 'm' .* Pa, bar, MPa"):
+    with pytest.raises(UnitError, match=r"'bar': cannot become 'm' .* m, mm, cm"):
         convert(1.0, "bar", "m")
     assert not compatible("bar", "m")
 

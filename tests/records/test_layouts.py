@@ -231,7 +231,7 @@ def test_columns_units_scales_and_constants_are_said_once(tmp_path):
         read_record(path)["Druck A"]
     with pytest.raises(DataError, match=r"no column 'Ventil_Sol' for 'command'. Did you mean 'Ventil_Soll'"):
         read_record(path, columns="command=Ventil_Sol")
-    with pytest.raises(DataError, match="set: 'supply' is no number with a unit"):
+    with pytest.raises(DataError, match="set: 'supply' is no finite number with a unit"):
         read_record(path, constants={"supply": "high"})
 
 

@@ -359,5 +359,5 @@ def test_an_option_says_one_thing_of_a_name(tmp_path):
     path = written(tmp_path, "time [s],p\n0,1\n1,2\n")
     with pytest.raises(DataError, match="'p' is given twice"):
         read_record(path, units=["p=bar", "p=mbar"])
-    with pytest.raises(DataError, match="not finite"):
+    with pytest.raises(DataError, match="no finite number"):
         read_record(path, constants="q=1e400")

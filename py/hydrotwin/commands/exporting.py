@@ -20,6 +20,7 @@ from .shared import (
     InterpolationOption,
     JsonOption,
     ModelArgument,
+    StepOption,
     check_file,
     examples,
     interpolation_from,
@@ -68,9 +69,7 @@ def export(
             "adaptive; auto is as accurate as simulate: explicit with steps cut around contacts, or adaptive"
         ),
     ] = "auto",
-    step: Annotated[
-        float | None, typer.Option(metavar="S", help="longest internal step in seconds; the model's own by default")
-    ] = None,
+    step: StepOption = None,
     experiment: Annotated[
         list[Path] | None,
         typer.Option(
@@ -108,13 +107,22 @@ def export(
         reference=_reference(thing, kind, method, step),
         equations=equations_told(thing),
         experiments=_experiments(thing, read_all(experiment, reading), method, step),
-        credibility=known_of(model),
+        credibility=_credibility(thing, model),
     )
     size = output.stat().st_size
     if as_json:
         print_json({"fmu": str(output), "bytes": size})
     else:
         out.print(f"written: {output} ({size / 1000:.0f} kB)")
+
+
+def _credibility(thing, model: str):
+    """What vouches for it: the record of its model file, or of a learned block what it was trained on and its card."""
+    if hasattr(thing, "flat"):
+        return known_of(model)
+    from hydrotwin.learned.evidence import credibility_of_block
+
+    return credibility_of_block(thing)
 
 
 def given_starts(thing, start: str) -> list[str] | None:

@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
-from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.quantities import wanted
 from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
@@ -23,7 +23,9 @@ from .shared import (
     JsonOption,
     ModelArgument,
     RecordsArgument,
+    StepOption,
     ValidateOption,
+    bounds_from,
     check_file,
     check_folder,
     examples,
@@ -58,7 +60,7 @@ def identify(
     fit_outputs: Annotated[list[str] | None, typer.Option("--output", metavar="NAME", help="outputs to fit")] = None,
     noise: Annotated[
         list[str] | None,
-        typer.Option("--noise", metavar="OUTPUT=NUMBER", help="what may be left of an output, SI"),
+        typer.Option("--noise", metavar="OUTPUT=NUMBER", help="what may be left of an output, SI or with its unit"),
     ] = None,
     weights: Annotated[
         str, typer.Option(help="noise, residual (what the model leaves), or auto: residual where noise is out of reach")
@@ -69,9 +71,10 @@ def identify(
     initial_states: Annotated[str, typer.Option(help="auto, fixed or free")] = "auto",
     starts: Annotated[int, typer.Option(min=1, help="starts to try at most")] = 4,
     bounds: Annotated[
-        list[str] | None, typer.Option("--bounds", metavar="PATH=LOW:HIGH", help="limits of a free parameter, SI")
+        list[str] | None,
+        typer.Option("--bounds", metavar="PATH=LOW:HIGH", help="limits of a free parameter, SI or with its unit"),
     ] = None,
-    step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
+    step: StepOption = None,
     method: Annotated[str, typer.Option(help="auto, explicit, implicit or vm")] = "auto",
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a report on the fit")] = None,
     interpolation: InterpolationOption = None,
@@ -85,8 +88,10 @@ def identify(
     if report:
         check_folder(report)
     thing = physical(model, "identify")
-    train, judged = read_all(records, reading), read_all(validate, reading)
     flat = thing.flat
+    errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in flat.outputs])
+    limits = bounds_from(bounds, [wanted(p) for p in flat.parameters])
+    train, judged = read_all(records, reading), read_all(validate, reading)
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
@@ -98,9 +103,9 @@ def identify(
             bar.update(row, description=f"identify {thing.name}: {stage}, iteration {iteration}, cost {cost:.6g}")
 
         fit = identify(
-            thing, train, free=free, validate=judged, outputs=fit_outputs, noise=settings_from(noise, "--noise"),
+            thing, train, free=free, validate=judged, outputs=fit_outputs, noise=errors,
             weights=weights, loss=loss, initial_states=initial_states, starts=starts,
-            bounds=bounds_from(bounds), step=step, method=method,
+            bounds=limits, step=step, method=method,
             progress=None if as_json else told, interpolation=interpolation_from(interpolation),
         )  # fmt: skip
     from hydrotwin.identification.evidence import evidence_of_fit
@@ -127,23 +132,6 @@ def identify(
         out.print(f"Use it with its code: {origin(model)}@{output}")
 
 
-def bounds_from(limits: list[str] | None, option: str = "--bounds") -> dict[str, tuple[float, float]]:
-    """The ``load.mass=50:200`` of an option as a dictionary. Raises DeclarationError."""
-    found = {}
-    for limit in limits or []:
-        path, _, pair = limit.partition("=")
-        low, colon, high = pair.partition(":")
-        try:
-            found[path] = (float(low), float(high))
-        except ValueError:
-            colon = ""
-        if not (path and colon and found[path][0] < found[path][1]):
-            raise DeclarationError(
-                f"{option} {limit}: no 'path=low:high' (SI, low below high). Write for example load.mass=50:200."
-            )
-    return found
-
-
 def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
     """By recording, the estimated start states that no output measures: nothing else tells them."""
     hidden = {s.name for s in fit.flat.states if s.measured_by is None}
@@ -152,19 +140,12 @@ def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
 
 def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
-    from hydrotwin.identification.bands import SPREAD, Spread
-
     roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
     return {
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
+        **fit.flat.provenance,
         "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
-        "chi2_per_sample": float(fit.chi2_per_dof),
-        "noise": dict(fit.noise),
-        "rmse": fit.rmse,
-        "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
-        "findings": [str(f) for f in fit.findings],
-        SPREAD: Spread.of(fit).told(),
     }
 
 

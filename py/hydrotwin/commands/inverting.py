@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.quantities import in_unit, wanted
 from hydrotwin.records import SUFFIXES, Reading
 
 from ..loading import load
@@ -88,7 +89,8 @@ def compensate(
     command: Annotated[str, typer.Option("--input", metavar="NAME", help="what is commanded")],
     answer: Annotated[str, typer.Option("--output", metavar="NAME", help="what moves at a rate, or settles")],
     waypoints: Annotated[
-        list[str], typer.Option("--waypoint", metavar="COMMAND=RATE", help="a point of the desired curve, SI")
+        list[str],
+        typer.Option("--waypoint", metavar="COMMAND=RATE", help="a point of the desired curve, SI or with units"),
     ],
     degree: Annotated[int | None, typer.Option(min=1, help="of the polynomial; by default through all points")] = None,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
@@ -107,8 +109,8 @@ def compensate(
         check_folder(report)
     settings, reading = constants_among(settings, (command, answer), reading)
     options = options_of("compensate", learn_inverse, settings, {"degree": degree}, characteristic, learn_compensator)
-    points = [_waypoint(text) for text in waypoints]
     machine = _Machine(_source(source, reading), command, answer, options)
+    points = [_waypoint(text, machine.forward) for text in waypoints]
     asked = _criteria(accept, machine, "compensate")
     block = judged_compensator(*machine.named, points, forward=machine.forward, **options, **named(name))
     written(block, output, as_json)
@@ -156,14 +158,16 @@ def _report_curves(folder: Path, machine: _Machine, silent: bool, **learnt) -> N
         out.print(f"written: {files['html']}")
 
 
-def _waypoint(text: str) -> tuple[float, float]:
-    command, _, rate = text.partition("=")
-    try:
-        return float(command), float(rate)
-    except ValueError:
+def _waypoint(text: str, forward) -> tuple[float, float]:
+    """A command and the rate that shall come of it, in SI."""
+    parts = text.split("=")
+    if len(parts) != 2:
         raise DeclarationError(
-            f"compensate: a waypoint is COMMAND=RATE in SI units (got '{text}'). Write --waypoint 0.5=0.05."
-        ) from None
+            f"compensate: a waypoint is COMMAND=RATE (got '{text}'). Write --waypoint 0.5=0.05, or 50%=50mm/s."
+        )
+    forms = (f"--waypoint {{}}={parts[1].strip()}", f"--waypoint {parts[0].strip()}={{}}")
+    command, rate = (wanted(signal, "compensate") for signal in (forward.input, forward.rate))
+    return in_unit(parts[0], command, forms[0]), in_unit(parts[1], rate, forms[1])
 
 
 def _source(source: Sequence[str], reading):

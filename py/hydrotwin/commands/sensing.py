@@ -7,15 +7,16 @@ from typing import Annotated
 
 import typer
 
+from hydrotwin.models.language.quantities import wanted
 from hydrotwin.records import Reading
 
-from .fitting import bounds_from
 from .recordings import read_all, reads, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
     ModelArgument,
     RecordsArgument,
+    bounds_from,
     check_file,
     check_folder,
     examples,
@@ -56,11 +57,16 @@ def sensitivity(
         ),
     ] = "auto",
     given: Annotated[
-        list[str] | None, typer.Option("--interval", metavar="PATH=LOW:HIGH", help="of one parameter, SI")
+        list[str] | None,
+        typer.Option("--interval", metavar="PATH=LOW:HIGH", help="of one parameter, SI or with its unit: 50:200kg"),
     ] = None,
     noise: Annotated[
         list[str] | None,
-        typer.Option("--noise", metavar="OUTPUT=NUMBER", help="of a sensor, SI; also of one that is not there yet"),
+        typer.Option(
+            "--noise",
+            metavar="OUTPUT=NUMBER",
+            help="of a sensor, SI or with its unit; also of one that is not there yet",
+        ),
     ] = None,
     samples: Annotated[
         int, typer.Option(min=0, help="base points of the Sobol indices, a power of two; 0: only local")
@@ -96,8 +102,9 @@ def sensitivity(
     if report:
         check_file(report, ".html") if report.suffix else check_folder(report)
     thing = physical(model, "sensitivity")
-    limits, between = bounds_from(given, "--interval"), interpolation_from(interpolation)
-    errors = settings_from(noise, "--noise")
+    limits = bounds_from(given, [wanted(p) for p in thing.flat.parameters], "--interval")
+    between = interpolation_from(interpolation)
+    errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in thing.flat.outputs])
     asked = intervals(thing.flat, parameters, over if over != "fit" or not profile_of else "auto", limits)
     Sampling(samples, of)  # what is misspelt is told before anything runs
     profiled(thing.flat, [i.name for i in asked], profile_of)

@@ -14,12 +14,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.flat import INTERPOLATIONS
-from hydrotwin.models.language.units import convert
+from hydrotwin.models.language.quantities import Wanted, apart, in_unit
 from hydrotwin.models.language.writing import json_values, target
 from hydrotwin.records.between import sentences
-from hydrotwin.records.reading import constant
 
 ModelArgument = Annotated[
     str,
@@ -42,6 +41,19 @@ InterpolationOption = Annotated[
         "--interpolation",
         metavar="INPUT=HOW",
         help="an input between samples: hold (a command), linear or smooth (measured); the recordings show it else",
+    ),
+]
+
+
+def step_in_seconds(text: str | float) -> float:
+    """The time of ``--step`` in seconds: ``0.002`` or ``2ms``."""
+    return in_unit(text, Wanted("--step", "s"), "--step 1ms")
+
+
+StepOption = Annotated[
+    float | None,
+    typer.Option(
+        parser=step_in_seconds, metavar="TIME", help="longest internal step, seconds or 1ms; the model's own else"
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="print the machine-readable answer")]
@@ -98,38 +110,47 @@ def check_writable(path: Path) -> Path:
     return given
 
 
-def settings_from(
-    changes: list[str] | None,
-    option: str,
-    units: Mapping[str, str] | None = None,
-    declared: Mapping[str, str] | None = None,
-) -> dict[str, float]:
-    """The ``motor.gain=130`` pairs of an option as a dictionary, SI.
+def settings_from(changes: list[str] | None, option: str, asked: Sequence[Wanted]) -> dict[str, float]:
+    """The ``motor.gain=130`` or ``oil=40degC`` pairs of an option as a dictionary, SI."""
+    pairs = texts_from(changes, option, "motor.gain=130")
+    return {
+        name: _in_si(text, _called(name, text, asked, option), option, f"{name}={{}}") for name, text in pairs.items()
+    }
 
-    units : of names that take a unit, too. declared : the unit of those that are declared in another one than SI: they
-    need theirs.
-    """
-    values = {}
-    for change in changes or []:
-        path, equals, text = (part.strip() for part in change.partition("="))
-        _check_once(option, path, values)
-        value, unit = _number(path, text)
-        if not equals or not np.isfinite(value):
-            raise DeclarationError(f"{option} {change}: no 'name=number' (SI). Write for example motor.gain=130.")
-        if unit and path not in (units or {}):
-            known = nearest(path, list(units)) if units else "Write the number in SI, without a unit."
-            raise DeclarationError(f"{option} {change}: nothing named '{path}' takes a unit here. {known}")
-        if not unit and path in (declared or {}):
-            own, si = declared[path], units[path]
-            raise DeclarationError(
-                f"{option} {change}: {path} is declared in {own}, so {text} alone may mean {own} or {si}. "
-                f"Give the unit: {path}={text}{own}."
-            )
-        try:
-            values[path] = float(convert(value, unit, units[path])) if unit else value
-        except UnitError as error:
-            raise UnitError(f"{option} {change}: {error}") from None
-    return values
+
+def bounds_from(
+    limits: list[str] | None, asked: Sequence[Wanted], option: str = "--bounds"
+) -> dict[str, tuple[float, float]]:
+    """The ``load.mass=50:200`` or ``load.mass=50:200kg`` of an option as a dictionary, SI; a unit behind the upper
+    bound is that of both. Raises DeclarationError."""
+    found = {}
+    for path, pair in texts_from(limits, option, "load.mass=50:200kg").items():
+        low, colon, high = (part.strip() for part in pair.partition(":"))
+        both = [apart(low), apart(high)]
+        if not (colon and all(both)):
+            raise DeclarationError(f"{option} {path}={pair}: no 'path=low:high'. Write for example load.mass=50:200kg.")
+        low, of = low if both[0][1] else f"{low} {both[1][1]}", _called(path, high, asked, option)
+        found[path] = tuple(_in_si(text, of, option, f"{path}=LOW:{{}}") for text in (low, high))
+        if not found[path][0] < found[path][1]:
+            raise DeclarationError(f"{option} {path}={pair}: no low below high. Turn the bounds round.")
+    return found
+
+
+def _called(name: str, text: str, asked: Sequence[Wanted], option: str) -> Wanted:
+    """What is asked for by a name. A number alone of an unknown one goes on: the model tells more of what it has."""
+    found = next((one for one in asked if one.name == name), None)
+    if found is None and (apart(text) or ("", ""))[1]:
+        raise DeclarationError(
+            f"{option} {name}={text}: nothing here is called '{name}'. {nearest(name, [one.name for one in asked])}"
+        )
+    return found or Wanted(name, "1")
+
+
+def _in_si(text: str, asked: Wanted, option: str, example: str) -> float:
+    try:
+        return in_unit(text, asked, example)
+    except HydrotwinError as error:
+        raise type(error)(f"{option} {error}") from None
 
 
 def _check_once(option: str, name: str, known: Mapping) -> None:
@@ -137,21 +158,13 @@ def _check_once(option: str, name: str, known: Mapping) -> None:
         raise DeclarationError(f"{option} {name}: it is given twice. Leave one out.")
 
 
-def _number(name: str, text: str) -> tuple[float, str]:
-    """A number and the unit behind it, "" for none; NaN for anything else."""
-    try:
-        return float(text), ""
-    except ValueError:
-        return constant(name, text) if text[:1].isdigit() or text[:1] in ("+", "-", ".") else (np.nan, "")
-
-
-def texts_from(changes: list[str] | None, option: str) -> dict[str, str]:
+def texts_from(changes: list[str] | None, option: str, example: str = "supply=35bar") -> dict[str, str]:
     """The ``supply=35bar`` pairs of an option as they are written."""
     values: dict[str, str] = {}
     for change in changes or []:
-        name, equals, text = change.partition("=")
+        name, equals, text = (part.strip() for part in change.partition("="))
         if not (name and equals and text):
-            raise DeclarationError(f"{option} {change}: no 'name=value'. Write for example supply=35bar.")
+            raise DeclarationError(f"{option} {change}: no 'name=value'. Write for example {example}.")
         _check_once(option, name, values)
         values[name] = text
     return values

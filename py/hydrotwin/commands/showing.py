@@ -12,6 +12,7 @@ import numpy as np
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.quantities import wanted
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import WRITTEN, Reading, write_record
@@ -24,6 +25,7 @@ from .shared import (
     InterpolationOption,
     JsonOption,
     ModelArgument,
+    StepOption,
     check_file,
     check_folder,
     err,
@@ -66,7 +68,7 @@ def simulate(
             "--set", metavar="PATH=VALUE", help="parameter, SI or with its unit: m=2000g; input not recorded: p=35bar"
         ),
     ] = None,
-    step: Annotated[float | None, typer.Option(help="integration step in seconds")] = None,
+    step: StepOption = None,
     method: Annotated[str, typer.Option(help="auto, explicit, implicit or vm")] = "auto",
     interpolation: InterpolationOption = None,
     initial_states: InitialStatesOption = "measured",
@@ -80,9 +82,11 @@ def simulate(
     if output:
         check_file(output, *WRITTEN, sources=[input])
     thing = load(model)
-    changes, reading = constants_among(changes, {s.name for s in as_contender(thing).inputs}, reading)
+    is_fmu = hasattr(thing, "with_values")  # which reads what is set of its inputs itself, by the units that it defines
+    inputs = set() if is_fmu else {s.name for s in as_contender(thing).inputs}
+    changes, reading = constants_among(changes, inputs, reading)
     (record,) = read_all([input], reading)
-    if hasattr(thing, "with_values"):
+    if is_fmu:
         if step is not None or method != "auto":
             raise DeclarationError(f"simulate: '{model}' is an FMU, which --step and --method do not reach. Drop them.")
         texts = texts_from(changes, "--set")
@@ -90,8 +94,7 @@ def simulate(
         tell_out_of_bounds(thing.parameters, {p.name: p.value for p in thing.parameters if p.name in texts})
         settings = {}
     else:
-        units = {p.name: p.unit for p in _parameters_of(thing)}
-        settings = settings_from(changes, "--set", units, getattr(thing, "written_in", {}))
+        settings = settings_from(changes, "--set", [wanted(p) for p in _parameters_of(thing)])
     notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
     begun = _started(thing, record, initial_states, settings)
@@ -189,7 +192,9 @@ def modelica(
 
 def linearize(
     model: ModelArgument,
-    at: Annotated[list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="input or state, SI")] = None,
+    at: Annotated[
+        list[str] | None, typer.Option("--at", metavar="NAME=VALUE", help="input or state, SI or with its unit")
+    ] = None,
     steady: Annotated[bool, typer.Option("--steady", help="move the states not given until nothing changes")] = False,
     output: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="write a page with the Bode figure")
@@ -207,8 +212,7 @@ def linearize(
     thing = physical(model, "linearize")
     if thing.flat.black_box:
         raise DeclarationError(f"linearize: '{model}' is an FMU, which has no equations to linearize.")
-    signals = (*thing.flat.inputs, *thing.flat.states)
-    values = settings_from(at, "--at", {s.name: s.unit for s in signals})
+    values = settings_from(at, "--at", [wanted(s) for s in (*thing.flat.inputs, *thing.flat.states)])
     system, found = linearise(thing, values, steady=steady), modes(thing, values, steady=steady)
     oil = found.hydraulic
     if output:

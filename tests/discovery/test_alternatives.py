@@ -99,3 +99,16 @@ def test_a_run_that_diverges_from_there_costs_only_itself(right):
     late = entry(right, "dead_time")
     assert late.asked and np.isinf(late.beside) and not late.fitted
     assert standing(right.table).verdict == "named" and right.table.unseen() == 0.0
+
+
+def test_a_base_that_diverges_without_the_effect_dismisses_nobody(right):
+    run = right.alternatives.run
+
+    def diverging(jobs):
+        return [
+            "slide: diverged." if job.label == "slide" else found for job, found in zip(jobs, run(jobs), strict=True)
+        ]
+
+    right.alternatives.run = diverging
+    right.alternatives.settle()
+    assert entry(right, "presliding_friction").fitted and right.table.unseen() == 0.0

@@ -24,7 +24,8 @@ from .table import Entry, Table
 
 LIKELY = 0.25  # of the gap that the best structure closes: an effect that a few steps left more of is not fitted
 FIRST = 3  # steps after which an effect has to leave less than the rest of the best alone would, on its way to its bend
-AHEAD = 0.5  # of the squares that the rest leaves after as many steps: an effect that leaves more only bends it, too
+AHEAD = 0.5  # of what the rest leaves after as many steps: an effect that leaves more only bends it, too
+SHOWN = 100.0  # nats that the rest leaves after them where half of that is told from all of it
 
 
 @dataclass(eq=False)
@@ -91,18 +92,21 @@ class Alternatives:
 
     def _ahead(self, best: Entry, one: Candidate, others: Sequence[Entry]) -> dict[Entry, Look]:
         """Entries, with their looks, that leave clearly less after the first steps than the rest alone."""
-        question, gap = self._gap(best, one, DECIDING.visible)
-        (bent,) = self.run([self.jobs.left_by(self._rest(best, one), best, question, FIRST)])
-        level = AHEAD * self._size(bent) if isinstance(bent, Look) else np.inf
+        for well in (DECIDING.visible, ENOUGH, np.inf):
+            question, gap = self._gap(best, one, well)
+            (bent,) = self.run([self.jobs.left_by(self._rest(best, one), best, question, FIRST)])
+            level = AHEAD * self._nats(bent)
+            if level > AHEAD * SHOWN:
+                break
         seen = self._looked(others, gap, lambda e: self.jobs.glance_from(best, e, question, FIRST))
-        return {e: look for e, look in seen.items() if self._size(look) < level}
+        return {e: look for e, look in seen.items() if self._nats(look) < level}
 
-    def _looked(self, entries: Iterable[Entry], gap: Look, job: Callable[[Entry], Job]) -> dict[Entry, Look]:
+    def _looked(self, entries: Iterable[Entry], gap: Look | str, job: Callable[[Entry], Job]) -> dict[Entry, Look]:
         """Looks of entries by a job of each, as far as they came to an end; what they leave of a gap is kept."""
         found = {}
         for batch in batches(list(entries), self.batch):
             for entry, look in zip(batch, self.run([job(e) for e in batch]), strict=True):
-                entry.beside = self._share(look, gap) if isinstance(look, Look) else np.inf
+                entry.beside = self._share(look, gap)
                 found |= {entry: look} if isinstance(look, Look) else {}
         return found
 
@@ -115,27 +119,31 @@ class Alternatives:
             if not any(e.fitted and self.table.explained([e]) for e, _ in together):
                 return
 
-    def _gap(self, best: Entry, one: Candidate, well: float) -> tuple[Question, Look]:
-        """The shortest beginnings of recordings that show with so many nats what is missing, and what is left there."""
+    def _gap(self, best: Entry, one: Candidate, well: float) -> tuple[Question, Look | str]:
+        """The shortest beginnings of recordings in which the rest leaves so many nats, and that.
+
+        All of them, and why, where it diverges.
+        """
         rest = self._rest(best, one)
 
         def look(question: Question):
             return self.run([self.jobs.left_by(rest, best, question)])[0]
 
-        return enough_of(self.table, look, look(self.table.question), well)
+        whole = look(self.table.question)
+        return enough_of(self.table, look, whole, well) if isinstance(whole, Look) else (self.table.question, whole)
 
     def _rest(self, best: Entry, one: Candidate) -> Entry:
         return self.table.entry([m for m in best.members if m is not one])
 
-    def _size(self, look: Look) -> float:
-        """Sum of squares that a look leaves, in variances of the noise."""
-        return float(np.nansum(look.left.squares / np.square(self.table.noise)))
+    def _share(self, look: Look | str, gap: Look | str) -> float:
+        """Share of a gap that a look leaves: all are compared with each other."""
+        left, whole = self._nats(look), self._nats(gap)
+        return left / whole if whole > 0 and np.isfinite(left) else max(left, 1.0)
 
-    def _share(self, look: Look, gap: Look) -> float:
-        """Share of a gap that a look leaves, of nats above white noise: all are compared with each other."""
+    def _nats(self, look: Look | str) -> float:
+        """What a look leaves above white noise; without end where it diverges."""
         white = Floor(self.table.noise, np.zeros_like(self.table.noise))
-        whole = score(gap.left, white)
-        return score(look.left, white) / whole if whole > 0 else 1.0
+        return score(look.left, white) if isinstance(look, Look) else np.inf
 
     def _as_good(self, entry: Entry, best: Entry) -> bool:
         return bool(entry.fitted) and self.table.score(entry) < self.table.score(best) + 1.0

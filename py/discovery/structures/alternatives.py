@@ -8,7 +8,7 @@ explains much is fitted. Effects that were asked so, and were not fitted, are no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,10 +22,18 @@ from .extent import ENOUGH, enough_of
 from .jobs import Jobs
 from .table import Entry, Table
 
-LIKELY = 0.25  # of the gap that the best structure closes: an effect that a few steps left more of is not fitted
 FIRST = 3  # steps after which an effect has to leave less than the rest of the best alone would, on its way to its bend
 AHEAD = 0.5  # of what the rest leaves after as many steps: an effect that leaves more only bends it, too
 SHOWN = 100.0  # nats that the rest leaves after them where half of that is told from all of it
+
+
+@dataclass(frozen=True, eq=False)
+class Ahead:
+    """An entry whose look leaves a small share of what the rest of the best leaves after as many steps."""
+
+    entry: Entry
+    look: Look
+    share: float
 
 
 @dataclass(eq=False)
@@ -82,49 +90,61 @@ class Alternatives:
     # -- in the place of one effect ------------------------------------------------------------------------------
     def _instead(self, best: Entry, one: Candidate) -> None:
         """Look from there at every effect in the place of one of the best's; fit those that explain as much."""
+        rest = self.table.entry([m for m in best.members if m is not one])
         others = [self.table.entry(members) for members in self.table.instead(best, one)]
         others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
-        ahead = self._ahead(best, one, sorted(others, key=self.table.promise))
-        question, gap = self._gap(best, one, ENOUGH)  # what the rest can bend to shows in so much
-        seen = self._looked(ahead, gap, lambda e: self.jobs.glance_on(best, e, ahead[e], question))
-        likely = [(e, look) for e, look in seen.items() if e.beside < LIKELY]
-        self._fit_likely(sorted(likely, key=lambda pair: pair[0].beside))
+        question, bent = self._bent(best, rest)
+        seen = self._ahead(
+            sorted(others, key=self.table.promise), bent, lambda e: self.jobs.glance_from(best, e, question, FIRST)
+        )
+        if not seen:
+            return
+        longer, _ = self._gap(best, rest, ENOUGH)  # what the rest bends to at last shows in so much
+        if isinstance(bent, Look):
+            (bent,) = self.run([self.jobs.glance_on(best, rest, bent, longer)])
+        likely = self._ahead(list(seen), bent, lambda e: self.jobs.glance_on(best, e, seen[e].look, longer))
+        self._fit_likely(sorted(likely.values(), key=lambda one: one.share))
 
-    def _ahead(self, best: Entry, one: Candidate, others: Sequence[Entry]) -> dict[Entry, Look]:
-        """Entries, with their looks, that leave clearly less after the first steps than the rest alone."""
+    def _bent(self, best: Entry, rest: Entry) -> tuple[Question, Look | str]:
+        """Beginnings of recordings that show what the rest leaves after the first steps, and that; else all of them."""
         for well in (DECIDING.visible, ENOUGH, np.inf):
-            question, gap = self._gap(best, one, well)
-            (bent,) = self.run([self.jobs.left_by(self._rest(best, one), best, question, FIRST)])
-            level = AHEAD * self._nats(bent)
-            if level > AHEAD * SHOWN:
+            question, _ = self._gap(best, rest, well)
+            (bent,) = self.run([self.jobs.left_by(rest, best, question, FIRST)])
+            if self._nats(bent) > SHOWN:
                 break
-        seen = self._looked(others, gap, lambda e: self.jobs.glance_from(best, e, question, FIRST))
-        return {e: look for e, look in seen.items() if self._nats(look) < level}
+        return question, bent
 
-    def _looked(self, entries: Iterable[Entry], gap: Look | str, job: Callable[[Entry], Job]) -> dict[Entry, Look]:
-        """Looks of entries by a job of each, as far as they came to an end; what they leave of a gap is kept."""
+    def _ahead(self, entries: Sequence[Entry], bent: Look | str, job: Callable[[Entry], Job]) -> dict[Entry, Ahead]:
+        """Those that leave clearly less, after a job of each, than the rest alone after as many steps.
+
+        The others have been asked.
+        """
         found = {}
-        for batch in batches(list(entries), self.batch):
+        for batch in batches(entries, self.batch):
             for entry, look in zip(batch, self.run([job(e) for e in batch]), strict=True):
-                entry.beside = self._share(look, gap)
-                found |= {entry: look} if isinstance(look, Look) else {}
+                share = self._share(look, bent)
+                if share < AHEAD:
+                    found[entry] = Ahead(entry, look, share)
+                else:
+                    entry.beside = share
         return found
 
-    def _fit_likely(self, seen: Sequence[tuple[Entry, Look]]) -> None:
+    def _fit_likely(self, seen: Sequence[Ahead]) -> None:
         """Fit structures, the likeliest first, until none of those that are fitted together explains all."""
         for together in batches(seen, self.jobs.effort.together):
-            fits = self.run([self.jobs.soon(entry, look) for entry, look in together])
-            for (entry, _), found in zip(together, fits, strict=True):
-                self.table.keep_better(entry, found)
-            if not any(e.fitted and self.table.explained([e]) for e, _ in together):
-                return
+            fits = self.run([self.jobs.soon(one.entry, one.look) for one in together])
+            for one, found in zip(together, fits, strict=True):
+                self.table.keep_better(one.entry, found)
+            if not any(one.entry.fitted and self.table.explained([one.entry]) for one in together):
+                break
+        for one in seen:
+            one.entry.beside = one.share
 
-    def _gap(self, best: Entry, one: Candidate, well: float) -> tuple[Question, Look | str]:
+    def _gap(self, best: Entry, rest: Entry, well: float) -> tuple[Question, Look | str]:
         """The shortest beginnings of recordings in which the rest leaves so many nats, and that.
 
         All of them, and why, where it diverges.
         """
-        rest = self._rest(best, one)
 
         def look(question: Question):
             return self.run([self.jobs.left_by(rest, best, question)])[0]
@@ -132,12 +152,9 @@ class Alternatives:
         whole = look(self.table.question)
         return enough_of(self.table, look, whole, well) if isinstance(whole, Look) else (self.table.question, whole)
 
-    def _rest(self, best: Entry, one: Candidate) -> Entry:
-        return self.table.entry([m for m in best.members if m is not one])
-
-    def _share(self, look: Look | str, gap: Look | str) -> float:
-        """Share of a gap that a look leaves: all are compared with each other."""
-        left, whole = self._nats(look), self._nats(gap)
+    def _share(self, look: Look | str, bent: Look | str) -> float:
+        """Share of what the rest leaves that a look leaves: all are compared with each other."""
+        left, whole = self._nats(look), self._nats(bent)
         return left / whole if whole > 0 and np.isfinite(left) else max(left, 1.0)
 
     def _nats(self, look: Look | str) -> float:

@@ -22,8 +22,8 @@ from .starts import compatible
 class Entry:
     """One structure. look, fitted : None until they are made; failed : why it cannot be fitted.
 
-    beside : share of a gap that a few steps from where the best structure ended left of it, in the place of one of its
-    effects; nan where nobody asked.
+    beside : after a few steps from where the best structure ended, in the place of one of its effects, the share of
+    what the others of its effects leave alone after as many; nan where nobody asked.
     """
 
     members: tuple[Candidate, ...]

@@ -1,8 +1,7 @@
-"""A step walked along recordings in CasADi: where few runs stand side by side, the interpreter costs more than they do.
+"""A step walked along recordings in CasADi: where few runs stand side by side, the interpreter costs more than they.
 
-A step is a `casadi.Function` (x, w, c) -> (x one sample later, what is seen now): states x, what is known at a sample w,
-constants c. Formulas are always walked; networks where at most `NARROW` runs stand side by side, beyond which NumPy is
-as fast.
+A step is a `casadi.Function` (x, w, c) -> (x one sample later, what is seen now): states x, what is known at a sample
+w, constants c. Formulas are always walked; networks and processes where few runs stand side by side.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-NARROW = 8  # runs side by side: beyond these, one step of NumPy over all of them is quicker
+NARROW = 8  # runs of a network side by side: beyond these, one step of NumPy over all of them is quicker
 
 
 class Walk:

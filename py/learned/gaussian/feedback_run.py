@@ -24,7 +24,7 @@ from .kernels import Hyper, Kernel, half_squares, stationary
 
 LARGEST = 1e3  # normalised: a run beyond it has diverged
 TRIES = 8  # dampings of one iteration
-NARROW = 40  # runs side by side: beyond these, one step of NumPy over all of them is quicker than theirs in CasADi
+NARROW = 12  # runs side by side: beyond these, one step of NumPy over all of them is quicker than theirs in CasADi
 SETTLED = 1e-3  # of the cost: an iteration that gains less is the last
 
 

@@ -30,6 +30,7 @@ DEGREE = 3  # of the products: pump and level in a root, flow over a valve, fric
 MOST_TERMS = 16  # of an equation: longer ones run away more often than they run better
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # numbers of terms that run freely
 FEW, MANY = (2, 4, 6, 8), 8000  # of them, at a period at which the recordings are more samples than so many
+GROWN = 4  # terms that are added at most where they surely help the free run
 ROWS = 4000  # random rows that terms are selected on
 PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
@@ -181,7 +182,7 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]
-    how = Choice(options.tolerance, 0, (), until, options.seed, progress)
+    how = Choice(options.tolerance, GROWN, ("mul",), until, options.seed, progress)
     selection = Selection(data, names, how)
     formula = selection.choose(formulas)
     alone = len(selection.chosen) == 1

@@ -114,7 +114,7 @@ SEVERAL = "These errors count all samples together; the tables below take the me
 FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
 TERMS = (
     "Error reduction ratio: the share of the squared increments that a term explains, one step ahead, beside those "
-    "selected before it; none where a term came in by pruning alone. Factors are over the scales of the block. AIC and "
+    "selected before it; none where a term was added in free run. Factors are over the scales of the block. AIC and "
     "BIC are least where one step ahead more terms are not worth it; free run on held-out parts then chose."
 )
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."

@@ -65,7 +65,8 @@ def learn_narx(
     selected by error reduction ratio (`selection`), up to the number with the least BIC. Polynomials of every degree
     and number of terms are then refitted in short free runs, the best of them in whole ones; of those whose free run
     on parts held out is within ``tolerance`` of the best, or that the parts cannot tell from it, the shortest is
-    kept, without the terms that it can do without (`symbolic.select`).
+    kept, without the terms that it can do without (`symbolic.select`). The best get up to `GROWN` terms more that
+    take most from the error of the free run and surely help there: one step ahead does not show what a run drifts by.
 
     Args:
         records: training recordings without gaps, of even or uneven times.
@@ -80,8 +81,9 @@ def learn_narx(
         progress: called with a `SelectionProgress` per refit.
 
     The same seed and data give the same block unless ``budget`` ends the work (``provenance["stopped"]``).
-    ``provenance["narx"]`` tells by output the terms with their factors (over the scales of the block) and ERR in the
-    order in which they were selected, AIC and BIC by number of terms, and which terms are kept.
+    ``provenance["narx"]`` tells by output the terms with their factors (over the scales of the block) and ERR (none of
+    those added in free run) in the order in which they were selected, AIC and BIC by number of terms, and which terms
+    are kept.
 
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, or SymPy

@@ -126,7 +126,11 @@ def test_kinds_are_also_ranked_on_the_first_course_where_commands_repeat():
 
 def test_a_kind_that_the_first_course_rules_out_is_not_trained_on_all_and_says_so():
     records, names = [periodic(0.01)], (["u"], ["y"])
-    block = learn_best(records, *names, kinds=("piecewise", "arx"), workers=1)
+    block, other = (learn_best(records, *names, kinds=("piecewise", "arx"), workers=n) for n in (1, 2))
+    plain = [
+        [{k: v for k, v in row.items() if k != "seconds"} for row in b.provenance["ranking"]] for b in (block, other)
+    ]
+    assert plain[0] == plain[1], "two processes choose as one does"
     last = block.provenance["ranking"][-1]
     assert last["kind"] == "piecewise" and not (last["chosen"] or last["as_good"]) and "numbers" not in last
     card = learn("piecewise", without_repeats(records, *names), *names).provenance["free_run"]["outputs"]["y"]

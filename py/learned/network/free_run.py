@@ -80,16 +80,20 @@ def weight_arrays(weights: np.ndarray, shape: NarxShape) -> list[np.ndarray]:
     return [w.reshape(s) for w, s in zip(np.split(weights, ends), shape.weights.values(), strict=True)]
 
 
-def cut(inputs: np.ndarray, outputs: np.ndarray, horizon: int | None, shape: NarxShape, increment: np.ndarray, *, rest):
+def cut(
+    inputs: np.ndarray, outputs: np.ndarray, horizon: int | None, shape: NarxShape, increment: np.ndarray, *, rest,
+    quiet: np.ndarray | None = None,
+):  # fmt: skip
     """Stretches of one recording, (inputs (n, nu), outputs (n, ny), normalised), as a list of tuples.
 
     ``rest``: one stretch that starts as a deployed block does, from the first output with nothing moving.
+    quiet : the smoothed outputs, from which all others start, where they are known.
     """
     n, ny = outputs.shape
     lines = np.concatenate([inputs[np.maximum(np.arange(n) - i, 0)] for i in range(shape.input_lags)], axis=1)
     if rest:
         return [(outputs[0], np.zeros(ny * shape.output_lags), lines[:-1], outputs[1:])]
-    quiet = smoothed(outputs)
+    quiet = smoothed(outputs) if quiet is None else quiet
     first = max(shape.output_lags, shape.input_lags - 1)
     span = min(horizon or n, n - 1 - first)
     starts = range(first, n - span, span)
@@ -229,11 +233,14 @@ def _recursion(weights, shape: NarxShape, scales: Scales, s: Stretches, run: Run
         else np.broadcast_to(W[:, :fb], (*z.shape[:2], ny, fb))
     )
     moving, inside = run.moving[part][..., None], run.inside[part][..., None]
-    So, direct = D * moving, _direct(slope, seen, h, z, ny)[..., trained] * moving
+    direct = _direct(slope, seen, h, z, ny)
+    direct = direct if len(trained) == direct.shape[-1] else direct[..., trained]
+    So, direct = (D, direct) if moving.all() else (D * moving, direct * moving)
     own = np.zeros((ny, fb))
     own[:, :ny] = np.eye(ny)
     gain = scales.increment[:, None]
-    F, G = (own + gain * So) * inside, gain * direct * inside
+    F, G = own + gain * So, gain * direct
+    F, G = (F, G) if inside.all() else (F * inside, G * inside)
     if not shape.output_lags:
         return F, G
     return np.concatenate([F, So], axis=2), np.concatenate([G, direct], axis=2)

@@ -87,6 +87,7 @@ class Search:
     best: Candidate | None = None
     seeds: list[dict] = field(default_factory=list)
     _series: dict[float, Series] = field(default_factory=dict)
+    _folds: dict[float, list] = field(default_factory=dict)
 
     def run(self) -> None:
         """Look at linear forms, then at networks; `best` is what there is when time or patience ends."""
@@ -274,7 +275,7 @@ class Search:
 
         One whose error over the parts so far is alone too much to ``beat`` goes no further: its error is infinite.
         """
-        stages, folds = self.asked.stages(stages), problem.series.folds(self.folds)
+        stages, folds = self.asked.stages(stages), self._folds_at(problem.form.period)
         totals, count, kept = np.zeros(len(stages) + 1), 0, []
         most = beat**2 * sum(len(piece.times) for _, held in folds for piece in held) * len(self.outputs)
         for fit, held in folds:
@@ -294,10 +295,12 @@ class Search:
         self._note(one)
         return one
 
-    @property
-    def folds(self) -> int:
-        """How many parts are held out in turn."""
-        return PARTS_OF_MANY if sum(len(r) for r in self.records) > FEW else 4
+    def _folds_at(self, period: float) -> list[tuple]:
+        """What is trained and judged on in turn at a period, made once: all candidates share what follows from it."""
+        if period not in self._folds:
+            parts = PARTS_OF_MANY if sum(len(r) for r in self.records) > FEW else 4
+            self._folds[period] = self.series(period).folds(parts)
+        return self._folds[period]
 
     def _fall_back(self, problem, weights, held, around, seed: int) -> None:
         """Something to answer, before any candidate is complete."""

@@ -43,7 +43,7 @@ DROPPED = (
     "on the first course of the commands alone it missed {own:.3g} % of the range: whatever it did on all of them, it "
     "could not be as good as {best} ({least:.3g} %), so it was not trained there (--thorough does)."
 )
-OUT = "{kinds} could not be as good any more after the first course, and were not trained on all: see the ranking."
+OUT = "Not trained on all, for after the first course nothing could make them as good: {kinds} (see the ranking)."
 
 
 @dataclass(frozen=True, eq=False)

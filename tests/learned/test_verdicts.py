@@ -136,7 +136,7 @@ def test_a_kind_that_the_first_course_rules_out_is_not_trained_on_all_and_says_s
     card = learn("piecewise", without_repeats(records, *names), *names).provenance["free_run"]["outputs"]["y"]
     assert last["percent_of_range"]["y"] == pytest.approx(card["percent_of_range"]), "that of the first course"
     assert "could not be as good as arx" in last["dropped"] and "--thorough" in last["dropped"]
-    says = "piecewise could not be as good any more after the first course, and were not trained on all"
+    says = "Not trained on all, for after the first course nothing could make them as good: piecewise"
     assert says in block.provenance["free_run"]["says"]
 
 

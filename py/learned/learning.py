@@ -107,6 +107,23 @@ def learn(
 
     Raises: as the trainer of that kind, and `DeclarationError` for a kind that is not known.
     """
+    trainer(kind, fit)
+    check_judges(validate, records, inputs, outputs, model)
+    block, split = trained(kind, records, inputs, outputs, model=model, fit=fit, **options)
+    return with_card(block, split, records, inputs, outputs, model=model, validate=validate)
+
+
+def trained(
+    kind: str,
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str] = (),
+    outputs: Sequence[Signal | str] = (),
+    *,
+    model=None,
+    fit: str | None = None,
+    **options,
+) -> tuple[Block, held_out.Split]:
+    """A block without its card, and what of the recordings it was trained on; arguments and errors as of `learn`."""
     train = trainer(kind, fit)
     if options.get("select") and not takes(kind, "select"):
         raise DeclarationError(f"learn {kind}: nothing is chosen by recordings here. Leave --select out.")
@@ -117,26 +134,45 @@ def learn(
         )
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     records = list(records)
-    named = _names(model, records, inputs, outputs)
-    split, unseen = held_out.split(records, *named), judges(validate, records, [*named[0], *named[1]])
+    split = held_out_of(records, inputs, outputs, model)
 
-    def trained(on: Sequence[Record]) -> Block:
+    def on(some: Sequence[Record]) -> Block:
         if kind == "hybrid":
-            return train(model, on, list(outputs) or None, **options)
-        return train(on, inputs, outputs, **options)
+            return train(model, some, list(outputs) or None, **options)
+        return train(some, inputs, outputs, **options)
 
     try:
-        block = trained(split.fit)
+        return on(split.fit), split
     except DataError as error:
         if not split.parts:
             raise
-        block = trained(records)  # its own error is about all that was given
-        split = held_out.Split(records, why=f"without it there is too little to learn from: {error}")
+        why = f"without it there is too little to learn from: {error}"
+        return on(records), held_out.Split(records, why=why)  # its own error is about all that was given
+
+
+def with_card(
+    block: Block,
+    split: held_out.Split,
+    records: Sequence[Record],
+    inputs: Sequence[Signal | str] = (),
+    outputs: Sequence[Signal | str] = (),
+    *,
+    model=None,
+    validate: Sequence[Record] = (),
+) -> Block:
+    """A block with its free run over what was held out, and over ``validate``, in its provenance (see `learn`)."""
+    records = list(records)
     try:
-        told = _card(block, split, records, named, model)
+        told = _card(block, split, records, _names(model, records, inputs, outputs), model)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
         told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
-    return validated(replace(block, provenance={**block.provenance, "free_run": told}), unseen)
+    return validated(replace(block, provenance={**block.provenance, "free_run": told}), list(validate))
+
+
+def check_judges(validate: Sequence[Record], records: Sequence[Record], inputs, outputs, model=None) -> None:
+    """Raises DataError for a recording to validate that lacks a column or is trained on, before a long training."""
+    inputs, outputs = _names(model, records, inputs, outputs)
+    judges(validate, records, [*inputs, *outputs])
 
 
 def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] | None) -> None:

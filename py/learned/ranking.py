@@ -1,59 +1,49 @@
 """Try every kind of learned model on the same recordings; rank them by how well they run freely on what is held out.
 
-Each kind is trained in a process of its own, one per core, so that none can take the others with it. Of many kinds one
-is the best by chance: among those that are as good, by one standard error over the stretches held out (`verdicts`), the
-one with the fewest numbers is taken. What is held out chooses here, so the figure of the chosen is a little too good.
-Where commands repeat, what is held out has been seen before: there every kind is trained a second time, on the first
-course of the commands alone (`without_repeats`), and judged at the end of that as well. One that knows commands by
-heart fails there; one that drifts fails over all.
+Each kind is trained in a process of its own (`trials`). Of many kinds one is the best by chance: among those that are
+as good, by one standard error over the stretches held out (`verdicts`), the one with the fewest numbers is taken. What
+is held out chooses here, so the figure of the chosen is a little too good. Where commands repeat, what is held out has
+been seen before: there every kind is also trained on the first course of the commands alone (`without_repeats`), judged
+at the end of that, and ranked by both. One that knows commands by heart fails there; one that drifts fails over all.
+
+That is a race: the first course, which is short, comes first. Squared errors add up, so one that is already too much
+for a kind ever to be as good as the best so far ends its race there, and the ranking says so. It changes no choice.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import signal
 import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from multiprocessing import connection, get_all_start_methods, get_context
 from pathlib import Path
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Record
 
-from .block_file import LearnedBlock, read_block, write_block
+from .block_file import LearnedBlock
+from .held_out import Split
 from .interruption import INTERRUPTED
-from .learning import KINDS, check_select, learn, takes
+from .learning import KINDS, check_judges, check_select, held_out_of, with_card
 from .repeats import without_repeats
-from .report_card import BLOCK
-from .verdicts import as_good
+from .trials import ALWAYS, Asked, Outcome, Trial, Trials
+from .verdicts import as_good, may_be_as_good
 
 ALONE = ("hybrid", "dual_gp")  # kinds that need more than recordings with inputs and outputs
-QUICK = ("arx", "piecewise")  # tried first where time is short, and the first of them is never ended
-LONG = (
-    "nn",
-    "gp",
-    "state_nn",
-    "symbolic",
-)  # the longest first, where there is time for all: 120, 96, 48 and 31 s of 327 s
-# for all kinds on 10 000 samples of the C-EHA; the others take 2 to 15 s
-TRAINING = 0.5  # of a kind's share of the budget, for a kind that looks at the clock: its card takes the rest
-GRACE = 5.0  # s beyond the budget after which such a kind is ended, too
-TOO_LATE = "it was ended, for its share of the budget was over ({share:.3g} s). Give a longer --budget, or none."
+FIRST, ALL = "first", "all"  # what is trained on: the first course of the commands, and all recordings
+ABREAST = 2  # kinds that go on at a time: two cores are busy, and with one or four the same kinds go on
 ONCE = (
     "The commands repeat: kinds were also trained on the first {first:.3g} s of {all:.3g} s alone and judged at "
     "commands there that they had not seen, for at repeated ones what is known by heart seems best."
 )
 NO_FIRST = "On the first course of the commands alone, it cannot be judged: {why}"
-NOT_TRIED = "it was not tried, for the budget was over. Give a longer --budget, or none."
-CHECKED, LEAST = 0.5, 0.1  # s between looks at the clock; the least that a kind is given to train
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+DROPPED = (
+    "on the first course of the commands alone it missed {own:.3g} % of the range: whatever it did on all of them, it "
+    "could not be as good as {best} ({least:.3g} %), so it was not trained there (--thorough does)."
+)
+OUT = "Not trained on all, for after the first course nothing could make them as good: {kinds} (see the ranking)."
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +51,8 @@ class Tried:
     """A kind that was tried.
 
     shares : by output, the RMS error of its free run on what was held out over the output's range. stretches : the same
-    by output and stretch. seconds : of the training. failed : why there is no block, a sentence.
+    by output and stretch. seconds : of the processor. failed : why there is no figure, or no block, a sentence.
+    dropped : why it was not trained on all recordings, a sentence; its figures are of the first course alone.
     """
 
     kind: str
@@ -70,6 +61,8 @@ class Tried:
     seconds: float = 0.0
     failed: str = ""
     stretches: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    dropped: str = ""
+    why: str = ""
 
     @property
     def numbers(self) -> int:
@@ -91,6 +84,11 @@ class Tried:
         """Mean over the outputs; infinite where it failed, or where nothing could be held out."""
         return sum(self.shares.values()) / len(self.shares) if self.shares else float("inf")
 
+    @property
+    def standing(self) -> int:
+        """What is judged whole comes first, then what was dropped, then what failed."""
+        return 2 if self.failed else 1 if self.dropped else 0
+
     def told(self) -> dict:
         """For the provenance and JSON."""
         answer = {"kind": self.kind, "seconds": round(self.seconds, 2)}
@@ -99,6 +97,7 @@ class Tried:
             answer |= {"percent_of_range": {name: 100 * share for name, share in self.shares.items()}}
         if self.stretches:
             answer["stretches"] = {name: [100 * e for e in part] for name, part in self.stretches.items()}
+        answer |= {"dropped": self.dropped} if self.dropped else {}
         return answer | ({"failed": self.failed} if self.failed else {})
 
 
@@ -110,6 +109,7 @@ def learn_best(
     kinds: Sequence[str] | None = None,
     workers: int | None = None,
     budget: float | None = None,
+    thorough: bool = False,
     progress: Callable[[int, int, str], None] | None = None,
     **options,
 ) -> LearnedBlock:
@@ -117,15 +117,19 @@ def learn_best(
 
     Of those that run as well, by one standard error over the stretches held out, it is the one with the fewest numbers.
     ``provenance["ranking"]`` lists all kinds, the best first: share of the range in percent, over all and by stretch;
-    numbers of the block; seconds; which are ``as_good`` as the first, which is ``chosen``; why one failed.
+    numbers of the block; seconds; which are ``as_good`` as the first, which is ``chosen``; why one failed, or was
+    ``dropped``: where commands repeat, one whose error on their first course alone is too much to be as good as another
+    is not trained on all of them, and its figures are of the first course. The block, and its card, are those of the
+    kind trained alone with the same options.
 
     Args:
         records, inputs, outputs: as in `learn`.
         kinds: names of `KINDS`; None: all that need nothing else.
-        workers: processes; None: one per core.
+        workers: processes; None: one per core. Their number changes no answer.
         budget: s on the clock that all trials may take together; None: as long as they take. What is left is shared
-            evenly among the kinds still to try; `QUICK` ones come first. A kind that looks at no clock is ended with
+            evenly among the kinds still to try; the quick ones come first. A kind that looks at no clock is ended with
             its share, and says so in the ranking. On a busier machine the same budget gives other blocks.
+        thorough: drop no kind. The choice is the same; all figures of the ranking are then of whole trainings.
         progress: called with (kinds done, kinds in all, what was found).
         options: those of `learn` that a kind takes are passed on to it (seed, validate, select, name).
 
@@ -141,60 +145,118 @@ def learn_best(
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     check_select("auto", records, options.get("select"))
     records, (inputs, outputs) = list(records), (list(inputs), list(outputs))
+    validate = list(options.pop("validate", None) or ())
+    check_judges(validate, records, inputs, outputs)
     first = without_repeats(records, *([getattr(s, "name", s) for s in part] for part in (inputs, outputs)))
     again = sum(map(len, first)) < sum(map(len, records))
-    given = (records, first if again else [], inputs, outputs, options)
-    found = _tried(chosen, given, (workers, budget), progress)
-    ranked = sorted(found, key=lambda t: (t.share, t.block is None, chosen.index(t.kind)))
+    asked = Asked({FIRST: first, ALL: records} if again else {ALL: records}, inputs, outputs, options)
+    found, stopped = _raced(chosen, asked, (workers, budget, thorough), progress)
+    ranked = sorted(found, key=lambda t: (t.standing, t.share, t.block is None, chosen.index(t.kind)))
     if not ranked or ranked[0].block is None:
         raise DataError(f"learn auto: no kind could be trained. {_reasons(found)}")
     good = [t for t in ranked if t.block is not None and t.as_good_as(ranked[0])]
     taken = min(good, key=lambda t: t.numbers)
+    split = Split(records, why=taken.why) if taken.why else held_out_of(records, inputs, outputs)
+    block = with_card(taken.block, split, records, inputs, outputs, validate=validate)
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
     told = {"ranking": rows, "chosen_on": "what was held out of the training recordings"}
-    stopped = {"stopped": INTERRUPTED} if len(found) < len(chosen) else {}
     if again:
-        seconds = {"first": sum(r.duration for r in first), "all": sum(r.duration for r in records)}
-        card = taken.block.provenance["free_run"]
-        told["free_run"] = card | {"says": f"{card['says']} {ONCE.format(**seconds)}"}
-    return replace(taken.block, provenance={**taken.block.provenance, **told, **stopped})
+        seconds = {FIRST: sum(r.duration for r in first), ALL: sum(r.duration for r in records)}
+        out = ", ".join(t.kind for t in ranked if t.dropped)
+        words = [ONCE.format(**seconds), *([OUT.format(kinds=out)] if out else [])]
+        card = block.provenance["free_run"]
+        told["free_run"] = card | {"says": " ".join([card["says"], *words])}
+    return replace(block, provenance={**block.provenance, **told, **({"stopped": INTERRUPTED} if stopped else {})})
 
 
-def _tried(kinds: Sequence[str], given: tuple, means: tuple, progress: Callable | None) -> list[Tried]:
-    """What became of each kind, in the order of their ends; those that ended before Ctrl-C.
+def _raced(kinds: Sequence[str], asked: Asked, means: tuple, progress: Callable | None) -> tuple[list[Tried], bool]:
+    """What became of each kind that has ended its race, and whether Ctrl-C has ended it for others.
 
-    means : workers, and s on the clock; None: one per core, as long as it takes.
+    means : workers, s on the clock (None: one per core, as long as it takes), and whether all are trained on all.
     """
-    found: list[Tried] = []
-    workers, budget = means[0] or len(os.sched_getaffinity(0)), means[1]
-    waiting = sorted(kinds, key=_longest_first if budget is None else _quickest_first)
-    clock, running = _Clock(budget, workers), {}
-    with tempfile.TemporaryDirectory() as folder:
+    race = _Race(kinds, list(asked.records), means[2])
+    with tempfile.TemporaryDirectory() as folder, Trials(asked, Path(folder), *means[:2]) as trials:
         try:
-            while waiting or running:
-                while waiting and len(running) < workers and not clock.over:
-                    share = clock.share(1 if waiting[0] in QUICK else len(waiting))
-                    running[waiting[0]] = _start(waiting[0], given, share, Path(folder)), share
-                    waiting.pop(0)
-                if clock.over:
-                    found += [Tried(kind, failed=NOT_TRIED) for kind in waiting]
-                    waiting.clear()
-                connection.wait([child.sentinel for child, _ in running.values()], budget and CHECKED)
-                late = [kind for kind, (_, share) in running.items() if clock.late(kind, share, bool(waiting))]
-                for kind in [k for k, (child, _) in running.items() if not child.is_alive() or k in late]:
-                    child, share = running.pop(kind)
-                    found.append(_ended(child, kind, share, Path(folder)))
+            for some, later in race.rounds():
+                for trial, outcome in trials.outcomes(some, later):
+                    race.outcomes[trial] = outcome
                     if progress:
-                        best = min(found, key=lambda t: t.share)
-                        progress(len(found), len(kinds), f"{kind} ended, best so far {best.kind}")
+                        ended = race.ended()
+                        best = min(ended, key=lambda t: t.share).kind if ended else "none yet"
+                        progress(len(ended), len(kinds), f"{trial.kind} ended, best so far {best}")
         except KeyboardInterrupt:
-            if not any(t.block for t in found):
+            if not any(t.block for t in race.ended()):
                 raise
-        finally:
-            for child, _ in running.values():
-                child.terminate()
-                child.join()
-    return found
+        found = race.ended()
+        return found, len(found) < len(kinds)
+
+
+class _Race:
+    """Which kinds are trained on what: all on what comes first, then those on the rest that may still be as good."""
+
+    def __init__(self, kinds: Sequence[str], parts: Sequence[str], thorough: bool):
+        self.kinds, self.parts, self.thorough = list(kinds), list(parts), thorough
+        self.outcomes: dict[Trial, Outcome] = {}
+        self.dropped: dict[str, str] = {}
+
+    def rounds(self) -> Iterator[tuple[list[Trial], int]]:
+        """Trials that are to be made, and how many may follow them; which ones follows from how all before ended."""
+        first = [Trial(k, on) for k in self.kinds for on in (self.parts if self._whole(k) else self.parts[:1])]
+        yield first, len(self.kinds) * len(self.parts) - len(first)
+        while waiting := self._waiting():
+            yield [Trial(kind, ALL) for kind in waiting[:ABREAST]], len(waiting[ABREAST:])
+
+    def ended(self) -> list[Tried]:
+        """Kinds whose race is over, in the order in which they were asked for."""
+        return [self._tried(k) for k in self.kinds if k in self.dropped or Trial(k, ALL) in self.outcomes]
+
+    def _whole(self, kind: str) -> bool:
+        """Whether it is trained on everything, whatever the first part says: there is to be an answer."""
+        return self.thorough or kind == ALWAYS
+
+    def _waiting(self) -> list[str]:
+        """Kinds that go on, the most promising first."""
+        left = [k for k in self.kinds if k not in self.dropped and Trial(k, ALL) not in self.outcomes]
+        best = min(self.ended(), key=lambda t: t.share, default=None)
+        for kind in left:
+            self._drop(kind, best)
+        left = [k for k in left if k not in self.dropped]
+        return sorted(left, key=lambda k: self._of_first(k).share)
+
+    def _drop(self, kind: str, best: Tried | None) -> None:
+        """Note why a kind does not go on, where it does not; where nobody can be judged, all do."""
+        own = self._of_first(kind)
+        if best is None or not best.errors:
+            return
+        if own.failed:
+            self.dropped[kind] = ""
+        elif own.share / np.sqrt(2) >= best.share and not may_be_as_good(own.errors, best.errors):
+            told = {"own": 100 * own.share, "best": best.kind, "least": 100 * best.share}
+            self.dropped[kind] = DROPPED.format(**told)
+
+    def _of_first(self, kind: str) -> Tried:
+        one = self.outcomes[Trial(kind, FIRST)]
+        why = one.failed or one.why or ("" if one.stretches else "it diverges there.")
+        failed = NO_FIRST.format(why=why) if why else ""
+        return Tried(kind, None, one.shares, one.seconds, failed, one.stretches)
+
+    def _tried(self, kind: str) -> Tried:
+        """What is known of a kind, of all that it was trained on."""
+        if FIRST not in self.parts:
+            return _of(kind, self.outcomes[Trial(kind, ALL)])
+        first = self._of_first(kind)
+        if kind in self.dropped:
+            return replace(first, dropped=self.dropped[kind])
+        last = self.outcomes[Trial(kind, ALL)]
+        one = replace(_of(kind, last), seconds=first.seconds + last.seconds)
+        if one.failed or first.failed:  # where there is a block, nothing says how good it is
+            return replace(one, shares={}, stretches={}, failed=one.failed or first.failed)
+        shares, stretches = _both((one.shares, one.stretches), (first.shares, first.stretches))
+        return replace(one, shares=shares, stretches=stretches)
+
+
+def _of(kind: str, one: Outcome) -> Tried:
+    return Tried(kind, one.block, one.shares, one.seconds, one.failed, one.stretches, why=one.why)
 
 
 def _reasons(found: Sequence[Tried]) -> str:
@@ -203,125 +265,6 @@ def _reasons(found: Sequence[Tried]) -> str:
     for one in found:
         kinds.setdefault(one.failed.removeprefix("learn: "), []).append(one.kind)
     return " ".join(f"{'all' if len(kinds) == 1 else ', '.join(own)}: {why}" for why, own in kinds.items())
-
-
-def _longest_first(kind: str) -> tuple:
-    """The order that keeps all processes busy to the end, behind one that has an answer at once."""
-    return kind != QUICK[0], LONG.index(kind) if kind in LONG else len(LONG)
-
-
-def _quickest_first(kind: str) -> tuple:
-    return kind not in QUICK, not takes(kind, "budget")
-
-
-class _Clock:
-    """When the trials end, and what each may take."""
-
-    def __init__(self, budget: float | None, workers: int):
-        self.end, self.workers = None if budget is None else time.time() + budget, workers
-
-    @property
-    def over(self) -> bool:
-        return self.end is not None and time.time() >= self.end
-
-    def share(self, waiting: int) -> tuple[float, float] | None:
-        """Begin and end of the next trial, when so many are to be started yet."""
-        if self.end is None:
-            return None
-        now = time.time()
-        return now, now + (self.end - now) * min(1.0, self.workers / waiting)
-
-    def late(self, kind: str, share: tuple[float, float] | None, others: bool) -> bool:
-        """Whether a trial has had its time: its share while others wait, else all that is left.
-
-        A kind that looks at the clock itself has time to write its card. The first of `QUICK` ends: there is an answer.
-        """
-        if share is None or kind == QUICK[0]:
-            return False
-        if takes(kind, "budget"):
-            return time.time() > self.end + GRACE
-        return time.time() > (share[1] if others else self.end)
-
-
-def _ended(child, kind: str, share, folder: Path) -> Tried:
-    """What became of a trial; one that still runs is ended."""
-    late = child.is_alive()
-    if late:
-        child.terminate()
-    child.join()
-    if late and not (folder / f"{kind}.json").exists():
-        return Tried(kind, failed=TOO_LATE.format(share=time.time() - share[0]))
-    return _answer(kind, folder)
-
-
-def _context():
-    """Processes that begin with what all of them import, where the system has such; else anew."""
-    if "forkserver" not in get_all_start_methods():
-        return get_context("spawn")
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["hydrotwin.learned.learning"])
-    return context
-
-
-def _start(kind: str, given: tuple, share, folder: Path):
-    """A process that trains one kind, with one thread: there are as many processes as cores."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        child = _context().Process(target=_try, args=(kind, *given, share and share[1], folder), daemon=True)
-        child.start()
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
-    return child
-
-
-def _answer(kind: str, folder: Path) -> Tried:
-    """What a process left behind; one that broke costs only itself."""
-    answer = folder / f"{kind}.json"
-    if not answer.exists():
-        return Tried(kind, failed="its process ended without an answer.")
-    told = json.loads(answer.read_text(encoding="utf-8"))
-    file = folder / f"{kind}.toml"
-    block = read_block(file) if file.exists() else None
-    return Tried(kind, block, told["shares"], told["seconds"], told["failed"], told["stretches"])
-
-
-def _try(kind: str, records, first, inputs, outputs, options: Mapping, until: float | None, folder: Path) -> None:
-    """Train one kind, and write its block and what it did. Runs in a child, which Ctrl-C ends from outside.
-
-    first : what of the recordings is trained on a second time, to be judged at commands that do not repeat; or nothing.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    began, shares, stretches, failed = time.process_time(), {}, {}, ""
-    if until is not None:
-        options = {**options, "budget": max(TRAINING * (until - time.time()) / (2 if first else 1), LEAST)}
-    try:
-        options = {k: v for k, v in options.items() if takes(kind, k)}
-        block = learn(kind, records, inputs, outputs, **options)
-        write_block(block, folder / f"{kind}.toml")
-        shares, stretches = _judged(block)
-        if first:
-            other = learn(kind, first, inputs, outputs, **options)
-            shares, stretches = _both((shares, stretches), _judged(other))
-            failed = "" if stretches else NO_FIRST.format(why=other.provenance["free_run"]["says"])
-    except HydrotwinError as error:
-        failed = NO_FIRST.format(why=error) if shares else str(error)
-    if failed:  # where there is a block, nothing says how good it is
-        shares, stretches = {}, {}
-    told = {"shares": shares, "stretches": stretches, "seconds": time.process_time() - began, "failed": failed}
-    write_whole(folder / f"{kind}.json", json.dumps(told))
-
-
-def _judged(block: LearnedBlock) -> tuple[dict, dict]:
-    """By output, what was missed where a block was judged, over the range of the output: over all, and by stretch."""
-    rows = block.provenance["free_run"]["outputs"]
-    shares = {name: row.get("percent_of_range", float("inf")) / 100 for name, row in rows.items()}
-    by_output = {name: (row["stretches"].get(BLOCK), row["range"]) for name, row in rows.items()}
-    return shares, {n: [e / range_ for e in errors] for n, (errors, range_) in by_output.items() if errors}
 
 
 def _both(one: tuple[dict, dict], other: tuple[dict, dict]) -> tuple[dict, dict]:

@@ -227,6 +227,24 @@ def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str
     return rows
 
 
+def figures(block: Block, split: Split, outputs: Sequence[str], seen: Sequence[Record]) -> tuple[dict, dict]:
+    """What a card says of the block alone, by output over the range: RMS errors, and those of every stretch.
+
+    Infinite, and no stretches, where it diverges; nothing where nothing was held out. Arguments: as of `judged`.
+    """
+    if not split.parts:
+        return {}, {}
+    runs, diverged = _runs(block, split.parts)
+    if diverged:
+        return dict.fromkeys(outputs, np.inf), {}
+    shares, stretches = {}, {}
+    for name in outputs:
+        range_ = float(np.ptp(np.concatenate([r[name] for r in seen])))
+        misses = [run[name] - part.seen[name] for run, part in zip(runs, split.parts, strict=True)]
+        shares[name], stretches[name] = _rms(misses) / range_, [e / range_ for e in rms_of(misses)]
+    return shares, stretches
+
+
 def _band(told: Mapping) -> dict:
     """What the card keeps of a band: its source, coverage and half width (SI), free run and one step."""
     modes = {mode: {key: told[mode][key] for key in ("coverage", "half_width")} for mode in RUNS if mode in told}

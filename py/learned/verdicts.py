@@ -50,6 +50,15 @@ def as_good(errors: Sequence[float], best: Sequence[float]) -> bool:
     The second is that of its mean square, so that what fails in one stretch is not as good, whatever it does elsewhere.
     """
     mean, error = log_ratio(errors, best)
+    return bool(mean <= error and np.mean(np.square(errors)) <= _bound(best))
+
+
+def may_be_as_good(errors: Sequence[float], best: Sequence[float]) -> bool:
+    """Whether that may become of errors over some of the stretches, whatever the others will be: squares add up."""
+    return bool(np.sum(np.square(errors)) <= len(best) * _bound(best))
+
+
+def _bound(best: Sequence[float]) -> float:
+    """The mean square of the best and one standard error of it."""
     squares = np.square(best)
-    bound = squares.mean() + squares.std(ddof=1) / np.sqrt(len(squares)) if len(squares) > 1 else squares.mean()
-    return bool(mean <= error and np.mean(np.square(errors)) <= bound)
+    return float(squares.mean() + (squares.std(ddof=1) / np.sqrt(len(squares)) if len(squares) > 1 else 0.0))

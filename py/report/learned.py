@@ -108,13 +108,13 @@ INPUTS = "Free run on what was held out, with one input at its mean: what the bl
 KINDS = (
     "All were trained on the same recordings. Of those that are as good as the first, within one standard error over "
     "the stretches held out, the one with the fewest numbers is chosen. What was held out chose it, so its figure "
-    "flatters it."
+    "flatters it. What was trained on the first course of the commands only has its figures from there."
 )
 SEVERAL = "These errors count all samples together; the tables below take the mean over recordings."
 FRONT = "Of each size the best formula. The shortest one that is as good as the best is chosen."
 TERMS = (
     "Error reduction ratio: the share of the squared increments that a term explains, one step ahead, beside those "
-    "selected before it; none where a term came in by pruning alone. Factors are over the scales of the block. AIC and "
+    "selected before it; none where a term was added in free run. Factors are over the scales of the block. AIC and "
     "BIC are least where one step ahead more terms are not worth it; free run on held-out parts then chose."
 )
 SEEDS = "The same training from other random numbers: what differs by no more than this is no difference."
@@ -170,12 +170,13 @@ def _ranking(rows: Sequence[Mapping]) -> Table | None:
         apart = [_apart(row.get("stretches", {}).get(name, ())) for row in rows]
         columns.append(texts(f"{name}.stretches", "by stretch", apart))
     columns.append(numbers("seconds", "Training", [row["seconds"] or None for row in rows], "s", common=False))
-    columns.append(texts("why", "", [row.get("failed", "") for row in rows]))
+    columns.append(texts("why", "", [row.get("failed") or row.get("dropped", "") for row in rows]))
     return table("kinds", "", columns)
 
 
 def _choice(row: Mapping) -> str:
-    return "chosen" if row.get("chosen") else "as good" if row.get("as_good") else ""
+    names = {"chosen": "chosen", "as_good": "as good", "dropped": "first course only"}
+    return next((name for key, name in names.items() if row.get(key)), "")
 
 
 def _apart(errors: Sequence[float]) -> str:

@@ -38,6 +38,23 @@ def block():
     return learn_narx([machine(1), machine(2)], ["u"], ["y"], period=PERIOD, terms=8)
 
 
+def test_a_term_that_one_step_ahead_does_not_show_is_found_in_free_run():
+    """A slow drift with the square of the input: a hundredth of an increment, and most of where a run ends."""
+    records = [drifting(seed) for seed in range(1, 4)]
+    asked = {"period": PERIOD, "lags": (1, 1), "delay": 0, "degree": 2, "terms": 2}
+    block = learn_narx(records, ["u"], ["y"], **asked)
+    assert "u[k]^2" in [t["term"] for t in block.provenance["narx"]["y"]["terms"]]
+    assert rms(block, [drifting(9)]) < 0.02
+
+
+def drifting(seed: int, samples: int = 600) -> Record:
+    """y[k+1] = y[k] + 0.1 u[k] + 0.002 u[k]^2, read with noise."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(-1.5, 1.5, samples // 6), 6)
+    y = np.concatenate([[0.0], np.cumsum(0.1 * u + 0.002 * u**2)[:-1]]) + 0.005 * rng.normal(size=samples)
+    return Record(PERIOD * np.arange(samples), {"u": u, "y": y}, {"u": "V", "y": "m"}, f"drifting_{seed}")
+
+
 # -- selection of terms ------------------------------------------------------------------------------------------------
 def test_ratios_are_those_of_classical_orthogonalisation():
     """Gram-Schmidt by hand, column by column, on what is chosen."""

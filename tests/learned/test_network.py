@@ -13,8 +13,9 @@ from hydrotwin.learned.network import free_run as training
 from hydrotwin.learned.network.form import Form
 from hydrotwin.learned.network.learn import certify
 from hydrotwin.learned.network.narx import NarxShape
+from hydrotwin.learned.network.search import LOOK, Asked, Search
 from hydrotwin.learned.network.series import series
-from hydrotwin.learned.network.training import Problem
+from hydrotwin.learned.network.training import Meter, Problem
 from hydrotwin.learned.training_data import as_signals
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
@@ -168,6 +169,21 @@ def test_the_same_seed_gives_the_same_network_and_another_seed_another(recording
     one, two, other = (train_network(recordings[:1], [COMMAND], [ANGLE], seed=s, **BRIEF) for s in (3, 3, 4))
     assert all(np.array_equal(one.arrays[k], two.arrays[k]) for k in one.arrays)
     assert not np.array_equal(one.arrays["hidden_weights"], other.arrays["hidden_weights"])
+
+
+def test_a_candidate_that_can_no_longer_be_the_best_goes_no_further(recordings):
+    """It ended after the last of the parts held out; now after that with which its error is too much."""
+    search = Search(recordings[:1], [], (COMMAND,), (ANGLE,), Asked(period=0.1), Meter(None, None))
+    problem = search.problem(search._forms()[0])
+
+    def held_out(beat: float):
+        before = search.meter.iterations
+        found = search._held_out(problem, lambda pieces: (problem.least_squares(pieces),) * 2, LOOK, 0.0, 0, beat=beat)
+        return found.error, search.meter.iterations - before
+
+    error, iterations = held_out(np.inf)
+    assert held_out(1.001 * error) == (error, iterations), "what may still win is judged on all parts"
+    assert held_out(1e-3 * error)[0] == np.inf and held_out(1e-3 * error)[1] < iterations
 
 
 def test_interrupting_keeps_the_best_so_far(recordings):

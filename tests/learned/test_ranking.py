@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.learned import learn, learn_piecewise, ranking, refit, refitted
+from hydrotwin.learned import learn, learn_piecewise, ranking, refit, refitted, trials
 from hydrotwin.learned.learning import takes
 from hydrotwin.learned.ranking import Tried, learn_best
 from hydrotwin.models.language.errors import DataError, DeclarationError
@@ -62,7 +62,7 @@ def test_of_kinds_that_are_as_good_the_one_with_the_fewest_numbers_is_taken(best
         return Tried(kind, one, {"arm_angle": share}, 1.0, "", {"arm_angle": stretches})
 
     both = [tried("grey_box", rich, [0.1, 0.08, 0.1]), tried("piecewise", block, small)]
-    monkeypatch.setattr(ranking, "_tried", lambda *_: both)
+    monkeypatch.setattr(ranking, "_raced", lambda *_: (both, False))
     rows = learn_best(records, INPUTS, OUTPUTS, kinds=("grey_box", "piecewise")).provenance["ranking"]
     assert [row["kind"] for row in rows] == ["grey_box", "piecewise"], "the best first"
     assert [row["kind"] for row in rows if row["chosen"]] == [chosen]
@@ -128,7 +128,8 @@ def test_equations_keep_what_they_have_in_common(records):
 
 def test_the_longest_trainings_begin_first_behind_one_that_answers_at_once():
     kinds = ["arx", "linear", "nn", "gp", "piecewise", "state_nn"]
-    assert sorted(kinds, key=ranking._longest_first) == ["arx", "nn", "gp", "state_nn", "linear", "piecewise"]
+    waiting = sorted((trials.Trial(kind, "all") for kind in kinds), key=trials._longest_first)
+    assert [trial.kind for trial in waiting] == ["arx", "gp", "nn", "state_nn", "linear", "piecewise"]
 
 
 def test_a_kind_that_fails_costs_only_itself(records):
@@ -151,7 +152,7 @@ def test_a_reason_that_kinds_share_is_said_once():
 
 
 def test_a_process_that_broke_is_told(tmp_path):
-    assert "without an answer" in ranking._answer("nn", tmp_path).failed
+    assert "without an answer" in trials.answer(trials.Trial("nn", "all"), tmp_path).failed
     assert Tried("nn").share == float("inf")
 
 
@@ -178,7 +179,7 @@ def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, m
     slow = [toy_record(k, 40.0) for k in range(5)]
     began = time.monotonic()
     block = learn_best(slow, INPUTS, OUTPUTS, kinds=("gp", "arx"), budget=8.0, workers=1)
-    assert time.monotonic() - began < 8.0 + ranking.GRACE
+    assert time.monotonic() - began < 8.0 + trials.GRACE
     rows = {row["kind"]: row for row in block.provenance["ranking"]}
     assert rows["arx"]["chosen"] and "the budget was over" in rows["gp"]["failed"]
 
@@ -186,20 +187,20 @@ def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, m
 def test_what_no_time_is_left_for_is_not_tried_and_says_so_and_there_is_an_answer(records):
     block = learn_best(records, INPUTS, OUTPUTS, kinds=("gp", "arx"), budget=0.02, workers=1)
     rows = {row["kind"]: row for row in block.provenance["ranking"]}
-    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == ranking.NOT_TRIED
+    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == trials.NOT_TRIED
 
 
 def test_time_is_shared_among_those_that_wait_and_all_of_it_is_left_to_the_last():
-    clock = ranking._Clock(90.0, 2)
+    clock = trials.Clock(90.0, 2)
     begin, end = clock.share(9)
     assert end - begin == pytest.approx(20.0, abs=0.1)
     assert clock.share(1)[1] == pytest.approx(clock.end, abs=0.1) == clock.share(2)[1]
     past = (begin - 30.0, begin - 1.0)
     assert clock.late("gp", past, others=True) and not clock.late("gp", past, others=False)
     assert not clock.late("nn", past, others=True), "it looks at the clock itself, and is left to write its card"
-    over = ranking._Clock(-ranking.GRACE - 1.0, 2)
+    over = trials.Clock(-trials.GRACE - 1.0, 2)
     assert over.late("nn", past, others=False) and not over.late("arx", past, others=False)
-    assert ranking._Clock(None, 2).share(9) is None and not ranking._Clock(None, 2).late("gp", None, True)
+    assert trials.Clock(None, 2).share(9) is None and not trials.Clock(None, 2).late("gp", None, True)
 
 
 def test_a_formula_that_is_trained_again_keeps_its_form_and_takes_constants_of_all_recordings(records):
@@ -217,3 +218,36 @@ def test_a_formula_that_is_trained_again_keeps_its_form_and_takes_constants_of_a
     factors = [t["factor"] for t in again.provenance["narx"]["arm_angle"]["terms"]]
     assert all(np.isclose(again.arrays["constants"], f).any() for f in factors)
     assert again.certificate.difference < 1e-9
+
+
+def test_a_race_drops_only_what_could_not_be_chosen_and_whole_trainings_choose_alike():
+    """Outcomes drawn at random: the race ends with the kinds that are as good as the best, and their figures."""
+    rng, spared = np.random.default_rng(0), 0
+    for _ in range(200):
+        kinds = ["arx", "nn", "gp", "linear", "narx", "state_nn"]
+        outcomes = {}
+        for kind in kinds:
+            for on in ("first", "all"):
+                parts = rng.lognormal(rng.choice([-1.0, 0.0, 2.0]), 0.5, 3)
+                share = float(np.sqrt(np.mean(parts**2)))
+                outcomes[trials.Trial(kind, on)] = trials.Outcome(None, {"y": share}, {"y": parts.tolist()})
+        found = {}
+        for thorough in (True, False):
+            race = ranking._Race(kinds, ["first", "all"], thorough)
+            for some, _ in race.rounds():
+                race.outcomes |= {trial: outcomes[trial] for trial in some}
+            ended = race.ended()
+            assert len(ended) == len(kinds)
+            best = min((t for t in ended if not t.dropped), key=lambda t: t.share)
+            found[thorough] = {t.kind: t.errors for t in ended if not t.dropped and t.as_good_as(best)}
+        assert found[True] == found[False]
+        spared += sum(bool(t.dropped) for t in ended)
+    assert spared > 200
+
+
+def test_where_no_kind_can_be_judged_on_the_first_course_all_go_on():
+    race = ranking._Race(["nn", "gp"], ["first", "all"], False)
+    rounds = race.rounds()
+    for trial in next(rounds)[0]:
+        race.outcomes[trial] = trials.Outcome(failed="too short")
+    assert next(rounds)[0] == [trials.Trial("nn", "all"), trials.Trial("gp", "all")]

@@ -258,6 +258,17 @@ def test_the_page_shows_shorter_and_longer_formulas(piecewise):
     assert cells["chosen"] == ["", "chosen"] and cells["error"][1].startswith("1")
 
 
+def test_the_page_marks_figures_that_are_of_the_first_course_alone(piecewise):
+    rows = [
+        {"kind": "arx", "seconds": 1.0, "percent_of_range": {"y": 1.0}, "chosen": True, "as_good": True},
+        {"kind": "gp", "seconds": 9.0, "percent_of_range": {"y": 5.0}, "dropped": "it could not be as good as arx"},
+    ]
+    sections = {s.id: s for s in learned_sections(replace(piecewise, provenance={"ranking": rows}))}
+    (shown,) = sections["kinds"].parts
+    cells = {c.key: [cell.text for cell in c.cells] for c in shown.columns}
+    assert cells["choice"] == ["chosen", "first course only"] and "as good as arx" in cells["why"][1]
+
+
 def test_the_page_shows_the_terms_of_a_polynomial(piecewise):
     told = {
         "terms": [{"term": "y[k]", "factor": -0.5, "err": 0.9}, {"term": "u[k] y[k]", "factor": 0.1, "err": None}],

@@ -11,7 +11,15 @@ from hydrotwin.learned import learn, learn_best
 from hydrotwin.learned.held_out import Part, Split, split
 from hydrotwin.learned.repeats import repeats, without_repeats
 from hydrotwin.learned.report_card import BLOCK, Row, Words, card
-from hydrotwin.learned.verdicts import STRETCHES, as_good, log_ratio, rms_of, stretches, surely_less
+from hydrotwin.learned.verdicts import (
+    STRETCHES,
+    as_good,
+    log_ratio,
+    may_be_as_good,
+    rms_of,
+    stretches,
+    surely_less,
+)
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
@@ -102,7 +110,7 @@ def test_of_commands_that_repeat_the_first_course_is_left():
 
 def test_kinds_are_also_ranked_on_the_first_course_where_commands_repeat():
     records, names = [periodic(0.01)], (["u"], ["y"])
-    block = learn_best(records, *names, kinds=("arx", "piecewise"), workers=1)
+    block = learn_best(records, *names, kinds=("arx", "piecewise"), workers=1, thorough=True)
     told = block.provenance["free_run"]
     assert told["repeats"] and "also trained on the first 3.98 s of 20 s alone" in told["says"]
     for row in block.provenance["ranking"]:
@@ -114,6 +122,31 @@ def test_kinds_are_also_ranked_on_the_first_course_where_commands_repeat():
         assert len(row["stretches"]["y"]) == 6
     other = learn_best([periodic(1.0)], *names, kinds=("arx",), workers=1)
     assert "The commands repeat" not in other.provenance["free_run"]["says"]
+
+
+def test_a_kind_that_the_first_course_rules_out_is_not_trained_on_all_and_says_so():
+    records, names = [periodic(0.01)], (["u"], ["y"])
+    block, other = (learn_best(records, *names, kinds=("piecewise", "arx"), workers=n) for n in (1, 2))
+    plain = [
+        [{k: v for k, v in row.items() if k != "seconds"} for row in b.provenance["ranking"]] for b in (block, other)
+    ]
+    assert plain[0] == plain[1], "two processes choose as one does"
+    last = block.provenance["ranking"][-1]
+    assert last["kind"] == "piecewise" and not (last["chosen"] or last["as_good"]) and "numbers" not in last
+    card = learn("piecewise", without_repeats(records, *names), *names).provenance["free_run"]["outputs"]["y"]
+    assert last["percent_of_range"]["y"] == pytest.approx(card["percent_of_range"]), "that of the first course"
+    assert "could not be as good as arx" in last["dropped"] and "--thorough" in last["dropped"]
+    says = "Not trained on all, for after the first course nothing could make them as good: piecewise"
+    assert says in block.provenance["free_run"]["says"]
+
+
+def test_the_bound_of_what_may_be_as_good_holds_whatever_the_other_stretches_are():
+    rng = np.random.default_rng(0)
+    for _ in range(500):
+        best, errors = rng.uniform(0.2, 2.0, (2, 6))
+        if as_good(errors, best):
+            assert all(may_be_as_good(errors[:k], best) for k in range(7))
+    assert not may_be_as_good([9.0], [1.0, 1.1, 0.9])
 
 
 def test_a_kind_that_the_first_course_is_too_short_for_is_not_chosen_and_says_so():

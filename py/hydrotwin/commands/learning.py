@@ -35,6 +35,7 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "state_nn": "a network with hidden states, started by an encoder",
 }
 BUDGET = "s on the clock, then the best so far is taken; auto: of all kinds together, and of training the best again"
+THOROUGH = "auto: train every kind to the end, those too that can no longer be as good as the best"
 TRIALS = 0.7  # of the budget of auto: the rest is for training the chosen kind again on all recordings
 NOT_AGAIN = "It was not trained again on all recordings: {left:.3g} s of the budget were left. Give a longer --budget."
 TOLD = {AUTO: "every kind that needs no more than the recordings; the best in free run", **KINDS}
@@ -66,6 +67,7 @@ def learn(
     fit: Annotated[str | None, typer.Option(help="paper: the published procedure; default: the better one")] = None,
     hidden: Annotated[int | None, typer.Option(min=0, help="nn: hidden units; 0: the best linear model")] = None,
     budget: Annotated[float | None, typer.Option(min=0.1, help=BUDGET)] = None,
+    thorough: Annotated[bool, typer.Option("--thorough", help=THOROUGH)] = False,
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,
     accept: Annotated[
@@ -96,7 +98,7 @@ def learn(
         raise DeclarationError(
             f"learn {kind}: --model goes with hybrid (got {model}). Write learn hybrid --model m.toml."
         )
-    flags = {"fit": fit, "hidden": hidden, "budget": budget}
+    flags = {"fit": fit, "hidden": hidden, "budget": budget, "thorough": thorough or None}
     settings, reading = constants_among(settings, (*(inputs or ()), *(outputs or ())), reading)
     train, options = _trainer(kind, settings, {k: v for k, v in flags.items() if v is not None})
     records, judged, chosen = (read_all(part, reading) for part in (records, validate, select))

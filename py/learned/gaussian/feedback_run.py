@@ -14,13 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
+import casadi as ca
 import numpy as np
 
-from .kernels import Hyper
+from ..walking import Walk
+from .kernels import Hyper, Kernel, half_squares, stationary
 
 LARGEST = 1e3  # normalised: a run beyond it has diverged
 TRIES = 8  # dampings of one iteration
+NARROW = 12  # runs side by side: beyond these, one step of NumPy over all of them is quicker than theirs in CasADi
 SETTLED = 1e-3  # of the cost: an iteration that gains less is the last
 
 
@@ -122,41 +126,123 @@ def stretches(runs: Sequence[tuple[np.ndarray, np.ndarray]], lags: Lags, step: n
 
 
 def free_run(model: Model, weights: Sequence[np.ndarray], s: Stretch, derivatives: bool = False):
-    """Outputs (T, B, ny) of runs from the starts of ``s``; with derivatives, also (T, B, ny, P) by all weights."""
-    lags, ny = model.lags, model.lags.outputs
-    y, d, T, B = s.y, s.d, len(s.lines), len(s.y)
-    found, P = np.full((T, B, ny), np.nan), sum(model.sizes)
-    S = np.zeros((B, ny + d.shape[1], P)) if derivatives else None
-    J = np.empty((T, B, ny, P)) if derivatives else None
-    for k in range(T):
-        z = np.hstack([*[y, d][1 - lags.level :], s.lines[k]])
-        seen = np.clip(z, *model.feature_bounds)
-        o = np.empty((B, ny))
-        if derivatives:
-            So, at = np.zeros((B, ny, P)), 0
-            past = S[:, (0 if lags.level else ny) :]
+    """Outputs (T, B, ny) of runs from the starts of ``s``; with derivatives, also (T, B, ny, P) by all weights.
+
+    NaN from where a run has diverged.
+    """
+    ny, (low, high) = model.lags.outputs, model.output_bounds
+    with np.errstate(invalid="ignore", over="ignore"):
+        x, o = (_walked if len(s.y) <= NARROW else _stepped)(model, weights, s)
+        free = x[..., :ny] + model.step * np.clip(o, -model.limit, model.limit)
+        found = np.clip(free, low, high)
+        lost = ~(np.isfinite(found) & (np.abs(found) <= LARGEST)).all(axis=(1, 2))
+    end = int(np.argmax(lost)) if lost.any() else len(found)
+    found[end:] = np.nan
+    if not derivatives:
+        return found
+    J = np.full((*found.shape, sum(model.sizes)), np.nan)
+    rows, stays = np.abs(o[:end]) <= model.limit, found[:end] == free[:end]
+    J[:end] = _carried(model, s, *_derivatives(model, weights, s, x[:end]), rows, stays)
+    return found, J
+
+
+def _features(model: Model, x: np.ndarray, lines: np.ndarray) -> np.ndarray:
+    """What a step sees, of states (..., ny (1 + increments)) and inputs (..., m)."""
+    return np.concatenate([x[..., 0 if model.lags.level else model.lags.outputs :], lines], axis=-1)
+
+
+def _stepped(model: Model, weights: Sequence[np.ndarray], s: Stretch) -> tuple[np.ndarray, np.ndarray]:
+    """States (T, B, ny (1 + increments)) of runs side by side, and increments (T, B, ny) before their limits."""
+    ny, now = model.lags.outputs, np.hstack([s.y, s.d])
+    x, o = np.full((len(s.lines), *now.shape), np.nan), np.full((*s.lines.shape[:2], ny), np.nan)
+    for k in range(len(s.lines)):
+        x[k] = now
+        seen = np.clip(_features(model, now, s.lines[k]), *model.feature_bounds)
         for j, (basis, v) in enumerate(zip(model.bases, weights, strict=True)):
-            A = basis.values(seen)
-            o[:, j] = v @ A
-            if derivatives:
-                slope = basis.slopes(seen, v, lags.fed_back) * (z == seen)[:, : lags.fed_back]
-                So[:, j] = (slope[:, None] @ past)[:, 0]
-                So[:, j, at : at + len(v)] += A.T
-                at += len(v)
-        inside = np.abs(o) <= model.limit
-        o = np.clip(o, -model.limit, model.limit)
-        free = y + model.step * o
-        y = np.clip(free, *model.output_bounds)
-        d = np.hstack([o, d])[:, : d.shape[1]]
-        if derivatives:
-            So *= inside[:, :, None]
-            Sy = (S[:, :ny] + model.step[:, None] * So) * (y == free)[:, :, None]
-            S = np.concatenate([Sy, np.concatenate([So, S[:, ny:]], axis=1)[:, : d.shape[1]]], axis=1)
-            J[k] = Sy
-        if not np.isfinite(y).all() or np.abs(y).max() > LARGEST:
+            o[k, :, j] = v @ basis.values(seen)
+        d = np.clip(o[k], -model.limit, model.limit)
+        y = np.clip(now[:, :ny] + model.step * d, *model.output_bounds)
+        if not np.isfinite(y).all():
             break
-        found[k] = y
-    return (found, J) if derivatives else found
+        now = np.hstack([y, d, now[:, ny:]])[:, : now.shape[1]]
+    return x, o
+
+
+def _walked(model: Model, weights: Sequence[np.ndarray], s: Stretch) -> tuple[np.ndarray, np.ndarray]:
+    """As `_stepped`, one run after the other (`walking`); what the inputs bring to the kernels comes first."""
+    lags, (lower, upper) = model.lags, model.feature_bounds
+    fb, given = lags.fed_back, np.clip(s.lines, lower[lags.fed_back :], upper[lags.fed_back :])
+    known, parts = [], [model.step, model.limit, *model.output_bounds, lower[:fb], upper[:fb]]
+    for basis, v in zip(model.bases, weights, strict=True):
+        parts += [basis.inverse.T @ v, basis.hyper.variances]
+        for (_, base), length in zip(basis.hyper.kernel.factors, basis.hyper.lengths, strict=True):
+            own, at = basis.points / length, (given / length[fb:]).reshape(-1, given.shape[2])
+            brought = at @ own[:, fb:].T if base == "linear" else half_squares(at, own[:, fb:])
+            known.append(brought.reshape(*given.shape[:2], -1))
+            parts += [own[:, :fb].T, length[:fb]]
+    walk = _walk(lags, model.bases[0].hyper.kernel, len(model.bases[0].points))
+    constants = np.concatenate([np.ravel(part) for part in parts])
+    seen = walk(np.hstack([s.y, s.d]), np.concatenate(known, axis=2).swapaxes(0, 1), constants).swapaxes(0, 1)
+    return seen[..., : -lags.outputs], seen[..., -lags.outputs :]
+
+
+@cache
+def _walk(lags: Lags, kernel: Kernel, points: int) -> Walk:
+    """The step of a process; it shows states, and increments before their limits. Constants as in `_walked`."""
+    ny, fb, terms = lags.outputs, lags.fed_back, len(kernel.terms)
+    x, w, parts = ca.SX.sym("x", ny * (1 + lags.increments)), ca.SX.sym("w", ny * len(kernel.factors) * points), []
+
+    def constant(*size: int) -> ca.SX:
+        parts.append(ca.SX.sym(f"c{len(parts)}", *size))
+        return parts[-1]
+
+    step, limit, low, high, lower, upper = (constant(n, 1) for n in (*[ny] * 4, fb, fb))
+    fed = ca.fmin(ca.fmax(x[0 if lags.level else ny :, :], lower), upper)
+    brought, o = iter(ca.vertsplit(w, points)), []
+    for _ in range(ny):
+        weights, variances = constant(points, 1), constant(terms, 1)
+        products = ca.vertsplit(variances)
+        for t, base in kernel.factors:
+            own, at, known = constant(points, fb), fed / constant(fb, 1), next(brought)
+            apart = own - ca.repmat(at.T, points, 1)
+            linear = base == "linear"
+            value = known + ca.mtimes(own, at) if linear else stationary(base, known + 0.5 * ca.sum2(apart**2))
+            products[t] = products[t] * value
+        o.append(ca.dot(weights, sum(products)))
+    d = ca.fmin(ca.fmax(ca.vertcat(*o), -limit), limit)
+    y = ca.fmin(ca.fmax(x[:ny, :] + step * d, low), high)
+    after = ca.vertcat(y, ca.vertcat(d, x[ny:, :])[: ny * lags.increments, :])
+    given = [x, w, ca.vertcat(*map(ca.vec, parts))]
+    return Walk(ca.Function("step", given, [ca.densify(after), ca.densify(ca.vertcat(x, *o))]))
+
+
+def _derivatives(model: Model, weights: Sequence[np.ndarray], s: Stretch, x: np.ndarray):
+    """Of the increments at states x (T, B, ...), by what is fed back (T, B, ny, fed back), by weights (T, B, ny, P)."""
+    fb, ny = model.lags.fed_back, model.lags.outputs
+    z = _features(model, x, s.lines[: len(x)])
+    seen = np.clip(z, *model.feature_bounds)
+    rows, at = seen.reshape(-1, z.shape[2]), 0
+    slopes, direct = np.empty((len(rows), ny, fb)), np.zeros((len(rows), ny, sum(model.sizes)))
+    for j, (basis, v) in enumerate(zip(model.bases, weights, strict=True)):
+        slopes[:, j] = basis.slopes(rows, v, fb)
+        direct[:, j, at : at + len(v)] = basis.values(rows).T
+        at += len(v)
+    slopes = slopes.reshape(*z.shape[:2], ny, fb) * (z == seen)[:, :, None, :fb]
+    return slopes, direct.reshape(*z.shape[:2], ny, -1)
+
+
+def _carried(model: Model, s: Stretch, slopes, direct, inside, stays) -> np.ndarray:
+    """Derivatives of the outputs (T, B, ny, P), carried along the runs; nothing passes where a bound has stopped it."""
+    ny, fed = model.lags.outputs, 0 if model.lags.level else model.lags.outputs
+    S = np.zeros((len(s.y), ny * (1 + model.lags.increments), direct.shape[-1]))
+    slopes, direct, step = slopes * inside[..., None], direct * inside[..., None], model.step[:, None]
+    J = np.empty(direct.shape)
+    for k in range(len(J)):
+        So = slopes[k] @ S[:, fed:]
+        So += direct[k]
+        J[k] = (S[:, :ny] + step * So) * stays[k][..., None]
+        S = np.concatenate([J[k], So, S[:, ny:]], axis=1)[:, : S.shape[1]]
+    return J
 
 
 @dataclass(frozen=True, eq=False)

@@ -223,7 +223,7 @@ def base_both(base: str, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.n
     """A base kernel (n, m) for points over its lengths, and its derivative by h where it is stationary."""
     if base == "linear":
         return a @ b.T, None
-    h = _half_squares(a, b)
+    h = half_squares(a, b)
     if base == "rbf":
         value = np.exp(np.negative(h, out=h), out=h)
         return value, -value
@@ -234,7 +234,8 @@ def base_both(base: str, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.n
     return (1.0 + r + r * r / 3.0) * decay, -5.0 / 3.0 * (1.0 + r) * decay
 
 
-def _half_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def half_squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Half of the squared distances (n, m) of rows."""
     h = 0.5 * np.sum(a * a, axis=1)[:, None] + 0.5 * np.sum(b * b, axis=1)[None] - a @ b.T
     return np.maximum(h, 0.0, out=h)
 
@@ -248,13 +249,18 @@ def in_casadi(hyper: Hyper, points: np.ndarray, z):
         value = dot
         if base != "linear":
             h = ca.fmax(ca.DM(0.5 * np.sum(scaled**2, axis=1)) + 0.5 * ca.sumsqr(at) - dot, 0.0)
-            r = ca.sqrt((6.0 if base == "matern32" else 10.0) * h + TINY)
-            polynomial = 1.0 + r + (r * r / 3.0 if base == "matern52" else 0.0)
-            value = ca.exp(-h) if base == "rbf" else polynomial * ca.exp(-r)
+            value = stationary(base, h)
         parts[t] = parts[t] * value if t in parts else value
     for t, part in parts.items():
         total = total + float(hyper.variances[t]) * part
     return total
+
+
+def stationary(base: str, h):
+    """A stationary base kernel as a CasADi expression of half the squared distance."""
+    r = ca.sqrt((6.0 if base == "matern32" else 10.0) * h + TINY)
+    polynomial = 1.0 + r + (r * r / 3.0 if base == "matern52" else 0.0)
+    return ca.exp(-h) if base == "rbf" else polynomial * ca.exp(-r)
 
 
 def diagonal_in_casadi(hyper: Hyper, z):

@@ -13,10 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
+import casadi as ca
 import numpy as np
 
 from ..training_data import smoothed
+from ..walking import NARROW, Walk
 from .narx import NarxShape
 
 CHUNK = 2e6  # numbers of G that are held at a time
@@ -77,16 +80,20 @@ def weight_arrays(weights: np.ndarray, shape: NarxShape) -> list[np.ndarray]:
     return [w.reshape(s) for w, s in zip(np.split(weights, ends), shape.weights.values(), strict=True)]
 
 
-def cut(inputs: np.ndarray, outputs: np.ndarray, horizon: int | None, shape: NarxShape, increment: np.ndarray, *, rest):
+def cut(
+    inputs: np.ndarray, outputs: np.ndarray, horizon: int | None, shape: NarxShape, increment: np.ndarray, *, rest,
+    quiet: np.ndarray | None = None,
+):  # fmt: skip
     """Stretches of one recording, (inputs (n, nu), outputs (n, ny), normalised), as a list of tuples.
 
     ``rest``: one stretch that starts as a deployed block does, from the first output with nothing moving.
+    quiet : the smoothed outputs, from which all others start, where they are known.
     """
     n, ny = outputs.shape
     lines = np.concatenate([inputs[np.maximum(np.arange(n) - i, 0)] for i in range(shape.input_lags)], axis=1)
     if rest:
         return [(outputs[0], np.zeros(ny * shape.output_lags), lines[:-1], outputs[1:])]
-    quiet = smoothed(outputs)
+    quiet = smoothed(outputs) if quiet is None else quiet
     first = max(shape.output_lags, shape.input_lags - 1)
     span = min(horizon or n, n - 1 - first)
     starts = range(first, n - span, span)
@@ -108,13 +115,53 @@ def gather(pieces: Sequence[tuple]) -> list[Stretches]:
 
 def free_run(weights: np.ndarray, shape: NarxShape, scales: Scales, s: Stretches) -> Run:
     """Run the network over stretches; what leaves the finite numbers stays so."""
-    W1, b1, W2, W, b = weight_arrays(weights, shape)
+    W1, b1, _, W, b = weight_arrays(weights, shape)
+    fb = shape.fed_back
+    base = s.u @ W[:, fb:].T + b
+    seen_u = np.clip(s.u, scales.feature_lower[fb:], scales.feature_upper[fb:]) if shape.hidden else s.u
+    run = _walked if s.u.shape[1] <= NARROW else _stepped
+    return run(weights, shape, scales, s, base, seen_u @ W1[:, fb:].T + b1)
+
+
+def _walked(weights, shape: NarxShape, scales: Scales, s: Stretches, base: np.ndarray, first: np.ndarray) -> Run:
+    """Runs one after the other (`walking`); base (T, B, ny), first (T, B, hidden): what the inputs bring."""
+    ny, fb = shape.outputs, shape.fed_back
+    W1, _, W2, W, _ = weight_arrays(weights, shape)
+    ends = scales.increment, scales.limit, scales.lower, scales.upper, scales.feature_lower[:fb]
+    parts = (W1[:, :fb].T, W2.T, W[:, :fb].T, *ends, scales.feature_upper[:fb])  # by columns, as CasADi holds them
+    known = np.concatenate([base, first], axis=2).swapaxes(0, 1)
+    walk, constants = _walk(ny, shape.output_lags, shape.hidden), np.concatenate([np.ravel(p) for p in parts])
+    seen = walk(np.hstack([s.y, s.d]), known, constants).swapaxes(0, 1)
+    states, free, hidden = np.split(seen, [fb, fb + ny], axis=2)
+    d = np.minimum(np.maximum(free, -scales.limit), scales.limit)
+    y = states[..., :ny] + scales.increment * d
+    outputs = np.minimum(np.maximum(y, scales.lower), scales.upper)
+    return Run(states, outputs, hidden, np.abs(free) <= scales.limit, y == outputs)
+
+
+@cache
+def _walk(ny: int, output_lags: int, hidden: int) -> Walk:
+    """The step of a network; it shows states, increments before their bounds, and hidden units."""
+    fb = ny * (1 + output_lags)
+    x, w = ca.SX.sym("x", fb), ca.SX.sym("w", ny + hidden)
+    shapes = [(hidden, fb), (ny, hidden), (ny, fb), *[(ny, 1)] * 4, *[(fb, 1)] * 2]
+    parts = [ca.SX.sym(f"c{k}", *size) for k, size in enumerate(shapes)]
+    W1, W2, W, increment, limit, low, high, lower, upper = parts
+    h = ca.tanh(ca.mtimes(W1, ca.fmin(ca.fmax(x, lower), upper)) + w[ny:, :])  # two indices: [0:] of a scalar is (1, 0)
+    o = ca.mtimes(W, x) + w[:ny] + ca.mtimes(W2, h)
+    d = ca.fmin(ca.fmax(o, -limit), limit)
+    y = ca.fmin(ca.fmax(x[:ny] + increment * d, low), high)
+    after = ca.vertcat(y, ca.vertcat(d, x[ny:, :])[: fb - ny, :])
+    c = ca.vertcat(*map(ca.vec, parts))
+    return Walk(ca.Function("step", [x, w, c], [ca.densify(after), ca.densify(ca.vertcat(x, o, h))]))
+
+
+def _stepped(weights, shape: NarxShape, scales: Scales, s: Stretches, base: np.ndarray, first: np.ndarray) -> Run:
+    """Runs side by side, in NumPy; base and first as in `_walked`."""
+    W1, _, W2, W, _ = weight_arrays(weights, shape)
     ny, fb, (T, B) = shape.outputs, shape.fed_back, s.u.shape[:2]
     lower, upper = scales.feature_lower[:fb], scales.feature_upper[:fb]
     W1x, Wx, W2t = (np.ascontiguousarray(m.T) for m in (W1[:, :fb], W[:, :fb], W2))
-    base = s.u @ W[:, fb:].T + b
-    seen_u = np.clip(s.u, scales.feature_lower[fb:], scales.feature_upper[fb:]) if shape.hidden else s.u
-    first = seen_u @ W1[:, fb:].T + b1
     states, outputs, free, free_y = (np.empty((T, B, size)) for size in (fb, ny, ny, ny))
     hidden, x = np.empty((T, B, shape.hidden)), np.concatenate([s.y, s.d], axis=1)
     for k in range(T):
@@ -186,11 +233,14 @@ def _recursion(weights, shape: NarxShape, scales: Scales, s: Stretches, run: Run
         else np.broadcast_to(W[:, :fb], (*z.shape[:2], ny, fb))
     )
     moving, inside = run.moving[part][..., None], run.inside[part][..., None]
-    So, direct = D * moving, _direct(slope, seen, h, z, ny)[..., trained] * moving
+    direct = _direct(slope, seen, h, z, ny)
+    direct = direct if len(trained) == direct.shape[-1] else direct[..., trained]
+    So, direct = (D, direct) if moving.all() else (D * moving, direct * moving)
     own = np.zeros((ny, fb))
     own[:, :ny] = np.eye(ny)
     gain = scales.increment[:, None]
-    F, G = (own + gain * So) * inside, gain * direct * inside
+    F, G = own + gain * So, gain * direct
+    F, G = (F, G) if inside.all() else (F * inside, G * inside)
     if not shape.output_lags:
         return F, G
     return np.concatenate([F, So], axis=2), np.concatenate([G, direct], axis=2)

@@ -87,6 +87,7 @@ class Search:
     best: Candidate | None = None
     seeds: list[dict] = field(default_factory=list)
     _series: dict[float, Series] = field(default_factory=dict)
+    _folds: dict[float, list] = field(default_factory=dict)
 
     def run(self) -> None:
         """Look at linear forms, then at networks; `best` is what there is when time or patience ends."""
@@ -193,13 +194,14 @@ class Search:
         """Networks around the best linear forms, one choice after the other, then several seeds of the best."""
         alone = self.best  # of all linear ones
         near = [c for c in _first_of_periods(linear) if c.error <= NEAR * linear[0].error][:PERIODS]
-        tried = [self._short(c, h, DECAYS[0], True) for c in near for h in self._sizes(c)[:1]]
-        if not tried:
+        best = None
+        for base, hidden in ((c, h) for c in near for h in self._sizes(c)[:1]):
+            best = self._short(base, hidden, DECAYS[0], True, best)
+        if best is None:
             return
-        best = min(tried, key=lambda c: c.error)
         for change in VARIANTS:
             for base, places, hidden, decay in change(self, best, linear):
-                best = min((best, self._short(base, hidden, decay, places)), key=lambda c: c.error)
+                best = self._short(base, hidden, decay, places, best)
         ends = []
         for seed in range(self.asked.seed, self.asked.seed + self.asked.starts):
             ends.append(self._network(best.around, best.form.hidden, best.decay, best.form.places, FULL, seed))
@@ -237,19 +239,27 @@ class Search:
         sizes = [h for h in HIDDEN if ROWS * self.problem(linear.form.with_hidden(h)).shape.size <= rows]
         return sorted(sizes, key=lambda h: h != HIDDEN[1])
 
-    def _short(self, linear: Candidate, hidden: int, decay: float, places: bool) -> Candidate:
-        """The better of two seeds after a short training, where several are asked for: one alone may end badly."""
-        seeds = range(self.asked.seed, self.asked.seed + min(2, self.asked.starts))
-        return min((self._network(linear, hidden, decay, places, SHORT, k) for k in seeds), key=lambda c: c.error)
+    def _short(self, linear: Candidate, hidden: int, decay: float, places: bool, best: Candidate | None):
+        """The best so far, or the better of two seeds after a short training, where several are asked for.
 
-    def _network(self, linear: Candidate, hidden: int, decay: float, places: bool, stages, seed: int):
+        One seed alone may end badly.
+        """
+        for seed in range(self.asked.seed, self.asked.seed + min(2, self.asked.starts)):
+            beat = best.error if best else np.inf
+            one = self._network(linear, hidden, decay, places, SHORT, seed, beat)
+            best = one if best is None or one.error < beat else best
+        return best
+
+    def _network(
+        self, linear: Candidate, hidden: int, decay: float, places: bool, stages, seed: int, beat: float = np.inf
+    ) -> Candidate:
         """A network around a linear candidate."""
         problem, around = self.problem(linear.form.with_hidden(hidden, places)), self.problem(linear.form)
 
         def start(pieces):
             return problem.around(self._refined(around, linear, pieces), around.shape, seed)
 
-        return self._held_out(problem, start, stages, decay, seed, linear)
+        return self._held_out(problem, start, stages, decay, seed, linear, beat)
 
     def _refined(self, problem: Problem, linear: Candidate, pieces) -> np.ndarray:
         """The weights of a linear candidate on ``pieces``."""
@@ -258,12 +268,17 @@ class Search:
 
     # -- both ----------------------------------------------------------------------------------------------------------
     def _held_out(
-        self, problem: Problem, start: Callable, stages, decay: float, seed: int, around: Candidate | None = None
-    ) -> Candidate:
-        """The candidate at the stage after which it runs best on all parts held out."""
-        stages = self.asked.stages(stages)
+        self, problem: Problem, start: Callable, stages, decay: float, seed: int, around: Candidate | None = None,
+        beat: float = np.inf,
+    ) -> Candidate:  # fmt: skip
+        """The candidate at the stage after which it runs best on all parts held out.
+
+        One whose error over the parts so far is alone too much to ``beat`` goes no further: its error is infinite.
+        """
+        stages, folds = self.asked.stages(stages), self._folds_at(problem.form.period)
         totals, count, kept = np.zeros(len(stages) + 1), 0, []
-        for fit, held in problem.series.folds(self.folds):
+        most = beat**2 * sum(len(piece.times) for _, held in folds for piece in held) * len(self.outputs)
+        for fit, held in folds:
             first, centre = start(fit)
             self._fall_back(problem, first, held, around, seed)
             ends = [first, *problem.path(first, centre, fit, stages, decay, self.meter, seed)]
@@ -271,17 +286,21 @@ class Search:
             bad = np.where([problem.grows(w) for w in ends], np.inf, 0.0)
             totals, count = totals + bad + [total.sum() for total, _ in found], count + found[0][1]
             kept.append(ends)
+            if not (totals < most).any():
+                break
         errors = np.sqrt(totals / max(count * len(self.outputs), 1))
-        errors = np.where(np.isfinite(errors), errors, np.inf)
+        errors = np.where(np.isfinite(errors) & (len(kept) == len(folds)), errors, np.inf)
         at = int(errors.argmin())
         one = Candidate(problem.form, float(errors[at]), stages[:at], [ends[at] for ends in kept], decay, seed, around)
         self._note(one)
         return one
 
-    @property
-    def folds(self) -> int:
-        """How many parts are held out in turn."""
-        return PARTS_OF_MANY if sum(len(r) for r in self.records) > FEW else 4
+    def _folds_at(self, period: float) -> list[tuple]:
+        """What is trained and judged on in turn at a period, made once: all candidates share what follows from it."""
+        if period not in self._folds:
+            parts = PARTS_OF_MANY if sum(len(r) for r in self.records) > FEW else 4
+            self._folds[period] = self.series(period).folds(parts)
+        return self._folds[period]
 
     def _fall_back(self, problem, weights, held, around, seed: int) -> None:
         """Something to answer, before any candidate is complete."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,6 +35,11 @@ class Piece:
     times: np.ndarray
     targets: np.ndarray
     first: bool
+
+    @cached_property
+    def quiet(self) -> np.ndarray:
+        """The outputs, smoothed: candidates by the hundred start from them."""
+        return smoothed(self.outputs)
 
     def part(self, begin: int, end: int) -> Piece:
         """Samples ``begin`` to ``end``."""
@@ -137,7 +143,7 @@ def stretches(pieces: Sequence[Piece], horizon: int | None, shape: NarxShape, sc
         one
         for p in pieces
         if len(p.time) > least
-        for one in cut(p.inputs, p.outputs, horizon, shape, scales.increment, rest=False)
+        for one in cut(p.inputs, p.outputs, horizon, shape, scales.increment, rest=False, quiet=p.quiet)
     ]
     thin = 1 if horizon is None else max(1, sum(len(one[2]) for one in found) // MOST)
     return gather(found[::thin])
@@ -153,7 +159,8 @@ def squares(weights: np.ndarray, pieces: Sequence[Piece], shape: NarxShape, scal
         begin = max(shape.output_lags, shape.input_lags - 1)
         if not piece.first and len(piece.time) <= begin + SHORTEST:
             continue
-        (one,) = cut(piece.inputs, piece.outputs, None, shape, scales.increment, rest=piece.first)
+        given = piece.inputs, piece.outputs, None, shape, scales.increment
+        (one,) = cut(*given, rest=piece.first, quiet=None if piece.first else piece.quiet)
         begin = 0 if piece.first else begin
         run: Run = free_run(weights, shape, scales, *gather([one]))
         found = np.concatenate([one[0][None], run.outputs[:, 0]])
@@ -171,7 +178,7 @@ def one_step(pieces: Sequence[Piece], shape: NarxShape, increment: np.ndarray, q
     rows, targets = [], []
     begin = max(shape.output_lags, shape.input_lags - 1)
     for p in (p for p in pieces if len(p.time) > begin + 2):
-        y = smoothed(p.outputs) if quiet else p.outputs
+        y = p.quiet if quiet else p.outputs
         d, k = np.diff(y, axis=0) / increment, np.arange(begin, len(y) - 1)
         past = [d[k - 1 - i] for i in range(shape.output_lags)] + [p.inputs[k - i] for i in range(shape.input_lags)]
         rows.append(np.hstack([y[k], *past, np.ones((len(k), 1))]))

@@ -30,6 +30,7 @@ DEGREE = 3  # of the products: pump and level in a root, flow over a valve, fric
 MOST_TERMS = 16  # of an equation: longer ones run away more often than they run better
 COUNTS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16)  # numbers of terms that run freely
 FEW, MANY = (2, 4, 6, 8), 8000  # of them, at a period at which the recordings are more samples than so many
+GROWN = 4  # terms that are added at most where they surely help the free run
 ROWS = 4000  # random rows that terms are selected on
 PAST = 3  # past increments of an output, at most
 SAMPLES = 8  # of an input behind its delay, at most
@@ -64,7 +65,8 @@ def learn_narx(
     selected by error reduction ratio (`selection`), up to the number with the least BIC. Polynomials of every degree
     and number of terms are then refitted in short free runs, the best of them in whole ones; of those whose free run
     on parts held out is within ``tolerance`` of the best, or that the parts cannot tell from it, the shortest is
-    kept, without the terms that it can do without (`symbolic.select`).
+    kept, without the terms that it can do without (`symbolic.select`). The best get up to `GROWN` terms more that
+    take most from the error of the free run and surely help there: one step ahead does not show what a run drifts by.
 
     Args:
         records: training recordings without gaps, of even or uneven times.
@@ -79,8 +81,9 @@ def learn_narx(
         progress: called with a `SelectionProgress` per refit.
 
     The same seed and data give the same block unless ``budget`` ends the work (``provenance["stopped"]``).
-    ``provenance["narx"]`` tells by output the terms with their factors (over the scales of the block) and ERR in the
-    order in which they were selected, AIC and BIC by number of terms, and which terms are kept.
+    ``provenance["narx"]`` tells by output the terms with their factors (over the scales of the block) and ERR (none of
+    those added in free run) in the order in which they were selected, AIC and BIC by number of terms, and which terms
+    are kept.
 
     Raises:
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options, or SymPy
@@ -181,7 +184,7 @@ def _at(period: float, both, arx: Chosen, signals, options: _Options, until: flo
         for by_degree in paths
     ]  # fmt: skip
     names = [s.name for s in outputs]
-    how = Choice(options.tolerance, 0, (), until, options.seed, progress)
+    how = Choice(options.tolerance, GROWN, ("mul",), until, options.seed, progress)
     selection = Selection(data, names, how)
     formula = selection.choose(formulas)
     alone = len(selection.chosen) == 1

@@ -13,9 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 
+import casadi as ca
 import numpy as np
 
+from ..walking import NARROW, Walk
 from .equations import StateShape
 
 AT_ONCE = 4_000_000  # numbers of derivatives of one step that are held at a time
@@ -88,6 +91,9 @@ def free_run(net: Network, s: Sections, start: np.ndarray | None = None) -> np.n
     steps, count, nu = s.inputs.shape
     z = np.zeros((steps + 1, count, nx + nu))
     z[0, :, :nx], z[:-1, :, nx:] = encode(net, s) if start is None else start, s.inputs
+    if count <= NARROW:
+        z[1:, :, :nx] = _walked(net, z[0, :, :nx], s.inputs)
+        return z
     linear, bias = w["linear_weights"].T * net.rate, w["output_bias"] * net.rate
     into, at, out = w["hidden_weights"].T.copy(), w["hidden_bias"], w["output_weights"].T * net.rate
     linear[:nx] += np.eye(nx)
@@ -98,6 +104,28 @@ def free_run(net: Network, s: Sections, start: np.ndarray | None = None) -> np.n
             following += np.tanh(now @ into + at) @ out
         np.minimum(np.maximum(following, net.lower, out=following), net.upper, out=z[k + 1, :, :nx])
     return z
+
+
+def _walked(net: Network, start: np.ndarray, inputs: np.ndarray) -> np.ndarray:
+    """States (T, B, nx) after every step, of runs one after the other (`walking`)."""
+    w, nx, hidden = net.parts, net.shape.order, net.shape.hidden
+    known = inputs @ np.vstack([w["linear_weights"][:, nx:], w["hidden_weights"][:, nx:]]).T
+    known += np.concatenate([w["output_bias"], w["hidden_bias"]])
+    parts = w["linear_weights"][:, :nx].T, w["hidden_weights"][:, :nx].T, w["output_weights"].T  # by columns
+    constants = np.concatenate([*map(np.ravel, parts), net.rate, net.lower, net.upper])
+    return _walk(nx, hidden)(start, known.swapaxes(0, 1), constants).swapaxes(0, 1)
+
+
+@cache
+def _walk(nx: int, hidden: int) -> Walk:
+    """The step of a network; it shows the states after it."""
+    x, known = ca.SX.sym("x", nx), ca.SX.sym("known", nx + hidden)
+    shapes = [(nx, nx), (hidden, nx), (nx, hidden), *[(nx, 1)] * 3]
+    parts = [ca.SX.sym(f"c{k}", *size) for k, size in enumerate(shapes)]
+    linear, into, out, rate, lower, upper = parts
+    moved = known[:nx] + ca.mtimes(linear, x) + ca.mtimes(out, ca.tanh(ca.mtimes(into, x) + known[nx:, :]))
+    after = ca.densify(ca.fmin(ca.fmax(x + rate * moved, lower), upper))
+    return Walk(ca.Function("step", [x, known, ca.vertcat(*map(ca.vec, parts))], [after, after]))
 
 
 def errors(net: Network, s: Sections) -> np.ndarray:

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from ..network.narx import NarxShape
+from ..walking import Walk
 from .block import Formula, evaluate
 
 TOLERANCE = 1e-4  # of the error: where a refit ends
@@ -132,50 +133,29 @@ class FreeRun(Run):
         no = len(self.own)
         y = ca.fmin(ca.fmax(x[:no] + part["ratio"] * d, part["lower"]), part["upper"])
         after = ca.densify(ca.vertcat(y, ca.vertcat(d, x[no:, :])[: len(self.fed) - no, :]))
-        self._plain = ca.Function("plain", [x, w, c], [after, x[:no]])
+        self._plain = Walk(ca.Function("plain", [x, w, c], [after, x[:no]]))
         s = ca.SX.sym("s", len(self.fed), c.numel())
         moved = ca.densify(ca.mtimes(ca.jacobian(after, x), s) + ca.jacobian(after, c))
         whole, following = ca.vertcat(x, ca.vec(s)), ca.vertcat(after, ca.vec(moved))
-        self._slopes = ca.Function("slopes", [whole, w, c], [following, ca.vertcat(x[:no], ca.vec(s[:no, :]))])
+        seen = ca.vertcat(x[:no], ca.vec(s[:no, :]))
+        self._slopes = Walk(ca.Function("slopes", [whole, w, c], [following, seen]))
         self._ends = tuple(getattr(bounds, side)[list(own)] for side in ("lower", "upper"))
-        self._cache: dict = {}
 
     def outputs(self, constants, runs: Runs) -> np.ndarray:
         """Outputs (s, n, no)."""
-        return self._walk(self._plain, runs.start, constants, runs)
+        return self._plain(runs.start, runs.known, constants)
 
     def derivatives(self, constants, runs: Runs) -> np.ndarray:
         """d outputs / d constants, (s, n, no, nc)."""
         no, nc = len(self.own), len(constants)
         start = np.hstack([runs.start, np.zeros((len(runs.start), len(self.fed) * nc))])
-        both = self._walk(self._slopes, start, constants, runs)
+        both = self._slopes(start, runs.known, constants)
         return both[:, :, no:].reshape(*both.shape[:2], nc, no).swapaxes(2, 3)
 
     def stays(self, outputs: np.ndarray) -> bool:
         """Whether no bound of the outputs stopped the run."""
         lower, upper = self._ends
         return bool(np.all((outputs > lower + AT_THE_EDGE) & (outputs < upper - AT_THE_EDGE)))
-
-    def _walk(self, step: ca.Function, start: np.ndarray, constants, runs: Runs) -> np.ndarray:
-        count, length, _ = runs.known.shape
-        key = (step.name(), count, length)
-        if key not in self._cache:
-            self._cache[key] = step.mapaccum("walk", length, 1).map(count)
-        walk = self._cache[key]
-        return _called(walk, (start, runs.known, np.tile(constants, count * length)), 1).reshape(count, length, -1)
-
-
-def _called(function: ca.Function, arguments: Sequence[np.ndarray], result: int) -> np.ndarray:
-    """One dense result as a flat array, by columns; arguments by columns. Nothing is copied through lists."""
-    held = [np.ascontiguousarray(a, dtype=float) for a in arguments]
-    answer = np.empty(function.numel_out(result))
-    buffer, call = function.buffer()
-    for k, a in enumerate(held):
-        if a.size:
-            buffer.set_arg(k, memoryview(a))
-    buffer.set_res(result, memoryview(answer))
-    call()
-    return answer
 
 
 class StaticRun(Run):

@@ -18,7 +18,7 @@ from .fit import Finding
 from .problem import FreeParameters
 from .uncertainty import LEAST_SIGHT
 
-INVISIBLE = 1.0  # a change of 100 % that moves the recordings by less than one sigma in all has no effect
+INVISIBLE = 1.0  # a change of its own size that moves the recordings by less than one sigma in all has no effect
 VAGUE = 0.2  # a direction known worse than this (relative to the start) ...
 PARALLEL = 0.05  # ... and with a singular value below this is a trade, not just a weak effect
 MEMBER = 0.2
@@ -33,11 +33,13 @@ def identifiability(
     """Findings from J^T J in scaled parameters (np, np).
 
     ``unrecorded`` maps each output without a recording to the mean of dy dy^T over the samples, SI (np, np); ``held``
-    marks parameters at a bound.
+    marks parameters at a bound. Changes count in the size of each parameter, see `FreeParameters.sizes`.
     """
+    own = np.outer(free.sizes, free.sizes)
+    information, unrecorded = information * own, {name: G * own for name, G in unrecorded.items()}
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     invisible = size < INVISIBLE
-    findings = [_no_effect(free.names[j], size[j], unrecorded, j) for j in np.flatnonzero(invisible)]
+    findings = [_no_effect(free, j, size[j], unrecorded) for j in np.flatnonzero(invisible)]
     seen = np.flatnonzero(~invisible & ~held)
     if len(seen) < 2:
         return findings
@@ -58,10 +60,12 @@ def identifiability(
     return findings
 
 
-def _no_effect(name: str, size: float, unrecorded: dict[str, np.ndarray], j: int) -> Finding:
+def _no_effect(free: FreeParameters, j: int, size: float, unrecorded: dict[str, np.ndarray]) -> Finding:
+    name = free.names[j]
     direction = np.zeros(len(next(iter(unrecorded.values()))) if unrecorded else j + 1)
     direction[j] = 1.0
-    how = "none at all" if size == 0 else f"a change of 100 % moves them by {size:.2g} noise sigmas in all"
+    change = "100 %" if free.sizes[j] == 1 else f"{free.nominal[j]:g} {free.units[j]}".removesuffix(" 1")
+    how = "none at all" if size == 0 else f"a change of {change} moves them by {size:.2g} noise sigmas in all"
     step = f"Fix it{_or_record(direction, unrecorded)}"
     sentence = f"identify: {name} has no effect on any recorded output ({how}). {step}."
     return Finding("no_effect", (name,), sentence)

@@ -80,7 +80,7 @@ def sensitivity(
     near = local(runs, asked)
     _check_effect(runs, near)
     errors = {**_noise_of(model), **(noise or {})}
-    sure = known(runs, near, errors)
+    sure = known(runs, asked, near, errors)
     far = sobol(runs, asked, sampling, lambda done, total: progress("sobol", done, total)) if samples else None
     further = measurements(runs, near, sure, goal, errors, lambda done, total: progress("measure next", done, total))
     return Sensitivity(

@@ -17,6 +17,7 @@ from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, worst
 from .earlier import earlier
+from .elsewhere import holes_of
 from .metric import METRICS, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -137,6 +138,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         seen=_seen(comparison, model, holding),
         flat=_flat(comparison, about, holding),
+        holes=holes_of(r for r in comparison.records if r.name in holding),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))

@@ -55,11 +55,11 @@ class Judged:
     samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
     output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
-    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
-    earlier comparison that it is held against, in sentences. among : of an overall criterion all outputs that it is
-    about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that it was
-    judged on and that the model was made from. flat : that the output hardly moves against its size, which the metric
-    counts by, in words; "" where it moves. holes : stretches without samples that a free run was made over, in words.
+    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it is in what it
+    is held against, an earlier comparison or another model, in sentences. among : of an overall criterion all outputs
+    that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
+    it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
+    metric counts by, in words; "" where it moves. holes : stretches without samples that runs were made over, in words.
     """
 
     criterion: Criterion

@@ -51,6 +51,16 @@ def test_what_drives_an_output_is_not_said_to_have_no_effect_and_is_known():
     assert "leave open" not in " ".join(m.sentence for m in found.measurements)
 
 
+@pytest.mark.parametrize(("value", "told"), [(1e-6, True), (0.0, False), (0.5, False)])
+def test_a_share_of_next_to_nothing_is_told_to_be_no_interval(value, told):
+    """It moves nothing, and would be said to drive nothing."""
+    found = sensitivity(pushed(value, 1.0), [driven()], samples=0, over="20%")
+    said = [str(f) for f in found.findings if f.kind == "near_zero"]
+    assert bool(said) is told
+    if told:
+        assert "±20 % of that moves next to nothing" in said[0] and "--interval offset_=LOW:HIGH" in said[0]
+
+
 def test_an_interval_that_was_given_is_what_a_change_is():
     """Nobody has said how large the parameter is otherwise."""
     asked = {"given": {"offset_": (-1.0, 1.0)}, "samples": 0}

@@ -15,8 +15,9 @@ from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
 from .band import made_from
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
-from .criteria import Criterion, Judged, judge, over_recordings, worst
+from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
+from .elsewhere import holes_of
 from .metric import METRICS, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -137,6 +138,8 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         seen=_seen(comparison, model, holding),
         flat=_flat(comparison, about, holding),
+        holes=holes_of(r for r in comparison.records if r.name in holding),
+        otherwise=_started_otherwise(comparison, model, about.than, holding),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
@@ -169,6 +172,18 @@ def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
     known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
     return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
+
+
+def _started_otherwise(comparison: Comparison, model: str, than: str, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """That of two models only one had its start estimated, in a sentence: errors may differ by that alone."""
+    if than not in {e.name for e in comparison.entrants} - comparison.yardsticks:
+        return ()
+    estimated = {(s.model, s.estimate.record) for s in comparison.starts if s.estimate.states}
+    differ = [r for r in holding if ((model, r) in estimated) is not ((than, r) in estimated)]
+    if not differ:
+        return ()
+    one, other = (model, than) if (model, differ[0]) in estimated else (than, model)
+    return (f"The start of {one} was estimated on {some_of(differ)}, and that of {other} was not.",)
 
 
 def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:

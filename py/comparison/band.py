@@ -59,11 +59,15 @@ def bands_of(contender) -> tuple[Band, ...]:
 
 @dataclass(frozen=True)
 class Held:
-    """What of one recording lay in a band: share inside; chance : of errors as far off, see `Moved.chance`, or NaN."""
+    """What of one recording lay in a band: share inside; chance : of errors as far off, see `Moved.chance`, or NaN.
+
+    or_else : what else than the model and its sensors may be the reason there, in words that follow those.
+    """
 
     record: str
     inside: float
     chance: float = float("nan")
+    or_else: str = ""
 
 
 def held_here(bands: Sequence[Band], held: Mapping[str, Sequence[Held]]) -> tuple[Band, ...]:
@@ -88,7 +92,8 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
     if not low:
         return band
     worst = min(low, key=lambda one: one.inside)
-    return replace(band, trusted=False, why=f"only {100 * worst.inside:.3g} % of {worst.record} {NO_CHANCE}")
+    why = f"only {100 * worst.inside:.3g} % of {worst.record} {NO_CHANCE}{worst.or_else}"
+    return replace(band, trusted=False, why=why)
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:

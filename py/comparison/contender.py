@@ -97,6 +97,11 @@ class PhysicalContender:
         told = [s.measured_by for s in self.flat.states if s.measured_by and s.name not in given]
         return [name for name in told if name in record.signals and not np.isfinite(record[name][0])]
 
+    def untold_starts(self, record: Record) -> list[str]:
+        """States that start where the model thinks: no first sample says where, and nobody else does."""
+        given, known = self._known_start(record) or {}, {n for n, v in record.signals.items() if np.isfinite(v[0])}
+        return [s.name for s in self.flat.states if s.name not in given and s.measured_by not in known]
+
     def with_starts(self, estimates: Sequence[StartEstimate]) -> PhysicalContender:
         """The same that starts, on the recordings of ``estimates``, as they say."""
         return with_changes(self, estimated={e.record: e for e in estimates if e.states})

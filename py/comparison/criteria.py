@@ -55,11 +55,11 @@ class Judged:
     samples : that it was judged on, None where nobody counted. without : recordings it is about that do not hold the
     output, so that it was judged on the others. lacking : recordings that have no number of the metric. doubt : why the
     band of the output cannot be trusted; "" where it can, or where there is none. uneven : how differently many samples
-    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it was in the
-    earlier comparison that it is held against, in sentences. among : of an overall criterion all outputs that it is
-    about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that it was
-    judged on and that the model was made from. flat : that the output hardly moves against its size, which the metric
-    counts by, in words; "" where it moves.
+    a mean rests on, in words; "" where they are alike. otherwise : what else than the model is not as it is in what it
+    is held against, an earlier comparison or another model, in sentences. among : of an overall criterion all outputs
+    that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
+    it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
+    metric counts by, in words; "" where it moves. holes : stretches without samples that runs were made over, in words.
     """
 
     criterion: Criterion
@@ -77,6 +77,7 @@ class Judged:
     left_out: str = ""
     seen: tuple[str, ...] = ()
     flat: str = ""
+    holes: str = ""
 
     @property
     def which(self) -> str:
@@ -118,6 +119,8 @@ class Judged:
             told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
         if self.seen:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
+        if self.holes:
+            told.append(f"judged over a hole, with inputs only carried on: {self.holes}")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         told += [words for words in (self.flat, self.uneven) if words]

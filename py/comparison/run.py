@@ -33,8 +33,10 @@ from .comparison import (
 )
 from .contender import Contender, as_contender
 from .domain import domain_shares
+from .elsewhere import other_reasons
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
+from .starts import Started
 from .travel import Carried, travels
 
 TIMED = 3  # recordings, the first, on which runs are repeated for their time
@@ -102,9 +104,10 @@ def compare(
             if run.mode == mode]  # fmt: skip
     scores = relative_scores(_by_mode(modes, [s for one in done for s in one.scores]))
     trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
+    starts = tuple(one.started for one in done if one.started)
     return Comparison(
         title=title,
-        entrants=tuple(_judged_here(entrant(c), scores) for c in contenders),
+        entrants=tuple(_judged_here(c, scores, records, starts) for c in contenders),
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
@@ -117,7 +120,7 @@ def compare(
         unscored=tuple(dict.fromkeys(u for one in done for u in one.unscored)),
         domains=domain_shares(contenders, records, train_records, [t for _, t in trajectories]),
         residuals=tuple(r for one in done for r in one.residuals),
-        starts=tuple(one.started for one in done if one.started),
+        starts=starts,
         inaccurate=_inaccurate(jobs, done),
     )
 
@@ -229,10 +232,15 @@ def entrant(contender) -> Entrant:
     )
 
 
-def _judged_here(one: Entrant, scores: Sequence[Score]) -> Entrant:
-    """With its bands held against what was measured."""
-    free = [s for s in scores if (s.model, s.mode) == (one.name, FREE_RUN)]
-    held = {b.output: [Held(s.record, s.coverage, s.chance) for s in free if s.output == b.output] for b in one.bands}
+def _judged_here(
+    contender: Contender, scores: Sequence[Score], records: Sequence[Record], starts: Sequence[Started]
+) -> Entrant:
+    """As it is listed, with its bands held against what was measured."""
+    one, why = entrant(contender), {r.name: other_reasons(contender, r, starts) for r in records}
+    held: dict[str, list[Held]] = {}
+    for s in scores:
+        if (s.model, s.mode) == (one.name, FREE_RUN):
+            held.setdefault(s.output, []).append(Held(s.record, s.coverage, s.chance, why[s.record]))
     return dataclasses.replace(one, bands=held_here(one.bands, held))
 
 

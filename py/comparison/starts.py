@@ -42,14 +42,11 @@ def start_of(contender: Contender, record: Record, how: str) -> tuple[Contender,
 
     A model whose start cannot be estimated starts as it does without, and says why.
     """
-    if how == MEASURED:
-        return contender, _unknown(contender, record)
-    if hasattr(contender, "estimate_start"):
-        started = Started(contender.name, _estimate(contender, record, how))
-    elif how == FREE and contender.kind != "yardstick":
-        started = Started(contender.name, not_estimated(record.name))
-    else:
-        return contender, None
+    if how == MEASURED or not hasattr(contender, "estimate_start"):
+        others = how == FREE and contender.kind != "yardstick"
+        started = Started(contender.name, not_estimated(record.name)) if others else None
+        return contender, _unknown(contender, record) or started
+    started = Started(contender.name, _estimate(contender, record, how))
     return contender.with_starts([started.estimate]) if hasattr(contender, "with_starts") else contender, started
 
 
@@ -58,9 +55,10 @@ def _unknown(contender: Contender, record: Record) -> Started | None:
     missing = contender.unknown_at_first(record) if hasattr(contender, "unknown_at_first") else []
     if not missing:
         return None
+    step = "Estimate the start (initial_states auto)" if hasattr(contender, "estimate_start") else "Set the start"
     note = (
         f"the first sample of {' and '.join(missing)} is not known, so that the model starts there as it thinks. "
-        "Estimate the start (initial_states auto), or cut the recording to where it is known."
+        f"{step}, or cut the recording to where it is known."
     )
     return Started(contender.name, StartEstimate(record.name, note=note))
 

@@ -25,7 +25,8 @@ _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
 _QUANTITY = re.compile(rf"(?P<number>{NUMBER})(?:\s*(?P<unit>[^\W\d_].*|[%°‰].*)|\s+(?P<per>1/.*))?")
 _COMMA = re.compile(r"(?<=\d),(?=\d)")  # a decimal one
-SAME = 1e-6  # relative: a column that changes less is one number, rounded
+SAME, ROUNDED = 1e-6, 6  # relative: a column that changes less is one number, rounded to so many digits
+DIGITS = 12  # of a number that does not change: a serial number or a day keeps all of them, a unit's conversion its own
 DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K
 
 
@@ -100,16 +101,18 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     shown = np.asarray(convert(values[np.isfinite(values)], record.units[name], unit))
     if not len(shown):
         raise DataError(f"tags: {tag} = '{what}': {record.name} has no value of {name}. Say the tag of that file.")
+    digits = DIGITS
     if found:
         number = round(float(np.median(shown)) / number_of(found["step"])) * number_of(found["step"])
     else:
         number = float(shown[0])
+        digits = DIGITS if np.ptp(shown) == 0 else ROUNDED
         if np.ptp(shown) > SAME * abs(number):
             raise DataError(
                 f"tags: {tag} = '{what}': {name} of {record.name} changes from {shown.min():.6g} to {shown.max():.6g} "
                 f"{unit}. Say by how much conditions differ: '{name} by {np.ptp(shown):.1g} {unit}'."
             )
-    return f"{number + 0.0:.6g}" + (f" {unit}" if unit != "1" else "")
+    return f"{number + 0.0:.{digits}g}" + (f" {unit}" if unit != "1" else "")
 
 
 def _plain(where: str, value: object) -> str:

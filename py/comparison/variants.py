@@ -66,14 +66,18 @@ class Variant:
 
 
 def value_text(value: object) -> str:
-    """A value of a variant in few characters.
+    """A value of a variant in few characters, but all that tell it from another.
 
     >>> value_text(9e8), value_text("35 bar"), value_text(["leak", "play"]), value_text([])
     ('9e+08', '35 bar', 'leak+play', 'none')
+    >>> value_text(100.00001), value_text(0.1)
+    ('100.00001', '0.1')
     """
     if isinstance(value, list | tuple):
         return "+".join(map(str, value)) or "none"
-    return f"{value:g}" if isinstance(value, float | int) else str(value)
+    if not isinstance(value, float | int):
+        return str(value)
+    return f"{value:g}" if float(f"{value:g}") == value else f"{value:.15g}"
 
 
 def read_variants(named: object, product: object, where: str) -> tuple[Variant, ...]:

@@ -61,3 +61,24 @@ def at_rest(signal: Signal, records: Sequence[Record], given: bool) -> str:
     near = nearest(signal.name, [name for r in records for name in r.names])
     hint = f". {near} Rename that column" if near.startswith("Did you mean") else ""
     return f"input {signal.name} is not recorded: its start value {signal.default:g}{unit} serves{hint}"
+
+
+def is_settable(variable) -> bool:
+    """Whether a variable of an FMU takes a value before it starts."""
+    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
+
+
+def check_settable(path, md, names) -> None:
+    """An FMU may take a value for a calculated variable and ignore it without a word."""
+    for variable in md.modelVariables:
+        if variable.name in names and variable.causality == "structuralParameter":
+            raise DeclarationError(
+                f"{path}: '{variable.name}' is a structural parameter, which says how long arrays are, and hydrotwin "
+                "leaves those as they are. Leave it out."
+            )
+        if variable.name in names and not is_settable(variable):
+            choice = [v.name for v in md.modelVariables if v.causality == "parameter"]
+            raise DeclarationError(
+                f"{path}: variable '{variable.name}' cannot be set, the FMU calculates it. "
+                f"Set a parameter or an initial value. {nearest(variable.name, choice)}"
+            )

@@ -20,7 +20,7 @@ from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
-from .fmu_settings import AT_REST, LEFT_OUT, REDEFINED, at_rest, own_value, unrecorded
+from .fmu_settings import AT_REST, LEFT_OUT, REDEFINED, at_rest, check_settable, is_settable, own_value, unrecorded
 from .foreign import Description, describe_fmu, kind_of
 from .inside import fitted_recordings
 
@@ -75,9 +75,9 @@ class FmuBlock:
         """
         for name in values:
             if name not in self.description.scales:
-                settable = [v.name for v in self.description.source.modelVariables if _is_settable(v)]
+                settable = [v.name for v in self.description.source.modelVariables if is_settable(v)]
                 raise DeclarationError(f"{self.path}: no variable '{name}'. {nearest(name, settable)}")
-        _check_settable(self.path, self.description.source, values)
+        check_settable(self.path, self.description.source, values)
         own = {name: own_value(name, given, self.description) for name, given in values.items()}
         inputs = {self.description.fmu_names[s.name]: s for s in (*self.inputs, *self.resting)}
         fixed = [_resting(s, own[n], n, self.description) for n, s in inputs.items() if n in own]
@@ -183,9 +183,14 @@ class FmuBlock:
 
         An FMU of hydrotwin says which output measures which state: it starts where `simulate` does.
         """
-        record = as_needed(record, self.outputs)
-        known = {p: o for p, o in self.starts.items() if o in record and np.isfinite(record[o][:1]).all()}
+        record, unknown = as_needed(record, self.outputs), self.unknown_at_first(record)
+        known = {p: o for p, o in self.starts.items() if o in record and o not in unknown}
         return {**{p: float(self.in_own_units(p, record, o, slice(1))[0]) for p, o in known.items()}, **self.values}
+
+    def unknown_at_first(self, record: Record) -> list[str]:
+        """Outputs that say where a state starts that nobody gave, and of which the first sample is not known."""
+        told = [o for p, o in self.starts.items() if p not in self.values and o in record]
+        return [o for o in told if not np.isfinite(record[o][:1]).all()]
 
     def _job(self, task: str, record: Record, first: Record) -> tuple[dict, dict[str, np.ndarray]]:
         if len(record) < 2:
@@ -304,7 +309,7 @@ def read_fmu(
             raise DeclarationError(f"{path}: no variable '{variable}'. {nearest(variable, known)}")
     md = description.source
     predicted = _outputs(path, md, outputs)
-    _check_settable(path, md, (*starts, *values))
+    check_settable(path, md, (*starts, *values))
     for variable in values:
         if whole := description.whole.get(variable):
             where = f"{path}: values: '{variable}' is no {whole.kind}, which it must be"
@@ -347,26 +352,6 @@ def _outputs(path, md, names: Sequence[str] | None) -> list:
 def _resting(signal: Signal, own: float, variable: str, description: Description) -> Signal:
     factor, offset = description.scales[variable]
     return replace(signal, default=factor * own + offset, interpolation="hold", chosen_by="model", why="")
-
-
-def _is_settable(variable) -> bool:
-    return variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
-
-
-def _check_settable(path, md, names) -> None:
-    """An FMU may take a value for a calculated variable and ignore it without a word."""
-    for variable in md.modelVariables:
-        if variable.name in names and variable.causality == "structuralParameter":
-            raise DeclarationError(
-                f"{path}: '{variable.name}' is a structural parameter, which says how long arrays are, and hydrotwin "
-                "leaves those as they are. Leave it out."
-            )
-        if variable.name in names and not _is_settable(variable):
-            choice = [v.name for v in md.modelVariables if v.causality == "parameter"]
-            raise DeclarationError(
-                f"{path}: variable '{variable.name}' cannot be set, the FMU calculates it. "
-                f"Set a parameter or an initial value. {nearest(variable.name, choice)}"
-            )
 
 
 def _signal(variable, description: Description) -> Signal:

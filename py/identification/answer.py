@@ -16,7 +16,7 @@ from hydrotwin.simulation.control import Accuracy
 from .descent import Task, held_out_run, undecided, whole_runs
 from .ending import doubts
 from .fit import SIZE, Finding, Fit, FittedParameter, OutputResidual, RecordFit
-from .identifiability import bounds_reached, identifiability, unexplained
+from .identifiability import bounds_reached, identifiability, over_holes, unexplained
 from .least_squares import Minimum
 from .noise import solver_error
 from .problem import FreeParameters, Recording
@@ -292,7 +292,8 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
             continue
         records.append(_record_fit(task, alone, recording, "validate", z[0]))
         residuals += _output_residuals(task, left, recording, "validate")
-    return tuple(records), tuple(residuals), [*findings, *unexplained(residuals)]
+    findings += [*over_holes(residuals, (*task.recordings, *judged)), *unexplained(residuals)]
+    return tuple(records), tuple(residuals), findings
 
 
 def _record_fit(task: Task, shooting: Shooting, recording: Recording, role: str, z: np.ndarray) -> RecordFit:

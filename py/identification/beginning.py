@@ -243,5 +243,5 @@ def _none_free(flat: FlatModel) -> FreeParameters:
     none = np.zeros(0)
     return FreeParameters(
         names=(), units=(), index=none.astype(int), start=none, lower=none, upper=none,
-        logarithmic=none.astype(bool), unit=none, all_values=flat.parameter_vector(),
+        logarithmic=none.astype(bool), unit=none, all_values=flat.parameter_vector(), nominal=none,
     )  # fmt: skip

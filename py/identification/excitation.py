@@ -84,7 +84,7 @@ def _silent(*_) -> None:
 
 def _row(free: FreeParameters, j: int, sigma: float) -> Excited:
     value = float(free.start[j])
-    size = max(abs(value), abs(float(free.unit[j])) if not value else 0.0)
+    size = abs(value) if free.logarithmic[j] else float(free.unit[j] * free.sizes[j])
     relative = sigma / size if size else np.inf
     verdict = "well" if relative <= WELL else "weakly" if relative <= BARELY else "not"
     return Excited(free.names[j], free.units[j], value, sigma, verdict)

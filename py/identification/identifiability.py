@@ -13,12 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.records import gaps_of
 
 from .fit import Finding
-from .problem import FreeParameters
+from .problem import FreeParameters, Recording
 from .uncertainty import LEAST_SIGHT
 
-INVISIBLE = 1.0  # a change of 100 % that moves the recordings by less than one sigma in all has no effect
+INVISIBLE = 1.0  # a change of its own size that moves the recordings by less than one sigma in all has no effect
 VAGUE = 0.2  # a direction known worse than this (relative to the start) ...
 PARALLEL = 0.05  # ... and with a singular value below this is a trade, not just a weak effect
 MEMBER = 0.2
@@ -33,11 +34,13 @@ def identifiability(
     """Findings from J^T J in scaled parameters (np, np).
 
     ``unrecorded`` maps each output without a recording to the mean of dy dy^T over the samples, SI (np, np); ``held``
-    marks parameters at a bound.
+    marks parameters at a bound. Changes count in the size of each parameter, see `FreeParameters.sizes`.
     """
+    own = np.outer(free.sizes, free.sizes)
+    information, unrecorded = information * own, {name: G * own for name, G in unrecorded.items()}
     size = np.sqrt(np.maximum(np.diag(information), 0.0))
     invisible = size < INVISIBLE
-    findings = [_no_effect(free.names[j], size[j], unrecorded, j) for j in np.flatnonzero(invisible)]
+    findings = [_no_effect(free, j, size[j], unrecorded) for j in np.flatnonzero(invisible)]
     seen = np.flatnonzero(~invisible & ~held)
     if len(seen) < 2:
         return findings
@@ -58,10 +61,12 @@ def identifiability(
     return findings
 
 
-def _no_effect(name: str, size: float, unrecorded: dict[str, np.ndarray], j: int) -> Finding:
+def _no_effect(free: FreeParameters, j: int, size: float, unrecorded: dict[str, np.ndarray]) -> Finding:
+    name = free.names[j]
     direction = np.zeros(len(next(iter(unrecorded.values()))) if unrecorded else j + 1)
     direction[j] = 1.0
-    how = "none at all" if size == 0 else f"a change of 100 % moves them by {size:.2g} noise sigmas in all"
+    change = "100 %" if free.sizes[j] == 1 else f"{free.nominal[j]:g} {free.units[j]}".removesuffix(" 1")
+    how = "none at all" if size == 0 else f"a change of {change} moves them by {size:.2g} noise sigmas in all"
     step = f"Fix it{_or_record(direction, unrecorded)}"
     sentence = f"identify: {name} has no effect on any recorded output ({how}). {step}."
     return Finding("no_effect", (name,), sentence)
@@ -122,6 +127,22 @@ def unexplained(residuals: Sequence) -> list[Finding]:
             f"{worst.record}{colour}. The parameters cannot explain it. Look for a missing effect, or free more."
         )))  # fmt: skip
     return [*findings, *not_borne_out(residuals)]
+
+
+def over_holes(residuals: Sequence, recordings: Sequence[Recording]) -> list[Finding]:
+    """One sentence per recording with a hole in its time on which more than noise is left: inputs are carried on there,
+    and whatever they did instead looks like a gap in the model, and moves the parameters.
+    """
+    left, findings = {r.record for r in residuals if not r.explained}, []
+    for name, gaps in {r.name: gaps_of(r.time) for r in recordings if r.name in left}.items():
+        if gaps:
+            more = f" and {len(gaps) - 1} more" if len(gaps) > 1 else ""
+            findings.append(Finding("hole", (), (
+                f"identify: {name} has a hole of {gaps[0].end - gaps[0].start:.4g} s, {gaps[0].start:.4g} s after its "
+                f"first sample{more}, over which inputs are carried on: what they did there nobody knows, and it may "
+                "be what is left. Cut the recording in two there (Record.window)."
+            )))  # fmt: skip
+    return findings
 
 
 def not_borne_out(residuals: Sequence) -> list[Finding]:

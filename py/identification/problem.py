@@ -32,6 +32,14 @@ class FreeParameters:
     logarithmic: np.ndarray
     unit: np.ndarray
     all_values: np.ndarray
+    nominal: np.ndarray
+
+    @property
+    def sizes(self) -> np.ndarray:
+        """How much q changes when a parameter changes by its own size: of one with a sign that is its start or its
+        nominal value, whatever is larger, for a start that happens to be near zero is no measure of anything.
+        """
+        return np.where(self.logarithmic, 1.0, np.maximum(1.0, self.nominal / self.unit))
 
     def scaled(self, p: np.ndarray) -> np.ndarray:
         """q of free values p (SI)."""
@@ -98,7 +106,7 @@ def free_parameters(
                 f"{flat.name}.{p.name}: the start lies outside its bounds (got {value:g} {p.unit}). It must lie in "
                 f"[{low:g}, {high:g}] {p.unit}. Change the start or the bounds."
             )
-    nominal = np.array([p.nominal for p in rows])
+    nominal = np.abs([p.nominal for p in rows])
     return FreeParameters(
         names=tuple(p.name for p in rows),
         units=tuple(p.unit for p in rows),
@@ -107,8 +115,9 @@ def free_parameters(
         lower=lower,
         upper=upper,
         logarithmic=lower > 0,
-        unit=np.where(values[index] != 0, np.abs(values[index]), np.abs(nominal)),
+        unit=np.where(values[index] != 0, np.abs(values[index]), nominal),
         all_values=values,
+        nominal=nominal,
     )
 
 

@@ -32,6 +32,13 @@ class Gap:
         return f"no samples from {self.start:g} s to {self.end:g} s"
 
 
+def gaps_of(time: np.ndarray) -> tuple[Gap, ...]:
+    """Holes in a time axis (n,) [s]: steps above 20 median steps."""
+    steps = np.diff(time)
+    at = np.flatnonzero(steps > GAP_RATIO * np.median(steps)) if len(time) > 2 else ()
+    return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in at)
+
+
 class Signals(dict):
     """Signals by name. Whoever asks for one that cannot be used is told why; it is not taken for one that is absent."""
 
@@ -178,10 +185,7 @@ class Record:
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
         """Holes in the time axis: steps above 20 median steps. They are reported, never filled."""
-        if len(self) < 3:
-            return ()
-        at = np.flatnonzero(np.diff(self.time) > GAP_RATIO * self.period)
-        return tuple(Gap(float(self.time[k]), float(self.time[k + 1]), int(k)) for k in at)
+        return gaps_of(self.time)
 
     @property
     def holes(self) -> tuple[str, ...]:

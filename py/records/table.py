@@ -262,7 +262,8 @@ def _words(table: Table) -> dict[str, str]:
     """Columns that say the same in every row: a text, or a number as it is written."""
     found = {}
     for column in table.columns[1:]:
-        cells = {t.strip() for t in column.texts} if column.texts is not None else {f"{v:g}" for v in column.values[:1]}
+        texts = [f"{v:.15g}" for v in column.values[:1]] if column.texts is None else column.texts
+        cells = {text.strip() for text in texts}
         same = column.texts is not None or (column.values == column.values[0]).all()
         if len(cells) == 1 and same and "" not in cells:
             found[column.name] = cells.pop()

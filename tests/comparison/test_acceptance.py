@@ -16,7 +16,7 @@ from hydrotwin.comparison.band import Band
 from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.scenario import ModelEntry
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
-from hydrotwin.records import Reading, write_record
+from hydrotwin.records import Reading, Record, write_record
 from hydrotwin.report import write_report
 from hydrotwin.report.acceptance import acceptance_data, acceptance_lines, verdict
 from tests.comparison.toys import Toy, recording
@@ -371,3 +371,15 @@ def test_a_criterion_that_passes_on_a_doubted_band_says_so_itself(tmp_path):
     first = acceptance_data(accepted)["acceptance"]["criteria"][0]
     assert first["caution"] in row and first["caution"] == "judged on a band that cannot be trusted"
     assert first["doubt"] == "it is too narrow."
+
+
+def test_a_criterion_says_that_it_was_judged_over_a_hole():
+    """What inputs did there nobody knows: neither a pass nor a fail is the model's alone."""
+    whole = recording(5)
+    keep = (whole.time < 3.0) | (whole.time > 4.0)
+    holed = Record(whole.time[keep], {n: v[keep] for n, v in whole.signals.items()}, whole.units, "holed")
+    compared = compare([Toy("good")], [whole, holed], modes=["free run"], repeats=0)
+    asked = ("arm_angle.rmse < 9 rad", "validation_5: arm_angle.rmse < 9 rad")
+    both, alone = acceptance(compared, Wanted(asked)).judged
+    assert "judged over a hole, with inputs only carried on: no samples from 2.99 s to 4.01 s of holed" in both.caution
+    assert not alone.caution

@@ -19,6 +19,7 @@ from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
 from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.records import Record
 from hydrotwin.report import write_report
 from tests.comparison.toys import OUTPUTS, Toy, recording
 from tests.identification.drive import drive, recorded
@@ -165,6 +166,24 @@ def test_a_first_sample_that_is_off_leaves_a_right_band_and_a_machine_that_is_an
         (score,) = (s for s in found.scores if s.output == "position")
         (band,) = (b for b in found.entrants[0].bands if b.output == "position")
         assert score.coverage < 0.9 and (score.chance > 1e-3) is trusted and band.trusted is trusted
+
+
+def test_a_right_model_far_off_is_told_what_else_may_be_the_reason(identified):
+    """A start that no sample tells and a hole over which inputs are carried on, beside a gap in the model."""
+    _, noise, contender = identified
+    whole = recorded(drive(), 3, noise=noise, start=(40.0, 0.0), outputs=("position",))
+    driven = recorded(drive(), 3, noise=noise)
+    keep = (driven.time < 3.0) | (driven.time > 5.0)
+    holed = Record(driven.time[keep], {n: v[keep] for n, v in driven.signals.items()}, driven.units, "holed")
+    said = {}
+    for record in (whole, holed):
+        found = compare([contender], [record], modes=[FREE_RUN], repeats=0)
+        said[record.name] = next(b.why for b in found.entrants[0].bands if b.output == "position")
+    started, hole = said.values()
+    assert started.endswith(
+        ", or it starts elsewhere, for no sample there tells motor.speed (initial_states auto estimates it)"
+    )
+    assert "or its inputs moved while there are no samples from 2.98 s to 5.02 s" in hole and "elsewhere" not in hole
 
 
 def test_a_comparison_holds_its_bands_against_what_it_measured(arx):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.comparison import HoldLast, PhysicalContender, compare
+from hydrotwin.comparison import HoldLast, PhysicalContender, Wanted, acceptance, compare
 from hydrotwin.identification.bands import SPREAD
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
@@ -114,6 +114,17 @@ def test_a_start_that_was_not_recorded_is_told_and_not_called_estimated():
     assert not started.estimate.states and found.scores[0].rmse > 0.5
     given = PhysicalContender(drive(), "drive", start={"piston.position": POSITION, "motor.speed": SPEED})
     assert not compare([given], [record], modes=["free run"], repeats=0).starts
+
+
+def test_a_criterion_beside_a_model_that_started_otherwise_says_so():
+    """The same equations twice, of which only one has its start estimated, as an FMU beside its model."""
+    given = PhysicalContender(drive(), "given", start={"piston.position": 1.4, "motor.speed": 4.0})
+    asked = {"modes": ["free run"], "repeats": 0, "initial_states": "auto"}
+    found = compare([PhysicalContender(drive(), "drive"), given, HoldLast((drive().outputs[0],))], [moved()], **asked)
+    sentences = ("position not worse than drive", 'position not worse than "hold last sample"', "position.rmse < 9 m")
+    beside, yardstick, alone = acceptance(found, Wanted(sentences, model="given")).judged
+    assert "The start of drive was estimated on moved_0, and that of given was not" in beside.caution
+    assert not beside.passed and not yardstick.caution and not alone.caution
 
 
 def test_the_yardstick_holds_what_is_known():

@@ -66,6 +66,18 @@ def test_a_text_that_changes_is_no_word(tmp_path):
         Tags(columns={"rig": "rig"}).put(record, tmp_path / "run.csv")
 
 
+@pytest.mark.parametrize("head", ["serial", "serial [1]", "serial [kg]"])
+@pytest.mark.parametrize("numbers", [(12345671, 12345672), (20261128, 20261129), (0.1234567, 0.1234568)])
+def test_numbers_that_differ_in_their_last_digit_are_two_conditions(tmp_path, head, numbers):
+    """Serial numbers and days have more than six digits: cut to those, two machines had been one."""
+    found = []
+    for number in numbers:
+        (tmp_path / "run.csv").write_text(f"time [s],u [V],{head}\n0,1,{number}\n0.1,1,{number}\n0.2,1,{number}\n")
+        record = Tags(columns={"serial": "serial"}).put(read_record(tmp_path / "run.csv"), tmp_path / "run.csv")
+        found.append(record.tags["serial"].removesuffix(" kg"))
+    assert [float(text) for text in found] == list(numbers) and "e" not in found[0]
+
+
 def test_a_scenario_says_columns_and_what_it_says_of_a_file_stands(recording, tmp_path):
     (tmp_path / "scenario.toml").write_text(
         'models = ["cehA"]\nvalidate = ["run.csv", {file = "run.csv", tags = {rig = "B"}}]\n'

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydrotwin.comparison import compare
 from hydrotwin.export import check_fmu, export_fmu, read_fmu
 from hydrotwin.models.effects import add_effect
 from hydrotwin.models.language import Model
@@ -192,3 +193,34 @@ def test_its_time_is_0_where_the_recording_begins(tmp_path):
     found = block.free_run(later)
     assert found.time[0] == 1000.0
     np.testing.assert_allclose(found["rate"], plain, rtol=1e-6, atol=1e-6)
+
+
+@pytest.fixture
+def unknown_at_times(systems, tmp_path):
+    """The FMU of a model whose every state has a start, the model, and a recording that misses samples of a sensor."""
+    flat, record = systems["cehA"], arm_record(0.2)
+    fmu = export_fmu(flat, tmp_path / "all.fmu", given=[s.name for s in flat.states])
+    angle = simulate(flat, record)["arm_angle"].copy()
+    angle[:3] = angle[8:12] = np.nan
+    return fmu, flat, record.with_signals({"arm_angle": angle})
+
+
+def test_one_step_keeps_the_free_run_where_a_sensor_knows_nothing(unknown_at_times):
+    """As a model does: one unknown sample had cost the whole run."""
+    fmu, flat, record = unknown_at_times
+    starts = np.asarray(flat.start_given(())([0.0], flat.parameter_vector(), [])).ravel()
+    start = {s.name: float(v) for s, v in zip(flat.states, starts, strict=True)}
+    found = read_fmu(fmu, values={f"{n}.start": v for n, v in start.items()}).one_step(record)
+    expected = predict_one_step(flat, record, start=start)
+    for name in ("arm_angle", "motor_speed", "pressure_cap"):
+        assert np.abs(found[name] - expected[name]).max() < 1e-6 * np.ptp(expected[name])
+
+
+@pytest.mark.parametrize("how", ["measured", "auto", "free"])
+def test_an_fmu_whose_start_is_not_in_the_recording_says_so(unknown_at_times, how):
+    fmu, _, record = unknown_at_times
+    asked = {"modes": ["free run"], "repeats": 1, "initial_states": how}
+    (started,) = compare([read_fmu(fmu)], [record], **asked).starts
+    assert "the first sample of arm_angle is not known" in str(started) and "Set the start, or" in str(started)
+    given = read_fmu(fmu, values={"arm.angle.start": 0.1})
+    assert not [s for s in compare([given], [record], **asked).starts if "not known" in str(s)]

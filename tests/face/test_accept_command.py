@@ -73,6 +73,19 @@ def test_a_reference_that_the_run_replaces_is_told(recordings, tmp_path):
     assert "replaces it" not in " ".join(hydrotwin(*words, "--against", elsewhere).said.split())
 
 
+def test_a_report_that_another_run_wrote_meanwhile_is_told(recordings, tmp_path):
+    """Two runs into one folder: the report of the first to end is gone, and its words on the screen are of another."""
+    out = tmp_path / "out"
+    code = "from pathlib import Path\nimport hydrotwin as ht\n\n\ndef meanwhile():\n"
+    code += f"    out = Path({str(out)!r})\n    out.mkdir(exist_ok=True)\n"
+    code += "    (out / 'compare.json').write_text('other')\n"
+    (tmp_path / "other.py").write_text(code + "    return ht.load('cehA')\n")
+    words = ("compare", "--validate", recordings / "validate_1.csv", *FREE, "--out", out, "--model")
+    answer = hydrotwin(*words, f"{tmp_path / 'other.py'}:meanwhile")
+    assert answer.code == 0 and "another run has written its report there" in " ".join(answer.said.split())
+    assert "another run" not in hydrotwin(*words, "cehA").said
+
+
 def test_what_recordings_lack_is_told_everywhere_and_once(recordings, tmp_path):
     """Of a scenario file and of --validate alike: on the screen, on the page, in Markdown, JSON and JUnit."""
     record = ht.read_record(recordings / "validate_1.csv").window(0.0, 4.0)

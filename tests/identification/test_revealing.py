@@ -29,7 +29,7 @@ class Product(Component):
 
 
 class Free:
-    names, start = ("first", "second"), np.array([1.0, 1.0])
+    names, start, sizes = ("first", "second"), np.array([1.0, 1.0]), np.ones(2)
 
 
 def sentence(unrecorded, correlated=1.0 - 1e-9):

@@ -37,7 +37,7 @@ def _run(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
 
 
 def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray]:
-    """One step from every sample: states from a free run, the measured ones replaced by the measurement."""
+    """One step from every sample: states from a free run, those that were measured replaced by it."""
     time, u, measured = arrays["time"], arrays["u"], arrays["measured"]
     slave = Slave(description, unzipped)
     slave.initialise(time[0], None, job["starts"], dict(zip(job["inputs"], u[0], strict=True)))
@@ -47,7 +47,8 @@ def _restart(job, arrays, description, unzipped, folder) -> dict[str, np.ndarray
     starts = [f"{s.removeprefix('state.')}.start" for s in job["states"]]
     for k in range(len(time) - 1):
         values = dict(zip(starts, free[k, len(job["outputs"]) :], strict=True))
-        values |= dict(zip(job["measured_starts"], measured[k], strict=True))
+        seen = zip(job["measured_starts"], measured[k], strict=True)
+        values |= {name: value for name, value in seen if np.isfinite(value)}
         slave.fmu.reset()
         slave.initialise(time[k], None, {**job["starts"], **values}, dict(zip(job["inputs"], u[k], strict=True)))
         found[k + 1] = run_steps(slave, time[k : k + 2], u[k : k + 2], job["inputs"], job["outputs"], job["linear"])[1]

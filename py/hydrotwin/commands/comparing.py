@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
@@ -172,6 +173,7 @@ def compare(
 
     named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
+    before = _state(output / "compare.json")
     matrix = run(described, loaded, output, runs)
     for word in dict.fromkeys(notes(matrix)):
         mark(err, "note", word)
@@ -183,6 +185,9 @@ def compare(
         stale = f" The report in {output} is of an earlier run." if (output / "compare.json").exists() else ""
         raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}{stale}")
     tell_replaced(described.wanted.earlier, output / "compare.json")
+    if _state(output / "compare.json") != before:
+        told = "another run has written its report there while this one ran, and this one replaces it"
+        mark(err, "note", f"{output}: {told}. Give each its own --out.")
     paths = write(matrix, output, bool(described.variants))
     if junit_file is not None:
         write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
@@ -203,6 +208,14 @@ def compare(
         out.print(f"written: {', '.join(str(p) for p in paths.values())}")
     if accepted and not accepted.passed:
         raise typer.Exit(1)
+
+
+def _state(path: Path) -> tuple[int, ...]:
+    """What is another one once a file is written anew; empty where there is none."""
+    with contextlib.suppress(OSError):
+        told = path.stat()
+        return told.st_ino, told.st_size, told.st_mtime_ns
+    return ()
 
 
 def tell_replaced(earlier: Sequence[Path], written: Path) -> None:

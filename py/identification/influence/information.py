@@ -8,7 +8,7 @@ In the scaled coordinates q of identification (ln p, or p over its unit). H^-1 i
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.linalg
@@ -19,10 +19,11 @@ from ..fit import Finding
 from ..identifiability import identifiability
 from ..noise import output_noise
 from ..problem import FreeParameters, Recording, free_parameters
+from .intervals import Interval
 from .local import Local, RunInformation
 from .runs import Run, Runs
 
-VAGUE = 1.0  # standard deviation in q of a parameter before any recording: known to a factor of e, or to its own size
+VAGUE = 1.0  # deviation of a parameter before any recording, in its own size: known to a factor of e, or to that
 LEAST = 1e-12  # eigenvalue of the scaled information: a direction that nothing shows is a correlation of one
 
 
@@ -56,16 +57,18 @@ class Known:
 
     def covariance(self, more: np.ndarray | float = 0.0) -> np.ndarray:
         """Of q when ``more`` information (np, np) comes to these recordings; before them all was `VAGUE`."""
-        prior = np.eye(len(self.matrix)) / VAGUE**2
+        prior = np.diag(1 / (VAGUE * self.free.sizes) ** 2)
         return np.linalg.inv(self.matrix + more + prior)
 
 
-def known(runs: Runs, found: Local, noise: Mapping[str, float]) -> Known:
+def known(runs: Runs, asked: Sequence[Interval], found: Local, noise: Mapping[str, float]) -> Known:
     """What the recordings say; ``noise`` by output, SI, where it is known.
 
-    An output that never changes, and whose noise nobody gives, says nothing. Raises DataError as `output_noise`.
+    A parameter that is asked about over more than its own size is taken to be as large as that. An output that never
+    changes, and whose noise nobody gives, says nothing. Raises DataError as `output_noise`.
     """
     free = free_parameters(runs.flat, runs.names)
+    free = replace(free, nominal=np.maximum(free.nominal, [i.reach for i in asked]))
     sigma = output_noise(runs.flat, [_changing(run, runs.flat, noise) for run in runs.runs], noise)
     left, samples = (sum(getattr(i, part) for i in found.information) for part in ("left", "measured"))
     worth = np.where(np.isfinite(sigma), np.fmax(sigma, np.sqrt(left / np.maximum(samples, 1))), np.nan)

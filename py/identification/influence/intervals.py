@@ -18,6 +18,7 @@ SHARE = 0.1  # of its value: how far a parameter of which nothing is known moves
 WIDE = 10.0  # times its lower end: an interval is then walked through in ratios, not in differences
 AUTO, FIT, BOUNDS = "auto", "fit", "bounds"
 OF_FIT, CUT = "fit, 95 %", ", cut at a bound"  # source of an interval, and what it ends with that is narrower
+OF_VALUE = "±"  # what the source of an interval begins with that is a share of the value
 _SHARE = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 
 
@@ -101,7 +102,7 @@ def _interval(flat: FlatModel, p: ParameterValue, how: str, given: Mapping) -> t
         return *p.bounds, "bounds"
     share = SHARE if how == AUTO else float(_SHARE.fullmatch(how)[1]) / 100
     around = abs(p.value) or abs(p.nominal)
-    return _around(p, share * around, f"±{100 * share:g} %" + ("" if p.value else " of its nominal value"))
+    return _around(p, share * around, f"{OF_VALUE}{100 * share:g} %" + ("" if p.value else " of its nominal value"))
 
 
 def _around(p: ParameterValue, reach: float, source: str) -> tuple[float, float, str]:

@@ -28,7 +28,7 @@ from .runs import Run, Runs
 
 SENSOR = 0.005  # of the range of an output: error of a sensor of which nothing is known (accuracy class 0.5)
 DRIVES = 3  # inputs that are told, each of another kind
-OPEN = 0.35  # standard deviation in q, a factor of two: what is known no better, recordings leave open
+OPEN = 0.35  # standard deviation in the size of a parameter (a factor of two): known no better, it is left open
 MANY = 0.1  # of a width: below, how many times narrower is said
 NOTHING_NEW = 0.95  # of a width: what narrows none to less tells nothing new
 HALF = (0.45, 0.55)
@@ -150,7 +150,7 @@ class _Ranking:
             return f"{who} would {_shrunk('the band', best, ratios[best])}."
         k = self.runs.names.index(best)
         before, after = (self._width(k, np.sqrt(C[k, k])) for C in (self.now, then))
-        if np.sqrt(self.now[k, k]) > OPEN:
+        if np.sqrt(self.now[k, k]) > OPEN * self.sure.free.sizes[k]:
             return f"{who} would tell {best} to {after}, which these recordings leave open."
         return f"{who} would {_shrunk('the interval', best, ratios[best])}, from {before} to {after}."
 

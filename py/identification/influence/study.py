@@ -7,14 +7,16 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.flat import FlatModel
 
 from ..bands import SPREAD, Spread
 from ..fit import Finding, Fit
 from ..identify import processors
 from .answer import Sensitivity, StudiedRecord
 from .information import Known, known, not_told_apart
-from .intervals import AUTO, OF_FIT, Interval, intervals
+from .intervals import AUTO, OF_FIT, OF_VALUE, Interval, intervals
 from .local import Local, local
 from .measurements import measurements
 from .runs import Runs, runs_over
@@ -24,6 +26,7 @@ STRETCHES = 6  # of time, into which a recording is cut
 TOGETHER = 0.7  # of the variance: where parameters alone make less, local sensitivities say little of their intervals
 CORRELATED = 0.7  # between parameters of a fit: their intervals then say more than their covariance
 BEYOND = 2.0  # times the spread of the sampled runs that local sensitivities may make it, or the other way round
+NEAR_ZERO = 0.01  # of its nominal value: a share of a value of either sign below that is no interval
 UNSURE = 0.2  # half width of an index from which on more samples are worth a word
 
 Told = Callable[[str, int, int], None]
@@ -80,7 +83,7 @@ def sensitivity(
     near = local(runs, asked)
     _check_effect(runs, near)
     errors = {**_noise_of(model), **(noise or {})}
-    sure = known(runs, near, errors)
+    sure = known(runs, asked, near, errors)
     far = sobol(runs, asked, sampling, lambda done, total: progress("sobol", done, total)) if samples else None
     further = measurements(runs, near, sure, goal, errors, lambda done, total: progress("measure next", done, total))
     return Sensitivity(
@@ -97,6 +100,7 @@ def sensitivity(
         measurements=further,
         findings=(
             *_effects(asked, near),
+            *_near_zero(runs.flat, asked),
             *_told_apart(runs, near, sure),
             *_correlated(asked, sure),
             *_of_indices(runs, far, near),
@@ -131,6 +135,20 @@ def _effects(asked: Sequence[Interval], near: Local) -> list[Finding]:
         ))
         for k in np.flatnonzero(near.without_effect)
     ]  # fmt: skip
+
+
+def _near_zero(flat: FlatModel, asked: Sequence[Interval]) -> list[Finding]:
+    """Parameters of either sign whose interval is a share of a value that happens to be near zero."""
+    found = []
+    for one in asked:
+        p = flat.parameters[flat.index_of(one.name)]
+        small = 0 < abs(p.value) < NEAR_ZERO * abs(p.nominal) and p.bounds[0] < 0 < p.bounds[1]
+        if small and one.source.startswith(OF_VALUE):
+            found.append(Finding("near_zero", (one.name,), (
+                f"sensitivity: {one.name} is near zero ({amount(p.value, p.unit)}), and {one.source} of that moves "
+                f"next to nothing, whatever it may drive. Give its interval: --interval {one.name}=LOW:HIGH."
+            )))  # fmt: skip
+    return found
 
 
 def _told_apart(runs: Runs, near: Local, sure: Known) -> list[Finding]:

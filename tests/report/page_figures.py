@@ -126,6 +126,9 @@ def _parameters(rows: list[dict]) -> list[dict]:
     return found
 
 
+BANDS = ("coverage", "crps", "nlpd")  # how a band holds, of models that have one
+
+
 def compare_figures(data: dict) -> dict[str, list[dict]]:
     """The same of a page of `compare` or of `identify --report`."""
     yardsticks = {m["name"] for m in data["models"] if m["kind"] == "yardstick"}
@@ -200,6 +203,7 @@ def _means(scores: list[dict]) -> list[dict]:
         mean = {k: float(np.mean([s[k] for s in of])) for k in ("rmse", "mae", "fit_percent", "bias")}
         rows.append({"mode": mode, "output": output, "model": model, "record": "", "count": len(of), **mean})
         rows[-1]["maximum"] = max(s["maximum"] for s in of)
+        rows[-1] |= {k: float(np.mean([s[k] for s in of])) for k in BANDS if all(s.get(k) is not None for s in of)}
     return _relative(rows)
 
 
@@ -210,7 +214,8 @@ def _relative(rows: list[dict]) -> list[dict]:
         rivals = [r for r in rows if all(r[k] == row[k] for k in ("mode", "output", "record"))]
         most = max(r.get("count", 1) for r in rivals)
         best = min(r["rmse"] for r in rivals if r.get("count", 1) == most)
-        found.append({**row, "relative": row["rmse"] / best if row.get("count", 1) == most else None})
+        inside = {} if row.get("coverage") is None else {"coverage": 100 * row["coverage"]}
+        found.append({**row, **inside, "relative": row["rmse"] / best if row.get("count", 1) == most else None})
     return found
 
 

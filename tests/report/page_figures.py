@@ -183,7 +183,7 @@ def _field(scores: list[dict], yardsticks: set[str]) -> list[dict]:
     for (output, model), of in groups.items():
         mean = {k: float(np.mean([s[k] for s in of])) for k in keys}
         whole = 0.4 * mean["corridor"] + 0.2 * (mean["phase"] + mean["magnitude"] + mean["slope"])
-        for key in ("settling", "steady"):
+        for key in ("settling", "steady", "u_val", "vv20"):
             known = [s[key] for s in of if s[key] is not None]
             mean[key] = float(np.mean(known)) if known else None
         rows.append({"output": output, "model": model, "iso18571": whole, **mean})

@@ -93,7 +93,8 @@ def check_tables(data: dict, figures: dict[str, list[dict]]) -> int:
                 if text == "only noise":
                     continue
                 assert key in own, f"nobody computes {key} of {name}"
-                text, unit = without_unit(text) if key == "steady" else (text, unit_of(column, row))
+                text = text.removesuffix(" (nothing claimed)")
+                text, unit = without_unit(text) if key in ("steady", "u_val") else (text, unit_of(column, row))
                 dimensionless = key in ("sigmas", "shift", "ratio", "lag_one", "samples", "times_noise")
                 factor = 1.0 if dimensionless else FACTOR.get(unit, 1.0)
                 assert shows(text, own[key], factor), f"{name}, row {k}, {key}: {text} for {own[key]} [{unit}]"

@@ -34,7 +34,10 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "hybrid": "an identified model (--model) and a network for what it lacks",
     "state_nn": "a network with hidden states, started by an encoder",
 }
-BUDGET = "s on the clock, then the best so far is taken; auto: of all kinds together, and of training the best again"
+BUDGET = (
+    "s on the clock, then the best so far is taken; of nn, state_nn, symbolic, narx, hybrid; auto: of all kinds "
+    "together, and of training the best again"
+)
 THOROUGH = "auto: train every kind to the end, those too that can no longer be as good as the best"
 TRIALS = 0.7  # of the budget of auto: the rest is for training the chosen kind again on all recordings
 NOT_AGAIN = "It was not trained again on all recordings: {left:.3g} s of the budget were left. Give a longer --budget."

@@ -19,15 +19,14 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, UnitEr
 from hydrotwin.models.language.quantities import NUMBER, number_of
 from hydrotwin.models.language.units import compatible, convert, dimension, power, to_si
 from hydrotwin.models.language.writing import printable
-from hydrotwin.records import SUFFIXES, Record
+from hydrotwin.records import EXACT, SUFFIXES, Record
 
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
 _QUANTITY = re.compile(rf"(?P<number>{NUMBER})(?:\s*(?P<unit>[^\W\d_].*|[%°‰].*)|\s+(?P<per>1/.*))?")
 _COMMA = re.compile(r"(?<=\d),(?=\d)")  # a decimal one
 SAME, ROUNDED = 1e-6, 6  # relative: a column that changes less is one number, rounded to so many digits
-DIGITS = 12  # of a number that does not change: a serial number or a day keeps all of them, a unit's conversion its own
-DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K
+DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K; a number that does not change keeps as many
 
 
 @dataclass(frozen=True)
@@ -104,8 +103,12 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     digits = DIGITS
     if found:
         number = round(float(np.median(shown)) / number_of(found["step"])) * number_of(found["step"])
+    elif abs(number := float(shown[0])) >= EXACT:
+        raise DataError(
+            f"tags: {tag} = '{what}': {name} of {record.name} has more digits than a number keeps, so two of them may "
+            f"look alike. Say {tag} of each file in the scenario, or in its name (--tags)."
+        )
     else:
-        number = float(shown[0])
         digits = DIGITS if np.ptp(shown) == 0 else ROUNDED
         if np.ptp(shown) > SAME * abs(number):
             raise DataError(
@@ -146,6 +149,8 @@ def _meaning(value: str) -> object:
     (True, True)
     """
     value = unicodedata.normalize("NFC", value)
+    if value.isdecimal() and len(value) > DIGITS:
+        return value  # a serial number: every digit tells
     if found := _QUANTITY.fullmatch(_COMMA.sub(".", value, count=1)):
         return _quantity(number_of(found["number"]), found["unit"] or found["per"] or "1")
     for kind in (datetime.date, datetime.time, datetime.datetime):

@@ -4,13 +4,14 @@ from .files import SUFFIXES, WRITTEN, read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
-from .record import Gap, Record, distinct, gaps_of
+from .record import EXACT, Gap, Record, distinct, gaps_of
 from .require import as_needed, copies, known_inputs, require, require_once, shares_samples, without_unknown
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
 
 __all__ = [
+    "EXACT",
     "SUFFIXES",
     "WRITTEN",
     "Gap",

@@ -17,6 +17,7 @@ from hydrotwin.models.language.units import si_unit
 from . import resampling
 from .turning import turned_back
 
+EXACT = 1e15  # below it a number keeps every digit that a file writes
 GAP_RATIO = 20.0  # a step above this many median steps is a gap
 
 

@@ -18,7 +18,7 @@ from .clocks import PERIODS, called_time, counts_time, holds_stamps, in_seconds,
 from .columns import Column, Table
 from .constants import with_constants
 from .reading import Reading
-from .record import Record
+from .record import EXACT, Record
 from .repairs import order_of
 
 SLOWER = 0.05  # share of the steps that leaving rows out may lengthen; beyond, what is left is another sampling
@@ -259,9 +259,11 @@ def _usable(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
 
 
 def _words(table: Table) -> dict[str, str]:
-    """Columns that say the same in every row: a text, or a number as it is written."""
+    """Columns that say the same in every row: a text, or a number that keeps all of its digits."""
     found = {}
     for column in table.columns[1:]:
+        if column.texts is None and not (np.abs(column.values[:1]) < EXACT).all():
+            continue
         texts = [f"{v:.15g}" for v in column.values[:1]] if column.texts is None else column.texts
         cells = {text.strip() for text in texts}
         same = column.texts is not None or (column.values == column.values[0]).all()

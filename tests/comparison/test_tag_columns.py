@@ -209,3 +209,17 @@ def test_a_column_in_percent_is_rounded_in_percent(tmp_path):
     with pytest.raises(UnitError, match=r"valve is in %. Write for example 'valve by 10 %'"):
         Tags(columns={"valve": "valve by 10"}).put(record, tmp_path / "run.csv")
     assert Tags(columns={"valve": "valve by 10 %"}).put(record, tmp_path / "run.csv").tags == {"valve": "60 %"}
+
+
+def test_a_serial_number_of_more_digits_than_a_number_keeps_is_no_tag(tmp_path):
+    """12345678901234567 and ...568 are one number: two machines had been one condition."""
+    (tmp_path / "run.csv").write_text("time [s],serial [1]\n" + "".join(f"{k},12345678901234567\n" for k in range(3)))
+    record = read_record(tmp_path / "run.csv")
+    with pytest.raises(DataError, match="more digits than a number keeps"):
+        Tags(columns={"serial": "serial"}).put(record, tmp_path / "run.csv")
+
+
+def test_serial_numbers_that_differ_late_are_two_conditions(recording):
+    told = [replace(recording[0], name=v, tags={"serial": v}) for v in ("123456789012345", "123456789012346")]
+    check_tags(told)
+    assert of_group(told, "serial=123456789012345") == ("123456789012345",)

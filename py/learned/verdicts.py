@@ -3,9 +3,11 @@
 Over S stretches with the RMS errors a and b, the mean of d = log(a / b) and its standard error tell what another
 recording might have shown:
 
-    mean d + sd(d) / sqrt(S) < 0      a is better on more than chance
+    mean d + t sd(d) / sqrt(S) < 0      a is better, with a probability of 95 % or more
 
-Source: L. Breiman and others, Classification and Regression Trees (1984), section 3.4.3 (one standard error).
+where t is Student's, of S - 1 degrees of freedom: of three stretches, two of which agree by chance, nothing is sure.
+Which of several is chosen is another question: there the simpler one within one standard error is.
+Source: Student, Biometrika 6 (1908); L. Breiman and others, Classification and Regression Trees (1984), section 3.4.3.
 """
 
 from __future__ import annotations
@@ -13,10 +15,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import t as student
 
 STRETCHES = 3  # at least: parts that are fewer are cut, for of two alone nothing tells how far they are apart by chance
 NOTHING = 1e-300  # an error that is none, for its logarithm
 BETTER = 0.95  # of a yardstick's error: what a block must stay under to be better
+SURE = 0.95  # probability from which on a card says without a doubt that a block is better
 
 
 def stretches(misses: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -39,9 +43,9 @@ def log_ratio(errors: Sequence[float], rival: Sequence[float]) -> tuple[float, f
 
 
 def surely_less(errors: Sequence[float], rival: Sequence[float]) -> bool:
-    """Whether the errors are less than the rival's by more than one standard error over the stretches."""
+    """Whether the errors are less than the rival's by more than chance over the stretches explains."""
     mean, error = log_ratio(errors, rival)
-    return mean + error < 0
+    return bool(np.isfinite(error) and mean + student.ppf(SURE, len(errors) - 1) * error < 0)
 
 
 def as_good(errors: Sequence[float], best: Sequence[float]) -> bool:

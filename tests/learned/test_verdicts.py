@@ -40,9 +40,18 @@ def test_a_ratio_that_is_the_same_everywhere_is_certain():
 
 def test_stretches_that_disagree_are_not_certain():
     assert not surely_less([0.2, 1.5, 1.2], [1.0, 1.0, 1.0])
-    assert surely_less([0.2, 0.9, 0.8], [1.0, 1.0, 1.0])
+    assert not surely_less([0.2, 0.9, 0.8], [1.0, 1.0, 1.0]), "of three, two of which are almost as bad"
+    assert surely_less([0.7, 0.9, 0.8], [1.0, 1.0, 1.0])
     assert not surely_less([0.5], [1.0]), "one stretch tells nothing of chance"
     assert not surely_less([np.inf, 0.1, 0.1], [1.0, 1.0, 1.0])
+
+
+def test_of_what_is_no_better_the_card_is_sure_in_one_of_twenty():
+    rng = np.random.default_rng(0)
+    for count in (3, 10):
+        drawn = np.exp(0.5 * rng.normal(size=(4000, count)))
+        sure = np.mean([surely_less(errors, np.ones(count)) for errors in drawn])
+        assert 0.04 < sure < 0.06
 
 
 def test_what_is_as_good_as_the_best_neither_loses_everywhere_nor_fails_somewhere():

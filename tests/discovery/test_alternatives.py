@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.answer.standing import standing
+from hydrotwin.discovery.structures import alternatives
 from hydrotwin.discovery.structures.alternatives import FIRST
+from hydrotwin.discovery.structures.foreseen import Foreseen, foreseen
 from hydrotwin.discovery.structures.search import OutOfTime
 from tests.discovery.slides import begun, records
 
@@ -59,6 +61,41 @@ def test_what_only_bends_the_base_goes_no_further_than_the_first_steps(right):
     looks = {name: [j.iterations for j in asked if name in j.label and j.stages == (0, 0)] for name in EFFECTS[1:]}
     assert looks["null_bias"] == looks["sensor_scale"] == [FIRST]
     assert len(looks["presliding_friction"]) == 2 and looks["presliding_friction"][1] > FIRST
+
+
+@pytest.fixture
+def small():
+    """A search in whole recordings with 2 N of dry friction, which is fitted: five times the noise."""
+    search = begun(records(3, dry=2.0), EFFECTS)
+    search.identify()
+    search._to_whole_recordings()
+    search._advance([entry(search, "coulomb_friction")])
+    search._advance([entry(search, "coulomb_friction")])
+    return search
+
+
+def test_where_the_gap_is_small_first_order_foresees_what_the_best_explains(small):
+    base, best = small.table.entry(), entry(small, "coulomb_friction")
+    shares = foreseen(small.table, small.jobs, base)
+    assert shares[best.key[0]].left == pytest.approx(float(best.fitted.rmse[0] / base.fitted.rmse[0]) ** 2, rel=0.05)
+
+
+def test_what_first_order_says_to_explain_too_little_needs_no_look(small):
+    asked, run = [], small.alternatives.run
+    small.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
+    small.alternatives.settle()
+    assert {j.label.split(" at ")[0] for j in asked if " at " in j.label} == {"presliding_friction"}
+    assert all(entry(small, name).asked for name in EFFECTS[1:]) and small.table.unseen() == 0.0
+    assert entry(small, "presliding_friction").fitted and entry(small, "null_bias").beside > 0.9
+
+
+def test_where_first_order_did_not_foresee_the_best_all_others_are_looked_at(small, monkeypatch):
+    blind = {c.label: Foreseen(0.99 if c.id == "coulomb_friction" else 1.0, {}) for c in small.table.candidates}
+    monkeypatch.setattr(alternatives, "foreseen", lambda table, jobs, known: blind)
+    asked, run = [], small.alternatives.run
+    small.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
+    small.alternatives.settle()
+    assert {j.label.split(" at ")[0] for j in asked if " at " in j.label} == set(EFFECTS[1:])
 
 
 def test_the_others_are_asked_anew_only_from_what_leaves_clearly_less(right):

@@ -54,7 +54,7 @@ def test_what_an_effect_does_is_left_by_none_but_its_own_response(effect, size, 
     shares = {}
     for other, value in (("null_bias", 0.3), ("command_deadband", 0.1), ("dead_time", 0.05), (effect, size)):
         model, p, without, _ = drive_with(other, value)
-        shares[other] = responses.shares([responses.of(model.flat, p[None], without)])[0]
+        shares[other] = responses.promises([responses.of(model.flat, p[None], without)])[0].left
     assert shares[effect] < share
     assert min(shares, key=shares.get) == effect
 
@@ -67,7 +67,7 @@ def test_base_parameters_explain_their_part_first():
     shares = []
     for free in ((), ("gain",)):
         responses = along(measured, free)
-        shares.append(responses.shares([responses.of(model.flat, with_bias[None], without)])[0])
+        shares.append(responses.promises([responses.of(model.flat, with_bias[None], without)])[0].left)
     assert shares[1] < 1e-3 < 0.3 < shares[0]
 
 
@@ -89,4 +89,4 @@ def test_from_a_bent_base_dry_friction_stands_before_what_it_is_not():
     base = search.identify()
     shares = foreseen(search.table, search.jobs, base)
     assert len(shares) == len(search.table.candidates)
-    assert min(shares, key=shares.get).startswith("coulomb_friction")
+    assert min(shares, key=lambda label: shares[label].left).startswith("coulomb_friction")

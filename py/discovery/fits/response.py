@@ -17,6 +17,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -28,7 +29,7 @@ from hydrotwin.simulation import equations, inputs
 
 Response = list[tuple[np.ndarray, np.ndarray]]  # df (n - 1, nx, k), dh (n, ny, k) by stretch
 
-SAMPLES = 1500  # of all stretches together
+SAMPLES = 3000  # of all stretches together
 WINDOWS = 4  # of a stretch
 
 
@@ -54,6 +55,14 @@ class Stretch:
     def samples(self) -> tuple[np.ndarray, np.ndarray]:
         """Where intervals begin (m,), and states there (m, nx)."""
         return self.time[:, :-1].ravel(), self.x[:, :-1].reshape(-1, self.x.shape[-1])
+
+
+class Promise(NamedTuple):
+    """Of what is left: the share that is left with an effect, by which set of its parameters alone most, how large."""
+
+    left: float
+    which: int
+    size: float
 
 
 @dataclass(eq=False)
@@ -92,23 +101,23 @@ class Responses:
             found.append((changes, outputs[..., 1:] - outputs[..., :1]))
         return found
 
-    def shares(self, effects: Sequence[Response]) -> np.ndarray:
-        """Share of what the run and a fit of the base leave, that one with each of the effects leaves."""
+    def promises(self, effects: Sequence[Response]) -> list[Promise]:
+        """What the run and a fit of the base leave, that one with each of the effects leaves less of."""
         sizes = [effect[0][0].shape[-1] for effect in effects]
         groups = [slice(end - k, end) for end, k in zip(np.cumsum(sizes), sizes, strict=True)]
         together = [
             tuple(np.concatenate([effect[i][k] for effect in effects], axis=-1) for k in range(2))
             for i in range(len(self.stretches))
         ]
-        return np.min([self._shares(together, groups, as_one) for as_one in (True, False)], axis=0)
+        both = [self._promises(together, groups, as_one) for as_one in (True, False)]
+        return [min(pair, key=lambda one: one.left) for pair in zip(*both, strict=True)]
 
-    def _shares(self, together: Response, groups: Sequence[slice], as_one: bool) -> np.ndarray:
+    def _promises(self, together: Response, groups: Sequence[slice], as_one: bool) -> list[Promise]:
         along = zip(self.stretches, self._along, together, strict=True)
         rows = np.concatenate([self._rows(*each, as_one) for each in along])
         base, others, left = np.split(rows, [len(self.free), rows.shape[1] - 1], axis=1)
         others, left = _without(base, others), _without(base, left)
-        whole = _square(left)
-        return np.array([_square(_without(others[:, g], left)) / whole if whole > 0 else 1.0 for g in groups])
+        return [_promise(others[:, group], left) for group in groups]
 
     def _rows(self, stretch: Stretch, along: _Along, added, as_one: bool) -> np.ndarray:
         """Rows of the least-squares fit: responses to base parameters and to what is added, what is left; no starts.
@@ -285,5 +294,13 @@ def _without(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return rows - q @ (q.T @ rows)
 
 
-def _square(left: np.ndarray) -> float:
-    return float(np.sum(left**2))
+def _promise(columns: np.ndarray, left: np.ndarray) -> Promise:
+    whole = float(np.sum(left**2))
+    if not whole > 0:
+        return Promise(1.0, 0, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = (columns.T @ left)[:, 0] / np.sum(columns**2, axis=0)
+    alone = np.nan_to_num(sizes * (columns.T @ left)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
+    which = int(np.argmax(alone))
+    together = float(np.sum(_without(columns, left) ** 2)) / whole
+    return Promise(together, which, float(sizes[which]) if alone[which] > 0 else 0.0)

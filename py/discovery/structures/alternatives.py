@@ -3,12 +3,13 @@
 Where that explains all, the base is right, whatever it was bent to while an effect was missing: a few steps from there
 show of every other effect whether it explains as much. Without any effect the base would bend again to hide the gap,
 and with a useless one it takes the same way: those that are not ahead of it after the first steps go no further. What
-explains much is fitted. Effects that were asked so, and were not fitted, are no longer in question.
+explains much is fitted. Where the gap is small, runs tell little that was not foreseen to first order: if the best was
+foreseen, those that were not need no look. Effects that were asked so, and were not fitted, are no longer in question.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,12 +20,14 @@ from ..evidence.deciding import DECIDING
 from ..evidence.score import Floor, score
 from ..fits.job import Job, Look, Question
 from .extent import ENOUGH, enough_of
+from .foreseen import Foreseen, foreseen
 from .jobs import Jobs
 from .table import Entry, Table
 
 FIRST = 3  # steps after which an effect has to leave less than the rest of the best alone would, on its way to its bend
 AHEAD = 0.5  # of what the rest leaves after as many steps: an effect that leaves more only bends it, too
 SHOWN = 100.0  # nats that the rest leaves after them where half of that is told from all of it
+FORESEEN = 0.5  # of what the best explains in fact: first order that foresaw as much of it foresees that of others, too
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,10 +96,17 @@ class Alternatives:
         rest = self.table.entry([m for m in best.members if m is not one])
         others = [self.table.entry(members) for members in self.table.instead(best, one)]
         others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
+        known = foreseen(self.table, self.jobs, rest) if rest.fitted else {}
+        others = self._unforeseen(best, rest, others, known)
+        if not others:
+            return
         question, bent = self._bent(best, rest)
-        seen = self._ahead(
-            sorted(others, key=self.table.promise), bent, lambda e: self.jobs.glance_from(best, e, question, FIRST)
-        )
+
+        def first(entry: Entry) -> Job:
+            expected = known.get(_new(entry, rest))
+            return self.jobs.glance_from(best, entry, expected.start if expected else {}, question, FIRST)
+
+        seen = self._ahead(sorted(others, key=self.table.promise), bent, first)
         if not seen:
             return
         longer, _ = self._gap(best, rest, ENOUGH)  # what the rest bends to at last shows in so much
@@ -104,6 +114,28 @@ class Alternatives:
             (bent,) = self.run([self.jobs.glance_on(best, rest, bent, longer)])
         likely = self._ahead(list(seen), bent, lambda e: self.jobs.glance_on(best, e, seen[e].look, longer))
         self._fit_likely(sorted(likely.values(), key=lambda one: one.share))
+
+    def _unforeseen(
+        self, best: Entry, rest: Entry, others: Sequence[Entry], known: Mapping[str, Foreseen]
+    ) -> list[Entry]:
+        """Those of which first order does not tell that they explain too little; the others have been asked.
+
+        It tells that where the rest was fitted, and where it foresees there what the best explains in fact.
+        """
+        own = 1 - known[_new(best, rest)].left if _new(best, rest) in known else 0.0
+        if self.table.question.lengths or not own or not rest.fitted.converged:
+            return list(others)
+        if own < FORESEEN * (1 - float(np.nanmean((best.fitted.rmse / rest.fitted.rmse) ** 2))):
+            return list(others)
+        found = []
+        for entry in others:
+            expected = known.get(_new(entry, rest))
+            left = 1 - (1 - expected.left) / own if expected else 0.0
+            if left < AHEAD:
+                found.append(entry)
+            else:
+                entry.beside = left
+        return found
 
     def _bent(self, best: Entry, rest: Entry) -> tuple[Question, Look | str]:
         """Beginnings of recordings that show what the rest leaves after the first steps, and that; else all of them."""
@@ -164,6 +196,11 @@ class Alternatives:
 
     def _as_good(self, entry: Entry, best: Entry) -> bool:
         return bool(entry.fitted) and self.table.score(entry) < self.table.score(best) + 1.0
+
+
+def _new(entry: Entry, rest: Entry) -> str:
+    """The label of the effect that a structure has beside the rest."""
+    return next(label for label in entry.key if label not in rest.key)
 
 
 def batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:

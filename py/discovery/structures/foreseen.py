@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,30 +16,39 @@ from hydrotwin.simulation import prepare
 
 from ..fits.response import SAMPLES, WINDOWS, Responses, stretch_of
 from .jobs import Jobs
-from .starts import compatible
+from .starts import compatible, sized
 from .table import Entry, Table
 
 GROWN = 2  # structures, the best, to which effects are added
+LEAST = 0.01  # of a usual size, at which an effect begins that first order would rather have the other way round
 
 
-def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, float]:
-    """Share of what a fitted structure leaves that it would leave with every other effect in addition, by label.
+class Foreseen(NamedTuple):
+    """To first order: the share of what a structure leaves that is left with an effect, and its values, by path."""
+
+    left: float
+    start: dict[str, float]
+
+
+def foreseen(table: Table, jobs: Jobs, known: Entry) -> dict[str, Foreseen]:
+    """What is to be expected of every other effect in addition to a fitted structure, by label.
 
     Those of which nothing can be said are not in it: of FMUs, and of recordings of a few samples, none.
     """
-    fitted, shares = table.foreseen.get(known.key, (None, {}))
+    fitted, found = table.foreseen.get(known.key, (None, {}))
     if fitted is not known.fitted:
         others = [c for c in table.candidates if c not in known.members and compatible((*known.members, c))]
-        shares = _shares(table, jobs, known, others)
-        table.foreseen[known.key] = known.fitted, shares
-    return shares
+        found = _foreseen(table, jobs, known, others)
+        table.foreseen[known.key] = known.fitted, found
+    return found
 
 
 def singles(jobs: Jobs) -> list[Entry]:
     """Single effects, those first that promise most to first order."""
     table = jobs.table
-    shares = foreseen(table, jobs, table.entry())
-    return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: shares.get(c.label, 1.0))]
+    known = foreseen(table, jobs, table.entry())
+    left = {label: one.left for label, one in known.items()}
+    return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: left.get(c.label, 1.0))]
 
 
 def larger(jobs: Jobs, size: int, first: int) -> list[Entry]:
@@ -63,9 +73,9 @@ def beside(jobs: Jobs, known: Entry, first: int, count: int) -> list[Candidate]:
     structure holds. Where nothing can be said, those that promise most alone.
     """
     table = jobs.table
-    shares = foreseen(table, jobs, known) if known.fitted else {}
-    more = [c for c in table.candidates if c.label in shares] if shares else _promising(table, first)
-    more = sorted(more, key=lambda c: shares.get(c.label, 0.0))[:count]
+    left = {label: one.left for label, one in foreseen(table, jobs, known).items()} if known.fitted else {}
+    more = [c for c in table.candidates if c.label in left] if left else _promising(table, first)
+    more = sorted(more, key=lambda c: left.get(c.label, 0.0))[:count]
     return [c for c in more if c not in known.members]
 
 
@@ -80,29 +90,37 @@ def _worth(table: Table, e: Entry, first: int) -> float:
     return min(table.promise(e, first), table.share(e) if e.fitted else np.inf)
 
 
-def _shares(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, float]:
+def _foreseen(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, Foreseen]:
     flat, values = table.model(known).flat, dict(known.fitted.values)
     if flat.black_box or not flat.states or min(len(r.time) for r in table.question.fit) <= WINDOWS:
         return {}
     along = _along(table, jobs, known, flat, values)
-    found = {}
+    found = []
     for one in others:
         entry = table.possible([one])  # one model an effect: those of pairs would take longer to build than to ask
         if table.usable(entry):
-            model = table.model(entry).flat
+            model, starts = table.model(entry).flat, jobs.starts_of(one, known)
             own = table.of_its_own(entry, values)
-            sets = np.array([model.parameter_vector({**own, **start}) for start in jobs.starts_of(one, known)])
-            found[one.label] = along.of(model, sets, model.parameter_vector({**own, **one.neutral}))
-    return dict(zip(found, along.shares(list(found.values())).tolist(), strict=True)) if found else {}
+            sets = np.array([model.parameter_vector({**own, **start}) for start in starts])
+            found.append((one, starts, along.of(model, sets, model.parameter_vector({**own, **one.neutral}))))
+    promises = along.promises([response for *_, response in found]) if found else []
+    return {
+        one.label: Foreseen(
+            promise.left, sized(one, starts[promise.which], promise.size if promise.size > 0 else LEAST)
+        )
+        for (one, starts, _), promise in zip(found, promises, strict=True)
+    }
 
 
 def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapping[str, float]) -> Responses:
-    """Responses where most is left; a residual counts in units of what is left of its output there."""
+    """Responses along the fit where whole recordings are looked at, else where windows leave most.
+
+    A residual counts in units of what is left of its output there.
+    """
     question, p, size = table.question, flat.parameter_vector(dict(values)), known.fitted.rmse
-    lengths = (jobs.windows or question).lengths
-    propagator = prepare(flat, step=question.step)
-    T, most, stretches = lengths[-1] if lengths else 0.0, SAMPLES // len(question.fit), []
-    for recording in question.fit:
+    propagator, most, stretches = prepare(flat, step=question.step), SAMPLES // len(question.fit), []
+    along = [] if question.lengths else jobs.runs_of(known)
+    for i, recording in enumerate(question.fit):
 
         def run(part: slice, x0: np.ndarray, recording=recording):
             time = recording.time[part]
@@ -111,8 +129,9 @@ def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapp
             except SolveError:
                 return np.full((len(time), recording.y.shape[1]), np.nan), np.tile(x0, (len(time), 1))
 
+        T = question.lengths[-1] if question.lengths else recording.time[-1] - recording.time[0]
         window = max(T, most * float(np.median(np.diff(recording.time)))) / WINDOWS
-        (states,) = first_guess(flat, [recording], propagator, p, window)
+        states = along[i] if along else first_guess(flat, [recording], propagator, p, window)[0]
         stretches.append(stretch_of(recording, states, run, size, T, most))
     there = np.concatenate([s.left.reshape(-1, s.left.shape[-1]) for s in stretches])
     there = np.sqrt(np.nansum(there**2, axis=0) / np.maximum(np.isfinite(there).sum(axis=0), 1))

@@ -145,9 +145,9 @@ class Jobs:
         return self.of(entry, [look.values], states=look.states, size=look.size, seconds=seconds)
 
     def from_there(self, entry: Entry, best: Entry) -> Job:
-        """The fit of a structure from where the best ended, its effects at usual sizes; soon done if it is right."""
+        """The fit of a structure from where the best ended, its effects at any size; soon done if it is right."""
         known, seconds = best.fitted, SOON * self.effort.look
-        return self.of(entry, self.beside(entry, best)[1:], states=known.states, size=known.rmse, seconds=seconds)
+        return self.of(entry, self.beside(entry, best), states=known.states, size=known.rmse, seconds=seconds)
 
     def left_by(self, entry: Entry, best: Entry, question: Question, steps: int = 0) -> Job:
         """So many steps of a part of the best in the recordings of a question, from where the best has its values."""
@@ -156,10 +156,13 @@ class Jobs:
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": known.rmse}
         return dataclasses.replace(self.of(entry, [begin], **settings), question=question, iterations=steps)
 
-    def glance_from(self, best: Entry, entry: Entry, question: Question, steps: int) -> Job:
-        """So many steps in the recordings of a question from where the best ended, effects at usual sizes."""
+    def glance_from(self, best: Entry, entry: Entry, more: Mapping[str, float], question: Question, steps: int) -> Job:
+        """So many steps in the recordings of a question from where the best ended, with effects at more values, too."""
         job, seconds = self.from_there(entry, best), self.effort.look
-        return dataclasses.replace(job, question=question, stages=(0, 0), seconds=seconds, iterations=steps)
+        starts = (*([{**job.starts[0], **more}] if more else []), *job.starts)
+        return dataclasses.replace(
+            job, starts=starts, question=question, stages=(0, 0), seconds=seconds, iterations=steps
+        )
 
     def glance_on(self, best: Entry, entry: Entry, look: Look, question: Question) -> Job:
         """A few steps more from where such a look ended."""
@@ -181,9 +184,17 @@ class Jobs:
 
     def _together(self, members: Sequence[Candidate], along: Entry) -> list[dict[str, float]]:
         """Starts of several effects, first choices first."""
-        each = [self.starts_of(c, along) for c in members]
+        each = [self._expected(c, along) + self.starts_of(c, along) for c in members]
         together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
         return [{n: v for start in starts for n, v in start.items()} for starts in together]
+
+    def _expected(self, candidate: Candidate, along: Entry) -> list[dict[str, float]]:
+        """Values that first order expects of an effect beside a structure, see `foreseen`, where it was asked there.
+
+        Usual sizes may be a thousand times too large: of what integrates, a drop of oil shows.
+        """
+        _, known = self.table.foreseen.get(along.key, (None, {}))
+        return [known[candidate.label].start] if candidate.label in known else []
 
     def starts_of(self, candidate: Candidate, along: Entry) -> list[dict[str, float]]:
         """Values of one effect: from what its part would see along the run of a fitted structure, else usual ones."""
@@ -191,14 +202,14 @@ class Jobs:
 
     def _seen(self, candidate: Candidate, along: Entry) -> dict[str, np.ndarray] | None:
         table = self.table
-        entry, runs = table.possible([candidate]), self._runs_of(along)
+        entry, runs = table.possible([candidate]), self.runs_of(along)
         if not runs or not table.usable(entry):
             return None
         states = [s.name for s in table.model(along).flat.states]
         values = table.of_its_own(entry, along.fitted.values)
         return seen_by(candidate, table.model(entry), table.question.fit, states, runs, values)
 
-    def _runs_of(self, entry: Entry) -> list[np.ndarray]:
+    def runs_of(self, entry: Entry) -> list[np.ndarray]:
         """State trajectories along a fit, of the few that were asked for last; none where a run diverges."""
         fitted, runs = self._runs.pop(entry.key, (None, []))
         if fitted is not entry.fitted:

@@ -88,12 +88,17 @@ def different(starts: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]
 
 
 def small(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
-    """An effect at a tenth of a size: what is nothing where it is absent, or of the model, goes a tenth of the way.
+    """An effect at a tenth of a size."""
+    return sized(candidate, start, NEARLY)
+
+
+def sized(candidate: Candidate, start: Mapping[str, float], part: float) -> dict[str, float]:
+    """An effect at a part of a size: what is nothing where it is absent, or of the model, goes that part of the way.
 
     What is far away where it is absent, such as a limit, and what says how an effect acts are as in ``start``.
     """
     grows = [n for n in candidate.free if candidate.site.frees or candidate.neutral[n] == 0]
-    return {**start, **{n: candidate.neutral[n] + NEARLY * (start[n] - candidate.neutral[n]) for n in grows}}
+    return {**start, **{n: candidate.neutral[n] + part * (start[n] - candidate.neutral[n]) for n in grows}}
 
 
 def compatible(members: Sequence[Candidate]) -> bool:

@@ -57,7 +57,7 @@ class Table:
     """The base, its candidates, and entries by key (labels in the order of the catalogue).
 
     coloured : (ny,), SI, what of the noise is not white; told : outputs (ny,) whose noise the user gave.
-    foreseen : by key, a fit and what of it is left to first order with every other effect in addition, by label.
+    foreseen : by key, a fit and what is expected of every other effect in addition, by label, see `foreseen`.
     """
 
     base: Model
@@ -67,7 +67,7 @@ class Table:
     coloured: np.ndarray
     told: np.ndarray
     entries: dict[Key, Entry] = field(default_factory=dict)
-    foreseen: dict[Key, tuple[Fitted, dict[str, float]]] = field(default_factory=dict)
+    foreseen: dict[Key, tuple[Fitted, dict]] = field(default_factory=dict)
     _models: dict[Key, Model] = field(default_factory=dict)
 
     def entry(self, members: Iterable[Candidate] = ()) -> Entry:
@@ -120,6 +120,7 @@ class Table:
 
     def look_anew(self) -> None:
         """Forget what was seen beside the base as it was before, or through other windows: it compares with nothing."""
+        self.foreseen.clear()
         for entry in self.entries.values():
             if entry.members:
                 entry.look = None

@@ -215,7 +215,7 @@ class FmuBlock:
             "linear": [of[s.name] for s in self.inputs if not s.held],
         }
         u = np.column_stack(columns) if columns else np.empty((len(record), 0))
-        return job, {"time": record.time - record.time[0], "u": u}  # as a model's, its time is 0 as a record begins
+        return job, {"time": record.time - record.begins, "u": u}  # as a model's, its time is 0 as a record begins
 
     def _check_time_axis(self, record: Record):
         steps = np.diff(record.time)

@@ -102,7 +102,9 @@ def estimate_start(
     if how == MEASURED or not flat.states:
         return StartEstimate(record.name)
     part = _first_part(filled(record, flat), flat)
-    (measured,) = recordings(flat, [part], None, "recording")
+    measured, *_ = recordings(flat, [part], None, "recording")
+    if measured.in_motion and not record.in_motion:
+        raise DataError(f"{record.name}: it begins with a hole, so that nothing tells how {flat.name} starts there.")
     search = _Search(flat, measured, known or {}, left or {})
     seconds = float(part.time[0]), float(part.time[-1])
     best = search.best(how)

@@ -40,6 +40,17 @@ def gaps_of(time: np.ndarray) -> tuple[Gap, ...]:
     return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in at)
 
 
+@dataclass(frozen=True)
+class Whole:
+    """The recording that another one is a part of: its name, when it begins [s], its holes in words, and what was made
+    of it, a sentence."""
+
+    name: str
+    begins: float
+    holes: str
+    told: str
+
+
 class Signals(dict):
     """Signals by name. Whoever asks for one that cannot be used is told why; it is not taken for one that is absent."""
 
@@ -68,6 +79,7 @@ class Record:
     refused : columns of the file that cannot be used, and why, a sentence; it is raised where one of them is asked for.
     understood : in words, how the file was read. tags : operating condition by name (load, machine, ...), in words.
     words : of refused columns that say the same in every row, such as the name of a machine, what they say.
+    part_of : the recording that this is an unbroken part of, where that was cut at holes (`unbroken`).
 
     Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
     `UnitError` for a unit that is not SI.
@@ -84,6 +96,7 @@ class Record:
     understood: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
     words: Mapping[str, str] = field(default_factory=dict)
+    part_of: Whole | None = None
 
     def __post_init__(self):
         time = _frozen_array(self.time, f"{self.name}: time")
@@ -171,6 +184,21 @@ class Record:
     def duration(self) -> float:
         """Time from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0]) if len(self) else 0.0
+
+    @property
+    def whole(self) -> str:
+        """Its name; of a part that of the whole recording."""
+        return self.name if self.part_of is None else self.part_of.name
+
+    @property
+    def begins(self) -> float:
+        """When the recording begins [s] that this is, or is a part of: a model's time is 0 there."""
+        return float(self.time[0]) if self.part_of is None else self.part_of.begins
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether it begins where a recording goes on behind a hole: no machine rests there because a file begins."""
+        return bool(len(self)) and self.time[0] > self.begins
 
     @cached_property
     def period(self) -> float:

@@ -373,7 +373,7 @@ def test_a_criterion_that_passes_on_a_doubted_band_says_so_itself(tmp_path):
     assert first["doubt"] == "it is too narrow."
 
 
-def test_a_criterion_says_that_it_was_judged_over_a_hole():
+def test_a_criterion_says_that_it_was_judged_in_parts_around_a_hole():
     """What inputs did there nobody knows: neither a pass nor a fail is the model's alone."""
     whole = recording(5)
     keep = (whole.time < 3.0) | (whole.time > 4.0)
@@ -381,5 +381,5 @@ def test_a_criterion_says_that_it_was_judged_over_a_hole():
     compared = compare([Toy("good")], [whole, holed], modes=["free run"], repeats=0)
     asked = ("arm_angle.rmse < 9 rad", "validation_5: arm_angle.rmse < 9 rad")
     both, alone = acceptance(compared, Wanted(asked)).judged
-    assert "judged over a hole, with inputs only carried on: no samples from 2.99 s to 4.01 s of holed" in both.caution
+    assert "judged in parts, with a start of its own behind every hole: 2.99 s to 4.01 s of holed" in both.caution
     assert not alone.caution

@@ -269,7 +269,8 @@ def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path
             thing = getattr(contender, "block", contender)  # the model under the controller
         known = None if row.settings or scenario.loop else known_of(row.model)
         told = shipped_values(row.model, thing), equations_told(thing), known
-        starts = {s.estimate.record: s.estimate.values for s in comparison.starts if s.model == contender.name}
+        begun = [s for s in comparison.starts if s.model == contender.name]
+        starts = {s.of: s.estimate.values for s in reversed(begun)}  # of parts the first
         parts.append(SystemPart(contender.name, thing, *told, starts))
     archive = export_ssp(parts, path, records=comparison.records, title=comparison.title, version=version)
     for sentence in archive.left_out:

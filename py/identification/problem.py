@@ -170,7 +170,7 @@ def unbroken_for(flat, records: Sequence[Record]) -> list[Record]:
     """
     names = [s.name for s in flat.inputs]
     if not getattr(flat, "black_box", False):
-        return all_unbroken(records, names)
+        return all_unbroken(records, names, every=True)
     return [_before_holes(record, names, flat.name) for record in records]
 
 

@@ -15,10 +15,11 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.models.language.units import si_unit
 
 from . import resampling
+from .steps import few_lost, holes_at
 from .turning import turned_back
 
+TOLD = 5  # gaps in time that are named one by one
 EXACT = 1e15  # below it a number keeps every digit that a file writes
-GAP_RATIO = 20.0  # a step above this many median steps is a gap
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,8 @@ class Gap:
 
 
 def gaps_of(time: np.ndarray) -> tuple[Gap, ...]:
-    """Holes in a time axis (n,) [s]: steps above 20 median steps."""
-    steps = np.diff(time)
-    at = np.flatnonzero(steps > GAP_RATIO * np.median(steps)) if len(time) > 2 else ()
-    return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in at)
+    """Holes in a time axis (n,) [s], see `steps`."""
+    return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in holes_at(time))
 
 
 @dataclass(frozen=True)
@@ -213,15 +212,23 @@ class Record:
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
-        """Holes in the time axis: steps above 20 median steps. They are reported, never filled."""
+        """Holes in the time axis, see `steps`. They are reported, never filled."""
         return gaps_of(self.time)
 
     @property
+    def holes_in_time(self) -> tuple[str, ...]:
+        """Gaps in time, and samples that are missing beside them, in words."""
+        further, lost = len(self.gaps) - TOLD, few_lost(self.time)
+        told = [*map(str, self.gaps[:TOLD]), *([f"{further} further gaps"] if further > 0 else [])]
+        missing = "1 sample is missing" if lost == 1 else f"{lost} samples are missing, one or few at a time"
+        return (*told, *([missing] if lost else []))
+
+    @property
     def holes(self) -> tuple[str, ...]:
-        """What it lacks, in words: gaps in time, then signals without a value in some samples."""
+        """What it lacks, in words: in time, then signals without a value in some samples."""
         lacks = {name: int(np.isnan(values).sum()) for name, values in self.signals.items()}
         told = [f"{name} has no value in {count} of {len(self)} samples" for name, count in lacks.items() if count]
-        return (*map(str, self.gaps), *told)
+        return (*self.holes_in_time, *told)
 
     def array(self, names: Sequence[str]) -> np.ndarray:
         """The named signals as columns, (n, k), SI."""

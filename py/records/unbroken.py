@@ -1,6 +1,6 @@
 """A recording with holes is the unbroken parts between them: what its inputs did in a hole nobody knows.
 
-A hole is a stretch of time without samples (`gaps_of`), or without values of a signal that must be known throughout:
+A hole is a stretch of time without samples (`steps`), or without values of a signal that must be known throughout:
 longer than the steps of that signal's own raster. Whoever learns from recordings, or judges by them, takes the parts
 from here, so that all cut in the same places. A part begins where the recording goes on, most likely in motion.
 """
@@ -15,40 +15,50 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from .record import Record, Whole, gaps_of
+from .record import Record, Whole
+from .steps import few_lost, holes_at, missing_at
 
+ENOUGH = 0.5  # of the samples: cut at every one that is missing, a recording would lose more
 FEWEST = 50  # samples of a part that tells more than where it starts
 OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
 SHOWN = 3  # holes that a sentence names
 
 
-def unbroken(record: Record, known: Iterable[str]) -> tuple[Record, ...]:
+def unbroken(record: Record, known: Iterable[str], every: bool = False) -> tuple[Record, ...]:
     """The parts of a recording between its holes; the recording itself where it has none.
 
     known : signals that must have values throughout; of others, samples may be unknown.
+    every : cut, too, where one sample is missing, or few: what follows the noise sees them. Where that would leave less
+        than half of the samples, it is not done, and told.
 
     Parts of fewer than `FEWEST` samples are left out. Raises DataError where no other is left.
     """
-    every = _between_holes(record, known)
-    if every == [slice(0, len(record))] or record.part_of is not None:
+    if record.part_of is not None:
         return (record,)
-    kept = [part for part in every if part.stop - part.start >= FEWEST]
+    lost, known = few_lost(record.time), tuple(known)
+    parts = _between(record, known, missing_at(record.time) if every else holes_at(record.time))
+    if every and lost and _samples(_long(parts)) < ENOUGH * len(record):
+        every, parts = False, _between(record, known, holes_at(record.time))
+    kept, holes = _long(parts), _holes(record, parts)
+    told = [_cut(record, holes, parts, kept)] if holes else []
+    told += [_carried(record, lost)] if lost and not every else []
+    if not told:
+        return (record,)
     if not kept:
         raise DataError(
             f"{record.source or record.name}: nothing to learn from or to judge by between its holes "
-            f"({_named(_holes(record, every))}): the longest part has {max(p.stop - p.start for p in every)} samples, "
-            f"and it takes {FEWEST}. Record it again."
+            f"({_named(holes)}): the longest part has {max(p.stop - p.start for p in parts)} samples, and it takes "
+            f"{FEWEST}. Record it again."
         )
-    holes = _named(_holes(record, every))
-    whole = Whole(record.name, float(record.time[0]), holes, _told(record, holes, every, kept))
+    whole = Whole(record.name, float(record.time[0]), _named(holes), " ".join(told))
     names = [record.name] if len(kept) == 1 else [f"{record.name} (part {k + 1})" for k in range(len(kept))]
     return tuple(_part(record, at, name, whole) for at, name in zip(kept, names, strict=True))
 
 
-def all_unbroken(records: Sequence[Record], known: Iterable[str]) -> list[Record]:
+def all_unbroken(records: Sequence[Record], known: Iterable[str], every: bool = False) -> list[Record]:
     """`unbroken` of all recordings."""
     known = tuple(known)
-    return [part for record in records for part in unbroken(record, known)]
+    return [part for record in records for part in unbroken(record, known, every)]
 
 
 def cuts(records: Iterable[Record]) -> list[str]:
@@ -75,8 +85,8 @@ def _part(record: Record, at: slice, name: str, whole: Whole) -> Record:
     return dataclasses.replace(record, time=record.time[at], signals=signals, name=name, part_of=whole)
 
 
-def _between_holes(record: Record, known: Iterable[str]) -> list[slice]:
-    """Samples of every part, the short ones too."""
+def _between(record: Record, known: Sequence[str], after: np.ndarray) -> list[slice]:
+    """Samples of every part, the short ones too; ``after`` : samples behind which there is a hole."""
     lost = np.zeros(len(record), dtype=bool)
     for name in dict.fromkeys(known):
         if name in record.signals:
@@ -84,9 +94,17 @@ def _between_holes(record: Record, known: Iterable[str]) -> list[slice]:
     if lost.all():  # a signal that is never known is no hole: who needs it says so
         return [slice(0, len(record))]
     begins = np.zeros(len(record) + 1, dtype=bool)
-    begins[[0, *(gap.index + 1 for gap in gaps_of(record.time)), len(record)]] = True
+    begins[[0, *(after + 1), len(record)]] = True
     begins[1:-1] |= lost[1:] != lost[:-1]
     return [slice(int(a), int(b)) for a, b in pairwise(np.flatnonzero(begins)) if not lost[a]]
+
+
+def _long(parts: Sequence[slice]) -> list[slice]:
+    return [part for part in parts if part.stop - part.start >= FEWEST]
+
+
+def _samples(parts: Sequence[slice]) -> int:
+    return sum(part.stop - part.start for part in parts)
 
 
 def _holes(record: Record, parts: Sequence[slice]) -> list[tuple[float, float]]:
@@ -105,8 +123,8 @@ def _named(holes: Sequence[tuple[float, float]]) -> str:
     return ", ".join(f"{a:.6g} s to {b:.6g} s" for a, b in holes[:SHOWN]) + more
 
 
-def _told(record: Record, holes: str, every: Sequence[slice], kept: Sequence[slice]) -> str:
-    """What was made of a recording with these holes, in a sentence."""
+def _cut(record: Record, holes: Sequence, parts: Sequence[slice], kept: Sequence[slice]) -> str:
+    """What was made of a recording with holes, in a sentence."""
     if len(kept) == 1:
         first, last = record.time[kept[0].start], record.time[kept[0].stop - 1]
         made = f"it is taken from {first:.6g} s to {last:.6g} s"
@@ -114,9 +132,15 @@ def _told(record: Record, holes: str, every: Sequence[slice], kept: Sequence[sli
         made = f"it was cut into {len(kept)} parts"
     if any(part.start > 0 for part in kept):
         made += ", with a start of its own where it goes on"
-    few = sum(part.stop - part.start for part in every) - sum(part.stop - part.start for part in kept)
-    left = f"; {few} samples beside them are left out, for a part of fewer than {FEWEST} tells nothing" if few else ""
+    few = _samples(parts) - _samples(kept)
+    left = f"; {few} samples beside them are left out, for a part of fewer than {FEWEST} tells little" if few else ""
     return (
-        f"{record.name} has {'holes' if ',' in holes or ' and ' in holes else 'a hole'} ({holes}), and what its inputs "
-        f"did there nobody knows: {made}{left}."
+        f"{record.name} has {'holes' if len(holes) > 1 else 'a hole'} ({_named(holes)}), and what its inputs did there "
+        f"nobody knows: {made}{left}."
     )
+
+
+def _carried(record: Record, lost: int) -> str:
+    """That samples are missing where a recording is not cut, in a sentence."""
+    count = "1 sample" if lost == 1 else f"{lost} samples, one or few at a time"
+    return f"{record.name} lacks {count}; inputs are carried on there, which may look like an error of a model."

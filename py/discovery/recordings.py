@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hydrotwin.identification.noise import output_noise, quanta
-from hydrotwin.identification.problem import Recording, recordings, unbroken_for
+from hydrotwin.identification.problem import Recording, delays_filled, recordings, unbroken_for
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import cuts, distinct, shares_samples
@@ -109,7 +109,8 @@ def _in_pieces(flat: FlatModel, name: str, parts: tuple[Recording, ...]) -> tupl
         shares = [np.array([0, FIT_SHARE, 1])]
     cuts_of = [(share * len(r.time)).astype(int) for r, share in zip(parts, shares, strict=True)]
     pieces = [(r, slice(a, b)) for r, edges in zip(parts, cuts_of, strict=True) for a, b in pairwise(edges)]
-    return tuple(_piece(r, at, f"{name} (part {k + 1})") for k, (r, at) in enumerate(pieces))
+    cut = [_piece(r, at, f"{name} (part {k + 1})") for k, (r, at) in enumerate(pieces)]
+    return tuple(delays_filled(flat, piece) for piece in cut)
 
 
 def _integrates(flat: FlatModel, recording: Recording) -> bool:

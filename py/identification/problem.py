@@ -16,6 +16,8 @@ from hydrotwin.records import Record, all_unbroken, as_needed, known_inputs, req
 from hydrotwin.records.noise import recorded_step
 from hydrotwin.simulation.inputs import as_seen
 
+LATE = 0.5  # of a part that begins in motion: more of it is not left out for what a late input may have done before
+
 
 @dataclass(frozen=True, eq=False)
 class FreeParameters:
@@ -224,4 +226,19 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
             f"At least one of {', '.join(wanted)} is needed."
         )
     u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
-    return Recording(name, record.digest, time - begins, u, y, record.in_motion)
+    return delays_filled(flat, Recording(name, record.digest, time - begins, u, y, record.in_motion))
+
+
+def delays_filled(flat: FlatModel, recording: Recording) -> Recording:
+    """The recording without what it measured as long as late inputs act that came before it, and nobody knows.
+
+    Where a recording begins a machine rests, and nothing acts late; a part of it begins in motion.
+    """
+    late = [s.dead_time for s in flat.inputs if s.dead_time]
+    if not (recording.in_motion and late):
+        return recording
+    value, bound = flat.parameter_vector(), {p.name: p.bounds[1] for p in flat.parameters}
+    longest = max(bound[n] if np.isfinite(bound[n]) else value[flat.index_of(n)] for n in late)
+    since = recording.time - recording.time[0]
+    unknown = since < min(longest, LATE * since[-1])
+    return dataclasses.replace(recording, y=np.where(unknown[:, None], np.nan, recording.y))

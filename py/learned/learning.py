@@ -134,6 +134,7 @@ def trained(
         )
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     records = unbroken_for(records, inputs, outputs, model)
+    options |= {"select": unbroken_for(options["select"], inputs, outputs, model)} if options.get("select") else {}
     split = held_out_of(records, inputs, outputs, model)
 
     def on(some: Sequence[Record]) -> Block:

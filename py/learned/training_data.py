@@ -9,7 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, all_unbroken, noise_floor, require
+from hydrotwin.records import Record, noise_floor, require
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
@@ -85,13 +85,13 @@ def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tup
 
 
 def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]:
-    """The recordings with just these columns, cut at their holes; `DataError` for what nothing can be learnt from."""
+    """The recordings with just these columns; raises `DataError` for what nothing can be learnt from."""
     if not records:
         raise DataError("learn: no recordings (got an empty list). Give at least one Record.")
     checked = []
-    names = [s.name for s in signals]
-    for wanted in all_unbroken([require(record, signals, "the block") for record in records], names):
-        where = wanted.source or wanted.name
+    for record in records:
+        where = record.source or record.name
+        wanted = require(record, signals, "the block")
         for name in wanted.names:
             bad = np.flatnonzero(~np.isfinite(wanted[name]))
             if len(bad):
@@ -99,6 +99,10 @@ def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]
                     f"{where}: column '{name}' has {len(bad)} values that are not numbers, the first at "
                     f"{wanted.time[bad[0]]:g} s. Training needs every sample. Cut the record with window()."
                 )
+        if wanted.gaps:
+            raise DataError(
+                f"{where}: {wanted.gaps[0]}. Training needs an unbroken recording. Cut it in two with window()."
+            )
         checked.append(wanted)
     return checked
 

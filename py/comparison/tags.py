@@ -86,7 +86,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     found = _STEPS.fullmatch(what)
     name = found["column"] if found else what
     if not found and name in record.words:
-        return record.words[name]
+        return _one_word(record, tag, name)
     values = record[name]
     unit = record.display_units.get(name, record.units[name])
     if found and not number_of(found["step"]) > 0:
@@ -116,6 +116,17 @@ def _from_column(record: Record, tag: str, what: str) -> str:
                 f"{unit}. Say by how much conditions differ: '{name} by {np.ptp(shown):.1g} {unit}'."
             )
     return f"{number + 0.0:.{digits}g}" + (f" {unit}" if unit != "1" else "")
+
+
+def _one_word(record: Record, tag: str, name: str) -> str:
+    """What a column of texts says. Raises DataError where it changes."""
+    first, *others = record.words[name]
+    if others:
+        raise DataError(
+            f"tags: {tag} = '{name}': {name} of {record.name} changes from '{first}' to '{others[0]}' within the "
+            "recording, which is of more than one condition then. Cut the file there, or say the tag of it."
+        )
+    return first
 
 
 def _plain(where: str, value: object) -> str:

@@ -77,7 +77,8 @@ class Record:
     display_units : the units a person reads them in, kept from the file. source, digest : the file and its SHA-256.
     refused : columns of the file that cannot be used, and why, a sentence; it is raised where one of them is asked for.
     understood : in words, how the file was read. tags : operating condition by name (load, machine, ...), in words.
-    words : of refused columns that say the same in every row, such as the name of a machine, what they say.
+    words : what columns say, as the file writes it: the name of a machine, a serial number with zeros before it. Of
+    texts that change within the recording, the first two.
     part_of : the recording that this is an unbroken part of, where that was cut at holes (`unbroken`).
 
     Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
@@ -94,7 +95,7 @@ class Record:
     refused: Mapping[str, str] = field(default_factory=dict)
     understood: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
-    words: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     part_of: Whole | None = None
 
     def __post_init__(self):
@@ -168,7 +169,7 @@ class Record:
 
     def _left_out(self) -> list[tuple[str, str]]:
         """Columns that cannot be used, and what those say that say the same in every row; why is told below."""
-        return [(name, self.words.get(name, "")) for name in self.refused]
+        return [(name, "".join(said) if len(said := self.words.get(name, ())) == 1 else "") for name in self.refused]
 
     def _short(self, sentence: str) -> str:
         """A sentence without the path of the file that it begins with."""

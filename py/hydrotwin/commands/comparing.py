@@ -175,7 +175,9 @@ def compare(
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     before = _state(output / "compare.json")
     matrix = run(described, loaded, output, runs)
-    for word in dict.fromkeys(notes(matrix)):
+    fmus = {spec: thing for spec, thing in loaded.items() if hasattr(thing, "constants_read")}
+    read = [f"{spec}: {s}" for spec, thing in fmus.items() for s in thing.constants_read(described.reading.constants)]
+    for word in dict.fromkeys([*read, *notes(matrix)]):
         mark(err, "note", word)
     accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
     if not any(one.comparison.scores for one in matrix.runs):

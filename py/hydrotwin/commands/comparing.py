@@ -17,8 +17,8 @@ from hydrotwin.records import Reading, require
 
 from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
-from .exporting import equations_told
-from .recording_evidence import known_of, recorded_as
+from .exporting import credibility_told, equations_told
+from .recording_evidence import recorded_as
 from .recordings import reads, told_in
 from .shared import (
     InitialStatesOption,
@@ -269,7 +269,7 @@ def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path
         thing = things.get(contender.name, contender)
         if scenario.loop:
             thing = getattr(contender, "block", contender)  # the model under the controller
-        known = None if row.settings or scenario.loop else known_of(row.model)
+        known = None if row.settings or scenario.loop else credibility_told(thing, row.model)
         told = shipped_values(row.model, thing), equations_told(thing), known
         begun = [s for s in comparison.starts if s.model == contender.name]
         starts = {s.of: s.estimate.values for s in reversed(begun)}  # of parts the first

@@ -117,8 +117,10 @@ def export(
 
 
 def credibility_told(thing, model: str):
-    """What vouches for it: the record of its model file, or of a learned block what it was trained on and its card; None
-    of an FMU, which has its own inside."""
+    """What vouches for it: the record of its model file, or of a learned block what it was trained on and its card.
+
+    None of an FMU, which has its own inside.
+    """
     if hasattr(thing, "flat"):
         return known_of(model)
     if not hasattr(thing, "step"):

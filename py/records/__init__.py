@@ -9,7 +9,7 @@ from .require import as_needed, copies, known_inputs, require, require_once, sha
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
-from .unbroken import all_unbroken, cuts, unbroken
+from .unbroken import all_unbroken, cuts, joined, unbroken
 
 __all__ = [
     "EXACT",
@@ -29,6 +29,7 @@ __all__ = [
     "gaps_of",
     "import_from",
     "import_text",
+    "joined",
     "known_inputs",
     "noise_floor",
     "one_euro",

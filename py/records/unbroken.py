@@ -61,6 +61,15 @@ def all_unbroken(records: Sequence[Record], known: Iterable[str], every: bool = 
     return [part for record in records for part in unbroken(record, known, every)]
 
 
+def joined(parts: Sequence[Record]) -> Record:
+    """Parts of one recording, or runs through them, as one again, without what is between them."""
+    if len(parts) == 1:
+        return parts[0]
+    signals = {n: np.concatenate([part[n] for part in parts]) for n in parts[0].names}
+    time = np.concatenate([part.time for part in parts])
+    return dataclasses.replace(parts[0], time=time, signals=signals, name=parts[0].whole, part_of=None)
+
+
 def cuts(records: Iterable[Record]) -> list[str]:
     """Of recordings that were cut at their holes, what was made of them: a sentence for each."""
     return list(dict.fromkeys(r.part_of.told for r in records if r.part_of is not None))

@@ -96,3 +96,12 @@ def test_a_recording_of_holes_alone_is_refused():
     holes = np.where(np.arange(len(torn)) % 60 > 40, np.nan, torn["command"])
     with pytest.raises(DataError, match="nothing to learn from or to judge by between its holes"):
         compared(torn.with_signals({"command": holes}))
+
+
+def test_a_start_behind_a_hole_is_found_where_late_inputs_of_before_still_act():
+    model = drive(dead_time=True).with_parameters({"delay": 0.1})
+    whole = recorded(model, 1, noise={}, parameters={"delay": 0.1}, duration=20)
+    found = compare([as_contender(model, "right")], [without(whole, (6, 9))], modes=[FREE_RUN], repeats=0)
+    curve = found.trajectories[0].prediction
+    later = curve.time > 9.6
+    assert np.abs(curve["position"] - found.records[0]["position"])[later].max() < 2e-3

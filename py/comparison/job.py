@@ -156,7 +156,8 @@ def _predict(legs: Sequence[tuple[Contender, Record]], mode: str, job: Job, foun
         prediction = with_rates(prediction, plan.sloped, record)
     deviation = _joined(record, [(run.time, sd) for run, (sd, _) in zip(runs, bands, strict=True)])
     chances = [chance for _, chance in bands]
-    chance = {n: min(1.0, len(chances) * min(one[n] for one in chances)) for n in chances[0]}  # of several one is it
+    each = {n: [one[n] for one in chances] for n in chances[0] if all(n in one for one in chances)}
+    chance = {n: min(1.0, len(chances) * min(values)) for n, values in each.items()}  # that of one of several parts
     signals, units = dict(prediction.signals), dict(prediction.units)
     return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)
 
@@ -173,7 +174,8 @@ def _joined(record: Record, parts: Sequence[tuple[np.ndarray, Mapping[str, np.nd
     """Columns (n,) at the times of a recording, of its parts: their times and columns. NaN where there is none."""
     if len(parts[0][0]) == len(record):
         return dict(parts[0][1])
-    columns = {name: np.full(len(record), np.nan) for name in parts[0][1]}
+    names = [name for name in parts[0][1] if all(name in values for _, values in parts)]
+    columns = {name: np.full(len(record), np.nan) for name in names}
     for times, values in parts:
         at = np.searchsorted(record.time, times)
         for name, column in columns.items():

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Record, all_unbroken, as_needed, known_inputs, require, unbroken
+from hydrotwin.records import Record, as_needed, known_inputs, require, unbroken
 from hydrotwin.records.noise import recorded_step
 from hydrotwin.simulation.inputs import as_seen
 
@@ -171,9 +171,15 @@ def unbroken_for(flat, records: Sequence[Record]) -> list[Record]:
     Raises DataError for a recording of which no part is long enough, or not the one that is needed.
     """
     names = [s.name for s in flat.inputs]
-    if not getattr(flat, "black_box", False):
-        return all_unbroken(records, names, every=True)
-    return [_before_holes(record, names, flat.name) for record in records]
+    if getattr(flat, "black_box", False):
+        return [_before_holes(record, names, flat.name) for record in records]
+    return [part for record in records for part in _that_tell(flat, unbroken(record, names, every=True))]
+
+
+def _that_tell(flat, parts: Sequence[Record]) -> list[Record]:
+    """Parts in which a sensor of the model said anything; all where none did."""
+    telling = [p for p in parts if any(np.isfinite(p[s.name]).any() for s in flat.outputs if s.name in p.signals)]
+    return telling or list(parts)
 
 
 def _before_holes(record: Record, names: Sequence[str], model: str) -> Record:

@@ -39,7 +39,8 @@ def unbroken(record: Record, known: Iterable[str], every: bool = False) -> tuple
     parts = _between(record, known, missing_at(record.time) if every else holes_at(record.time))
     if every and lost and _samples(_long(parts)) < ENOUGH * len(record):
         every, parts = False, _between(record, known, holes_at(record.time))
-    kept, holes = _long(parts), _holes(record, parts)
+    holes = _holes(record, parts)
+    kept = _long(parts) if holes else parts
     told = [_cut(record, holes, parts, kept)] if holes else []
     told += [_carried(record, lost)] if lost and not every else []
     if not told:

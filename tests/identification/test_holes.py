@@ -92,6 +92,12 @@ def test_what_a_late_input_did_before_a_part_is_no_error_of_the_model():
     assert all(r.chi2_per_sample < 1.4 for r in fit.residuals)
 
 
+def test_a_part_in_which_no_sensor_said_anything_is_left_out():
+    silent = unknown(without(recorded(drive(), 1, noise=NOISE), (3, 5)), 4.9, 10.1, "position", "motor_speed")
+    fit = identify(drive(), [silent, recorded(drive(), 2, noise=NOISE)], starts=1)
+    assert [r.name for r in fit.records] == ["run_1 (part 1)", "run_2"]
+
+
 def test_what_else_looks_at_recordings_cuts_them_too():
     records = [without(recorded(drive(), seed, noise=NOISE), (3, 5)) for seed in (1, 2)]
     told = "was cut into 2 parts"

@@ -111,6 +111,11 @@ def test_where_too_much_would_be_lost_it_is_told_and_not_cut():
     assert len(kept) == 900 and "lacks 100 samples" in cuts([kept])[0]
 
 
+def test_a_short_recording_that_lacks_a_sample_is_no_less_than_it_was():
+    (kept,) = unbroken(recording(even(40), lost=[slice(20, 21)]), ["u"], every=True)
+    assert len(kept) == 39 and "lacks 1 sample;" in cuts([kept])[0]
+
+
 def test_short_parts_are_left_out_and_told_and_without_any_other_it_is_refused():
     parts = unbroken(recording(lost=[slice(300, 400), slice(430, 500)]), ["u"])
     assert spans(parts) == [(0, 2.99, 300), (5, 9.99, 500)]

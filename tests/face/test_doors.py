@@ -18,15 +18,12 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
-from hydrotwin.commands.fitting import force_of
-from hydrotwin.commands.shared import bounds_from, duration_of, settings_from, step_in_seconds
-from hydrotwin.commands.training import options_of
+from hydrotwin.commands.shared import bounds_from, settings_from, step_in_seconds
 from hydrotwin.comparison.loop import Loop, limits_of
 from hydrotwin.comparison.meaning import criterion
 from hydrotwin.comparison.running import things_of
 from hydrotwin.comparison.varied import varied
 from hydrotwin.export.parameter_sets import parameters_of
-from hydrotwin.learned import characteristic, learn_arx, learn_inverse
 from hydrotwin.loading import load
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.models.language.model_file import write_model_file
@@ -333,28 +330,6 @@ def test_a_constant_of_recordings_is_read_as_usual_and_says_what_an_fmu_would_re
 
 
 # -- times, options ----------------------------------------------------------------------------------------------------
-def test_times_and_forces_of_options_take_their_units():
-    budget, load = duration_of("--budget", 0.1), [force_of(text) for text in ("2.5kN", "2500", "2500 N")]
-    assert [budget(text) for text in ("90", "1.5min", "1min 30s", "90000 ms")] == [90.0] * 4 and load == [2500.0] * 3
-    for text, said in (("3 kg", "no duration of 0.1 s or more"), ("50ms", "no duration"), ("0", "no duration")):
-        with pytest.raises(HydrotwinError, match=rf"--budget {text}: {said}"):
-            budget(text)
-    with pytest.raises(HydrotwinError, match="--load"):
-        force_of("2 bar")
-
-
-def test_options_of_kinds_take_their_units():
-    def options(*settings):
-        return options_of("invert", learn_inverse, settings, {}, characteristic)
-
-    assert options("settle=200ms", "window=0.5", "steady=5 %") == {"settle": 0.2, "window": 0.5, "steady": 0.05}
-    assert options_of("learn arx", learn_arx, ["period=10 ms", "delay=3"], {}) == {"period": 0.01, "delay": 3}
-    with pytest.raises(HydrotwinError, match="settle"):
-        options("settle=2 bar")
-    with pytest.raises(HydrotwinError, match=r"delay cannot be '30ms'\. It takes a whole number"):
-        options_of("learn arx", learn_arx, ["delay=30ms"], {})
-
-
 def test_times_take_their_units():
     assert [step_in_seconds(text) for text in ("2ms", "0.002", "0.002 s")] == [0.002] * 3
     said = "models = ['bench.py:bench']\nvalidate = ['run.csv']\n[variants.a]\nstep = {0}\nperiod = {0}\n"

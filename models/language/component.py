@@ -14,7 +14,7 @@ from .declarations import PLACEHOLDER, Input, Output, Parameter, Port, Slot, Sta
 from .dimensions import NUMBER, check_units, grows_with, literals
 from .elaboration import Elaboration, Entry, Equation
 from .errors import DeclarationError, UnitError, nearest
-from .units import dimension
+from .units import dimension, to_si
 from .user_code import Here, place_of_code, running
 
 RESERVED = ("path", "parent", "changes")  # attributes of every component
@@ -232,7 +232,7 @@ def _check_change(where: Here, declaration, change) -> None:
 
 def _check_number(where: Here, declaration: Parameter | State, number: float) -> None:
     """A number alone is in SI, and within the bounds."""
-    if declaration.written_in:
+    if declaration.written_in and to_si(number, declaration.written_in)[0] != number:
         kind = type(declaration).__name__
         raise DeclarationError(
             f"{where}: declared in {declaration.written_in}, so {number:g} alone may mean {declaration.written_in} or "

@@ -13,7 +13,7 @@ import casadi as ca
 
 from .errors import DeclarationError, UnitError
 from .flat import INTERPOLATIONS
-from .units import Unit, parse_unit
+from .units import Unit, is_difference, parse_unit
 from .user_code import Here
 
 Bounds = tuple[float, float]
@@ -59,7 +59,7 @@ class _Quantity:
         if hasattr(self, "bounds"):
             self._settle_bounds(where, known)
         if known and known.si != self.unit:
-            if (known.factor, known.offset) != (1.0, 0.0):
+            if (known.factor, known.offset) != (1.0, 0.0) or is_difference(self.unit):
                 object.__setattr__(self, "written_in", self.unit)
             object.__setattr__(self, "unit", known.si)
 

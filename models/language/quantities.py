@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from numbers import Real
 
 from .errors import DeclarationError, UnitError
-from .units import Unit, convert, convert_difference, describe, display_units, parse_unit
+from .units import Unit, convert, convert_difference, describe, display_units, is_difference, parse_unit
 
 NUMBER = r"[-+\N{MINUS SIGN}]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+\N{MINUS SIGN}]?\d+)?"
 _WRITTEN = re.compile(rf"\s*({NUMBER})(?:\s+|(?![\d.,]))(.*?)\s*", re.DOTALL)
@@ -25,8 +25,8 @@ class Wanted:
 
     name : what it is the value of, told in errors. unit : what the answer is in, SI or the own unit of a file.
     written_in : the unit in which it is declared or shown, where that is another one: a number alone may mean two then.
-    difference : zeros of units do not count. own : units that its file defines itself, by name: there these names mean
-    what it says, whatever others call so.
+    difference : zeros of units do not count, as where it is declared in delta_degC. own : units that its file defines
+    itself, by name: there these names mean what it says, whatever others call so.
     """
 
     name: str
@@ -34,6 +34,9 @@ class Wanted:
     written_in: str = ""
     difference: bool = False
     own: Mapping[str, Unit] = field(default_factory=dict)
+
+    def __post_init__(self):
+        object.__setattr__(self, "difference", self.difference or is_difference(self.written_in))
 
     @property
     def target(self) -> Unit:

@@ -35,6 +35,7 @@ SYMBOLS = {
     "Wh": ("watt*hour", "J", "M k m"), "Ah": ("ampere*hour", "C", "m"), "eV": ("electron_volt", "J", "M k"),
     "hp": ("horsepower", "W", ""), "PS": ("metric_horsepower", "W", ""),
     "degC": ("kelvin", "K", ""), "°C": ("kelvin", "K", ""), "degF": ("degR", "K", ""), "°F": ("degR", "K", ""),
+    "delta_degC": ("kelvin", "K", ""), "delta_degF": ("degR", "K", ""),  # differences, as pint writes them
     "%": ("percent", "1", ""), "ppm": ("ppm", "1", ""), "‰": ("permille", "1", ""),
     "count": ("dimensionless", "1", ""), "counts": ("dimensionless", "1", ""),
 }  # fmt: skip

@@ -23,6 +23,7 @@ BASE_UNITS = ("m", "kg", "s", "A", "K", "mol", "cd")
 _BASE_NAMES = ("length", "mass", "time", "current", "temperature", "substance", "luminosity")
 
 _PER_MINUTE = {"min": Fraction(-1)}  # DIN and Modelica libraries count revolutions so; a rate is in 1/s
+DELTA = "delta_"  # before a temperature: a difference of two
 _ZERO_POINT = {"degC": 273.15, "°C": 273.15, "degF": 459.67 / 1.8, "°F": 459.67 / 1.8}  # K at 0 of a bare temperature
 
 _DISPLAY = {
@@ -38,7 +39,7 @@ _GAUGE = re.compile(
 _TEMPERATURE = re.compile(r"(?:grad|degrees?|deg) *(c|f)(?:elsius|ahrenheit)?", re.IGNORECASE)
 _TOKEN = re.compile(
     r"(?P<sqrt>sqrt\()|(?P<open>\()|(?P<close>\))|(?P<over>/)|(?P<power>\*\*|\^)|(?P<times>[.*·⋅ ])"
-    r"|(?P<number>[-+]?\d+)|(?P<symbol>[A-Za-zμΩ°%‰]+)"
+    r"|(?P<number>[-+]?\d+)|(?P<symbol>delta_deg[CF]|[A-Za-zμΩ°%‰]+)"
 )
 
 
@@ -165,6 +166,15 @@ def describe(unit: str) -> str:
         if power
     ]
     return " ".join(words) or "dimensionless"
+
+
+def is_difference(unit: str) -> bool:
+    """Whether a unit says that only differences count, whatever the zero of the scale is.
+
+    >>> is_difference("delta_degC"), is_difference("degC"), is_difference("K")
+    (True, False, False)
+    """
+    return unit.startswith(DELTA)
 
 
 def display_units(unit: str) -> tuple[str, ...]:

@@ -138,7 +138,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         seen=_seen(comparison, model, holding),
         flat=_flat(comparison, about, holding),
-        holes=holes_of(r for r in comparison.records if r.name in holding),
+        holes=holes_of([r for r in comparison.records if r.name in holding], comparison.entrants),
         otherwise=_started_otherwise(comparison, model, about.than, holding),
     )
     if np.isinf(one.value):
@@ -178,7 +178,7 @@ def _started_otherwise(comparison: Comparison, model: str, than: str, holding: t
     """That of two models only one had its start estimated, in a sentence: errors may differ by that alone."""
     if than not in {e.name for e in comparison.entrants} - comparison.yardsticks:
         return ()
-    estimated = {(s.model, s.estimate.record) for s in comparison.starts if s.estimate.states}
+    estimated = {(s.model, s.of) for s in comparison.starts if s.estimate.states}
     differ = [r for r in holding if ((model, r) in estimated) is not ((than, r) in estimated)]
     if not differ:
         return ()

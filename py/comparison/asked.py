@@ -19,7 +19,7 @@ from .earlier import Earlier, earlier
 from .meaning import criteria_of
 from .metric import METRICS, SCORED
 from .rates import rate_signal
-from .tags import groups, of_group
+from .tags import each_tag, groups, of_group
 
 if TYPE_CHECKING:
     from .acceptance import Wanted
@@ -140,7 +140,13 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
                 f"accept: '{one.text}': {one.group} is an output, and recordings stand before a colon. Write "
                 f"{one.group}.{one.metric}."
             )
-        raise DeclarationError(f"accept: '{one.text}': no recordings '{one.group}'. {nearest(one.group, known)}")
+        lost = next((tag for tag in each_tag(one.group) if not of_group(asked.records, tag)), "")
+        if not lost:
+            raise DeclarationError(
+                f"accept: '{one.text}': there are recordings of each of these tags, and none of all at once. They have "
+                f"{'; '.join(dict.fromkeys(_tags_of(r) for r in asked.records if r.tags))}."
+            )
+        raise DeclarationError(f"accept: '{one.text}': no recordings '{lost}'. {nearest(lost, known)}")
     _check_name(one, asked)
     _check_model(one, asked, model)
     if one.than and not one.than.endswith(SUFFIX):
@@ -157,6 +163,10 @@ def check_criterion(one: Criterion, asked: Asked, model: str) -> None:
             f"accept: '{one.text}': {what} is scored in free run only, and judged is the first mode, {asked.mode}. Put "
             "'free run' first."
         )
+
+
+def _tags_of(record: Record) -> str:
+    return ", ".join(f"{tag}={value}" for tag, value in record.tags.items())
 
 
 def _check_other(one: Criterion, asked: Asked, model: str) -> None:

@@ -156,7 +156,9 @@ class PhysicalContender:
 
     def _known_start(self, record: Record) -> Mapping[str, float] | None:
         by_record = self._starts()
-        return self.start if by_record is None else by_record.get(record.name)
+        if record.in_motion:  # a start that is given is of where a recording begins
+            return None
+        return self.start if by_record is None else by_record.get(record.whole)
 
 
 class BlockContender:

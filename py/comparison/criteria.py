@@ -59,7 +59,7 @@ class Judged:
     is held against, an earlier comparison or another model, in sentences. among : of an overall criterion all outputs
     that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
     it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
-    metric counts by, in words; "" where it moves. holes : stretches without samples that runs were made over, in words.
+    metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words.
     """
 
     criterion: Criterion
@@ -120,7 +120,7 @@ class Judged:
         if self.seen:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
         if self.holes:
-            told.append(f"judged over a hole, with inputs only carried on: {self.holes}")
+            told.append(f"judged in parts, with a start of its own behind every hole: {self.holes}")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         told += [words for words in (self.flat, self.uneven) if words]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,12 +16,13 @@ from hydrotwin.learned.bands import scores
 from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
-from hydrotwin.records import NoiseFloor, Record, require
+from hydrotwin.records import NoiseFloor, Record, require, unbroken
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.memory import key_of
 
 from .band import SD
 from .comparison import FREE_RUN, MODES, Failure, Score, Unscored
+from .contender import Contender
 from .field import Predicted, field_metrics
 from .metrics import errors_of
 from .rates import with_rates
@@ -35,13 +36,17 @@ WARNINGS: Mapping[str, type[Warning]] = {w.__name__: w for w in (InaccurateWarni
 
 @dataclass(frozen=True)
 class Plan:
-    """What is scored: ``wanted`` outputs in every mode, the ``rates`` of the ``sloped`` outputs in free run only."""
+    """What is scored: ``wanted`` outputs in every mode, the ``rates`` of the ``sloped`` outputs in free run only.
+
+    known : signals without which no model runs; where a recording has a hole in one, runs begin anew behind it.
+    """
 
     modes: tuple[str, ...]
     wanted: tuple[Signal, ...]
     sloped: tuple[Signal, ...]
     rates: tuple[Signal, ...]
     initial_states: str
+    known: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +96,7 @@ class Done:
     residuals: tuple[Residual, ...]
     failures: tuple[Failure, ...]
     unscored: tuple[Unscored, ...]
-    started: Started | None
+    started: tuple[Started, ...]
     warned: tuple[tuple[str, str], ...]
 
 
@@ -104,16 +109,18 @@ def run_job(job: Job) -> Done:
         warnings.simplefilter("ignore")
         for kind in WARNINGS.values():
             warnings.simplefilter("always", kind)
-        contender, started = start_of(job.carried.contender, job.record, job.plan.initial_states)
-        found = _Found([], [], [], [], [])
+        contender, found = job.carried.contender, _Found([], [], [], [], [])
+        parts = unbroken(job.record, job.plan.known)
+        begun = [start_of(contender, part, job.plan.initial_states) for part in parts]
+        legs = [(own, part) for (own, _), part in zip(begun, parts, strict=True)]
         for mode in job.plan.modes:
-            run = _predict(contender, mode, job, found)
+            run = _predict(legs, mode, job, found)
             if run is not None:
                 found.runs.append(run if job.curves else _lean(run, contender, job.record))
                 _score(contender, run, job, found)
     warned = dict.fromkeys((w.category.__name__, str(w.message)) for w in caught)
     rows = (tuple(rows) for rows in (found.runs, found.scores, found.residuals, found.failures, found.unscored))
-    return Done(*rows, started, tuple(warned))
+    return Done(*rows, tuple(started for _, started in begun if started), tuple(warned))
 
 
 @dataclass
@@ -127,32 +134,61 @@ class _Found:
     unscored: list[Unscored]
 
 
-def _predict(contender, mode: str, job: Job, found: _Found) -> Run | None:
-    """What one contender predicts in one mode, timed; a failure becomes a row, and the answer None."""
-    record, plan = job.record, job.plan
+def _predict(legs: Sequence[tuple[Contender, Record]], mode: str, job: Job, found: _Found) -> Run | None:
+    """What one contender predicts in one mode, timed; a failure becomes a row, and the answer None.
+
+    legs : it with its start on every part of the recording, and the part. What is between them nothing predicts.
+    """
+    (contender, _), record, plan = legs[0], job.record, job.plan
     if mode not in getattr(contender, "modes", MODES):
         reason = f"no {mode}: its states cannot be set"
         found.unscored.extend(Unscored(contender.name, record.name, s.name, reason) for s in plan.wanted)
         return None
-    run = contender.free_run if mode == FREE_RUN else contender.one_step
     try:
-        require(record, contender.inputs, contender.name)
-        prediction, seconds = _timed(run, record, job.repeats or 0)
-        prediction = _on_time_of(record, prediction)
+        made = [_leg(own, part, mode, job.repeats or 0) for own, part in legs]
     except Exception as error:
         found.failures.append(Failure(contender.name, record.name, mode, _sentence(error)))
         return None
+    runs, seconds = [run for run, _ in made], [sum(each) for each in zip(*(s for _, s in made), strict=False)]
+    bands = [_band_of(own, (part, job.noise), run, mode) for (own, part), run in zip(legs, runs, strict=True)]
+    prediction = Record(record.time, _joined(record, [(r.time, r.signals) for r in runs]), runs[0].units, runs[0].name)
     if mode == FREE_RUN:
         prediction = with_rates(prediction, plan.sloped, record)
-    deviation, chance = _band_of(contender, job, prediction, mode)
+    deviation = _joined(record, [(run.time, sd) for run, (sd, _) in zip(runs, bands, strict=True)])
+    chances = [chance for _, chance in bands]
+    each = {n: [one[n] for one in chances] for n in chances[0] if all(n in one for one in chances)}
+    chance = {n: min(1.0, len(chances) * min(values)) for n, values in each.items()}  # that of one of several parts
     signals, units = dict(prediction.signals), dict(prediction.units)
     return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)
 
 
-def _band_of(contender, job: Job, prediction: Record, mode: str) -> tuple[dict[str, np.ndarray], dict[str, float]]:
+def _leg(contender: Contender, part: Record, mode: str, repeats: int) -> tuple[Record, list[float]]:
+    """The prediction of one part of a recording at its samples, and the wall seconds of each timed run."""
+    require(part, contender.inputs, contender.name)
+    run = contender.free_run if mode == FREE_RUN else contender.one_step
+    prediction, seconds = _timed(run, part, repeats)
+    return _on_time_of(part, prediction), seconds
+
+
+def _joined(record: Record, parts: Sequence[tuple[np.ndarray, Mapping[str, np.ndarray]]]) -> dict[str, np.ndarray]:
+    """Columns (n,) at the times of a recording, of its parts: their times and columns. NaN where there is none."""
+    if len(parts[0][0]) == len(record):
+        return dict(parts[0][1])
+    names = [name for name in parts[0][1] if all(name in values for _, values in parts)]
+    columns = {name: np.full(len(record), np.nan) for name in names}
+    for times, values in parts:
+        at = np.searchsorted(record.time, times)
+        for name, column in columns.items():
+            column[at] = values[name]
+    return columns
+
+
+def _band_of(
+    contender, measured: tuple[Record, Mapping[str, NoiseFloor]], prediction: Record, mode: str
+) -> tuple[dict[str, np.ndarray], dict[str, float]]:
     """Standard deviations by output where the contender has them for this mode, and the chance of what was measured
     where it says what they are made of; without them it is scored, too."""
-    record, own = job.record, {s.name for s in contender.outputs}
+    (record, noise), own = measured, {s.name for s in contender.outputs}
     known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
     if mode != FREE_RUN or not hasattr(contender, "deviations"):
         return known, {}
@@ -163,7 +199,7 @@ def _band_of(contender, job: Job, prediction: Record, mode: str) -> tuple[dict[s
     except HydrotwinError:
         return known, {}
     both = [n for n in moved if n in record.signals and n in prediction.signals]
-    steps = {n: job.noise[n].quantum if n in job.noise else 0.0 for n in both}
+    steps = {n: noise[n].quantum if n in noise else 0.0 for n in both}
     chance = {n: moved[n].chance(record[n] - prediction[n], steps[n]) for n in both}
     return {n: one.deviation for n, one in moved.items()} | known, chance
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.records import Record, turned_back
+from hydrotwin.records import all_unbroken, cuts, turned_back
 
 from .band import made_from
 from .criteria import some_of
+from .elsewhere import input_names
 from .uneven import uneven
 
 if TYPE_CHECKING:
@@ -19,22 +20,24 @@ if TYPE_CHECKING:
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
-    first = seen_before(comparison) + _inaccurate(comparison) + _failures(comparison)
-    return tuple(
-        first + _unlikely(comparison) + of_recordings(comparison.records) + _holes(comparison) + _uneven(comparison)
-    )
+    first = seen_before(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
+    return tuple(first + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison))
 
 
 def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
-    return seen_before(comparison) + _unlikely(comparison) + _uneven(comparison)
+    return seen_before(comparison) + _unlikely(comparison) + _cut(comparison) + _uneven(comparison)
 
 
-def of_recordings(records: Sequence[Record]) -> list[str]:
-    """Gaps in time, and angles that begin anew at every turn."""
-    gaps = [f"{r.name}: {gap}." for r in records for gap in r.gaps[:3]]
-    return gaps + [f"{r.name}: {turned}" for r in records for turned in turned_back(r)]
+def _cut(comparison: Comparison) -> list[str]:
+    """What was made of recordings with holes."""
+    return cuts(all_unbroken(comparison.records, input_names(comparison.entrants)))
+
+
+def _turned(comparison: Comparison) -> list[str]:
+    """Angles that begin anew at every turn."""
+    return [f"{r.name}: {turned}" for r in comparison.records for turned in turned_back(r)]
 
 
 def _failures(comparison: Comparison) -> list[str]:

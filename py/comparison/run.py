@@ -12,7 +12,7 @@ import numpy as np
 from hydrotwin.identification.beginning import check_initial_states
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, as_needed, distinct, noise_floor, without_unknown
+from hydrotwin.records import Record, as_needed, distinct, noise_floor, unbroken, without_unknown
 from hydrotwin.records.between import between, settled, told
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
@@ -33,7 +33,7 @@ from .comparison import (
 )
 from .contender import Contender, as_contender
 from .domain import domain_shares
-from .elsewhere import other_reasons
+from .elsewhere import input_names, other_reasons
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
 from .starts import Started
@@ -91,7 +91,9 @@ def compare(
     wanted = wanted_of(contenders, records, outputs)
     sloped = wanted_of(contenders, records, rates) if rates else []
     how = check_initial_states(initial_states, "compare")
-    plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how)
+    plan = Plan(
+        tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how, input_names(contenders)
+    )
     noise = [noise_floor(r) for r in records]
     records = [with_rates(as_needed(r, wanted), sloped) for r in records]
     drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
@@ -104,7 +106,7 @@ def compare(
             if run.mode == mode]  # fmt: skip
     scores = relative_scores(_by_mode(modes, [s for one in done for s in one.scores]))
     trajectories = [(job, _trajectory(job, run)) for job, _, run in made]
-    starts = tuple(one.started for one in done if one.started)
+    starts = tuple(started for one in done for started in one.started)
     return Comparison(
         title=title,
         entrants=tuple(_judged_here(c, scores, records, starts) for c in contenders),
@@ -126,8 +128,19 @@ def compare(
 
 
 def measured_in(contenders: Sequence[Contender], records: Sequence[Record]) -> list[Record]:
-    """The recordings without outputs that none of their samples knows: they hold them no more than a file without."""
-    return [without_unknown(r, list(_signals(contenders))) for r in records]
+    """The recordings without outputs that none of their samples knows: they hold them no more than a file without.
+
+    Samples between holes that are too few for a run are unknown, too.
+    """
+    outputs, known = list(_signals(contenders)), input_names(contenders)
+    return [_in_parts(without_unknown(r, outputs), [s.name for s in outputs], known) for r in records]
+
+
+def _in_parts(record: Record, outputs: Sequence[str], known: Sequence[str]) -> Record:
+    """The recording with its outputs known in those parts alone that are run through."""
+    inside = np.isin(record.time, np.concatenate([part.time for part in unbroken(record, known)]))
+    lost = {n: np.where(inside, record[n], np.nan) for n in outputs if n in record.signals}
+    return record if inside.all() else record.with_signals(lost)
 
 
 def _inaccurate(jobs: Sequence[Job], done: Sequence[Done]) -> tuple[Inaccurate, ...]:

@@ -4,7 +4,8 @@
     [GROUP:] [OUTPUT.]METRIC in [LOW, HIGH] [UNIT]
     [GROUP:] [OUTPUT][.METRIC] not worse than MODEL [by SHARE]
 
-GROUP is the name of a recording, or ``tag=value``. Nothing is looked up here: see `criteria_of`.
+GROUP is the name of a recording, ``tag=value``, or several of these with commas: all of them hold. Nothing is looked up
+here: see `criteria_of`.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hydrotwin.identification.beginning import FREE, MEASURED, StartEstimate
+from hydrotwin.identification.beginning import AUTO, FREE, MEASURED, StartEstimate
 from hydrotwin.models.language.errors import HydrotwinError
 from hydrotwin.records import Record
 
@@ -13,10 +13,11 @@ from .contender import Contender
 
 @dataclass(frozen=True)
 class Started:
-    """How one model starts on one recording."""
+    """How one model starts on one recording, or on a part of it: ``of`` is the name of the recording."""
 
     model: str
     estimate: StartEstimate
+    of: str
 
     def __str__(self) -> str:
         """In a sentence."""
@@ -40,13 +41,15 @@ def not_estimated(record: str) -> StartEstimate:
 def start_of(contender: Contender, record: Record, how: str) -> tuple[Contender, Started | None]:
     """The contender with its start states on a recording estimated as ``how`` says, and how it starts then.
 
-    A model whose start cannot be estimated starts as it does without, and says why.
+    A model whose start cannot be estimated starts as it does without, and says why. Behind a hole no machine rests
+    because a recording begins there, so that "measured" is "auto".
     """
+    how, of = AUTO if how == MEASURED and record.in_motion else how, record.whole
     if how == MEASURED or not hasattr(contender, "estimate_start"):
-        others = how == FREE and contender.kind != "yardstick"
-        started = Started(contender.name, not_estimated(record.name)) if others else None
+        others = (how == FREE or record.in_motion) and contender.kind != "yardstick"
+        started = Started(contender.name, not_estimated(record.name), of) if others else None
         return contender, _unknown(contender, record) or started
-    started = Started(contender.name, _estimate(contender, record, how))
+    started = Started(contender.name, _estimate(contender, record, how), of)
     return contender.with_starts([started.estimate]) if hasattr(contender, "with_starts") else contender, started
 
 
@@ -60,7 +63,7 @@ def _unknown(contender: Contender, record: Record) -> Started | None:
         f"the first sample of {' and '.join(missing)} is not known, so that the model starts there as it thinks. "
         f"{step}, or cut the recording to where it is known."
     )
-    return Started(contender.name, StartEstimate(record.name, note=note))
+    return Started(contender.name, StartEstimate(record.name, note=note), record.whole)
 
 
 def _estimate(contender, record: Record, how: str) -> StartEstimate:

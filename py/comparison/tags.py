@@ -24,6 +24,7 @@ from hydrotwin.records import EXACT, SUFFIXES, Record
 _NAME = re.compile(r"\{(\w+)\}")
 _STEPS = re.compile(rf"(?P<column>.*\S)\s+by\s+(?P<step>{NUMBER})\s*(?P<unit>\S.*?)?\s*")
 _QUANTITY = re.compile(rf"(?P<number>{NUMBER})(?:\s*(?P<unit>[^\W\d_].*|[%°‰].*)|\s+(?P<per>1/.*))?")
+_NEXT_TAG = re.compile(r",(?=[^,=]+=)")
 _COMMA = re.compile(r"(?<=\d),(?=\d)")  # a decimal one
 SAME, ROUNDED = 1e-6, 6  # relative: a column that changes less is one number, rounded to so many digits
 DIGITS = 12  # of a quantity that is told: 40 degC is 313.15 K; a number that does not change keeps as many
@@ -86,7 +87,7 @@ def _from_column(record: Record, tag: str, what: str) -> str:
     found = _STEPS.fullmatch(what)
     name = found["column"] if found else what
     if not found and name in record.words:
-        return record.words[name]
+        return _one_word(record, tag, name)
     values = record[name]
     unit = record.display_units.get(name, record.units[name])
     if found and not number_of(found["step"]) > 0:
@@ -116,6 +117,17 @@ def _from_column(record: Record, tag: str, what: str) -> str:
                 f"{unit}. Say by how much conditions differ: '{name} by {np.ptp(shown):.1g} {unit}'."
             )
     return f"{number + 0.0:.{digits}g}" + (f" {unit}" if unit != "1" else "")
+
+
+def _one_word(record: Record, tag: str, name: str) -> str:
+    """What a column of texts says. Raises DataError where it changes."""
+    first, *others = record.words[name]
+    if others:
+        raise DataError(
+            f"tags: {tag} = '{name}': {name} of {record.name} changes from '{first}' to '{others[0]}' within the "
+            "recording, which is of more than one condition then. Cut the file there, or say the tag of it."
+        )
+    return first
 
 
 def _plain(where: str, value: object) -> str:
@@ -198,11 +210,29 @@ def groups(records: Sequence[Record]) -> tuple[str, ...]:
 
 
 def of_group(records: Sequence[Record], group: str) -> tuple[str, ...]:
-    """Names of the recordings of a group, ``tag=value``, or of one name; all for "".
+    """Names of the recordings of a group, ``tag=value``, or of several at once, ``load=20, oil=40 degC``, or of one
+    name; all for "".
 
     A tag may have a sign of equality in its name, and a value in it, as `groups` writes them. A value may be written
     otherwise than there: 40.0 is 40.
     """
+    found, tags = _of_one(records, group), each_tag(group)
+    if found or len(tags) < 2:
+        return found
+    of_each = [_of_one(records, tag) for tag in tags]
+    return tuple(r.name for r in records if all(r.name in names for names in of_each))
+
+
+def each_tag(group: str) -> tuple[str, ...]:
+    """The tags of a group of several: a comma stands before the next ``tag=``, and may be a decimal one.
+
+    >>> each_tag("load=0,5, oil=40 degC"), each_tag("load=2"), each_tag("run_1")
+    (('load=0,5', 'oil=40 degC'), ('load=2',), ('run_1',))
+    """
+    return tuple(part.strip() for part in _NEXT_TAG.split(group))
+
+
+def _of_one(records: Sequence[Record], group: str) -> tuple[str, ...]:
     asked = {(tag, _meaning(value)) for tag, value in _parted(group)}
     told = [{(tag, _meaning(value)) for tag, value in r.tags.items()} for r in records]
     return tuple(r.name for r, tags in zip(records, told, strict=True) if group in ("", r.name) or asked & tags)

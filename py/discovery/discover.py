@@ -134,11 +134,11 @@ def inside(model: Model, wanted: Wanted) -> Asked:
         )
     model = settled(model, wanted.records, wanted.interpolation)
     data = split(model.flat, wanted.records, wanted.validate, wanted.outputs, wanted.noise)
-    lone = len(wanted.records) == 1 and wanted.initial_states == "auto"  # its pieces begin in motion
+    moving = any(r.in_motion for r in data.train) and wanted.initial_states == "auto"
     names = free_names(model.flat, wanted.free)
     within = bounded(model, names)
     fitting = fitting_candidates(within, wanted.effects, wanted.exclude)
-    return Asked(model, within, names, data, fitting, "free" if lone else wanted.initial_states)
+    return Asked(model, within, names, data, fitting, "free" if moving else wanted.initial_states)
 
 
 def _runner(pool, report, memory, cores: int = 1):

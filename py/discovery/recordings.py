@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from hydrotwin.identification.noise import output_noise, quanta
-from hydrotwin.identification.problem import Recording, recordings
+from hydrotwin.identification.problem import Recording, delays_filled, recordings, unbroken_for
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import distinct, shares_samples
+from hydrotwin.records import cuts, distinct, shares_samples
 
 from .evidence.deciding import DECIDING
 
@@ -56,7 +56,8 @@ def split(
 ) -> Split:
     """Sort recordings into roles.
 
-    All are fitted to but those that validate; a lone one is cut into pieces, whose start states are then all estimated.
+    All are fitted to but those that validate, cut at their holes; a lone one is cut into pieces. Where one begins in
+    motion, all start states are estimated.
 
     Raises
     ------
@@ -66,8 +67,9 @@ def split(
     if not len(records):
         raise DataError(f"gap: no recording of {flat.name}. Give at least one, better three, and one to validate.")
     require_unseen(records, validate)
-    records, validate = distinct(records, validate)
-    findings = []
+    lone = records[0].name if len(records) == 1 else None
+    records, validate = (unbroken_for(flat, some) for some in distinct(records, validate))
+    findings = [f"gap: {sentence}" for sentence in cuts([*records, *validate])]
     wanted, constant = _moving(flat, records, outputs)
     findings += [
         f"gap: output '{name}' is constant in every recording and says nothing. It is left out; record it in motion."
@@ -75,7 +77,7 @@ def split(
     ]
     whole = recordings(flat, records, wanted, "record")
     _require_motion(flat, whole)
-    train = _in_pieces(flat, whole)
+    train = whole if lone is None else _in_pieces(flat, lone, whole)
     report = recordings(flat, validate, wanted, "validation record") if len(validate) else ()
     if not report:
         findings.append(
@@ -93,18 +95,22 @@ def split(
     return Split(train, report, floor, tuple(wanted), tuple(findings))
 
 
-def _in_pieces(flat: FlatModel, train: tuple[Recording, ...]) -> tuple[Recording, ...]:
-    """A lone recording as several, each from its own start.
+def _in_pieces(flat: FlatModel, name: str, parts: tuple[Recording, ...]) -> tuple[Recording, ...]:
+    """A lone recording, or its parts between holes, as several, each from its own start.
 
     What integrates drifts away in a free run, and a drift is worth a handful of samples: then the pieces are short.
     What settles by itself shows slow effects only in long runs: then they are two.
     """
-    if len(train) > 1:
-        return train
-    whole = train[0]
-    shares = np.linspace(0, 1, PIECES + 1) if _integrates(flat, whole) else np.array([0, FIT_SHARE, 1])
-    edges = (shares * len(whole.time)).astype(int)
-    return tuple(_part(whole, slice(a, b), f"part {i + 1}") for i, (a, b) in enumerate(pairwise(edges)))
+    shares = [np.linspace(0, 1, 2)] * len(parts)
+    if _integrates(flat, max(parts, key=lambda r: len(r.time))):
+        samples = sum(len(r.time) for r in parts)
+        shares = [np.linspace(0, 1, max(1, round(PIECES * len(r.time) / samples)) + 1) for r in parts]
+    elif len(parts) == 1:
+        shares = [np.array([0, FIT_SHARE, 1])]
+    cuts_of = [(share * len(r.time)).astype(int) for r, share in zip(parts, shares, strict=True)]
+    pieces = [(r, slice(a, b)) for r, edges in zip(parts, cuts_of, strict=True) for a, b in pairwise(edges)]
+    cut = [_piece(r, at, f"{name} (part {k + 1})") for k, (r, at) in enumerate(pieces)]
+    return tuple(delays_filled(flat, piece) for piece in cut)
 
 
 def _integrates(flat: FlatModel, recording: Recording) -> bool:
@@ -119,13 +125,14 @@ def _integrates(flat: FlatModel, recording: Recording) -> bool:
     return bool(np.any(np.abs(np.linalg.eigvals(matrix)) * (recording.time[-1] - recording.time[0]) < 1))
 
 
-def _part(recording: Recording, part: slice, label: str) -> Recording:
+def _piece(recording: Recording, at: slice, name: str) -> Recording:
     return dataclasses.replace(
         recording,
-        name=f"{recording.name} ({label})",
-        time=recording.time[part],
-        u=recording.u[part],
-        y=recording.y[part],
+        name=name,
+        time=recording.time[at],
+        u=recording.u[at],
+        y=recording.y[at],
+        in_motion=recording.in_motion or at.start > 0,
     )
 
 

@@ -168,6 +168,8 @@ def real_attributes(variable: Variable, types: Mapping[str, str]) -> dict[str, s
     attributes = ({"declaredType": types[variable.unit]} if typed else {}) | {"unit": variable.unit}
     if variable.shown != variable.unit:
         attributes["displayUnit"] = variable.shown
+    if variable.difference:
+        attributes["relativeQuantity"] = "true"
     low, high = variable.bounds
     if math.isfinite(low):
         attributes["min"] = repr(float(low))

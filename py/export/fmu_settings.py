@@ -9,11 +9,13 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.quantities import apart, in_unit
+from hydrotwin.models.language.units import to_si
 from hydrotwin.records import Record
 
 from .fmu_process.master import is_scalar
 from .foreign import Description, kind_of
 from .parameter_sets import asked_of
+from .unit_meanings import units_defined_in
 
 AT_REST = "inputs at their start values"
 LEFT_OUT = "outputs left out"
@@ -46,6 +48,24 @@ def own_value(name: str, given: float | str, description: Description):
     if whole:
         own = whole.rounded(np.array([own]), lambda _: f"{name}: {given} is no {whole.kind}, which it must be")[0]
     return float(own)
+
+
+def constants_read(inputs: Sequence[Signal], description: Description, constants: Mapping[str, str]) -> list[str]:
+    """Of constants of recordings, name -> number and unit, which all models share, those that the FMU would read
+    otherwise, because it defines their unit itself: what was taken and what it would be, a sentence each."""
+    own, said = units_defined_in(description.source), []
+    for name in (s.name for s in inputs if s.name in constants):
+        number, unit = apart(constants[name]) or (0.0, "")
+        if unit not in own:
+            continue
+        taken, si = to_si(number, unit)
+        other = own[unit].factor * number + own[unit].offset
+        if own[unit].si != si or not np.isclose(other, taken, rtol=1e-9, atol=0.0):
+            said.append(
+                f"{name} = {constants[name]} is {taken:.9g} {si}: it is set for the recordings, which all models "
+                f"share. By the {unit} that the FMU defines it would be {other:.9g} {own[unit].si}. Write it in {si}."
+            )
+    return said
 
 
 def unrecorded(inputs: Sequence[Signal], starts: Mapping[str, float], records: Sequence[Record]) -> list[Signal]:

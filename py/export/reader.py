@@ -20,7 +20,17 @@ from hydrotwin.simulation.inputs import as_seen
 
 from .child_process import run_child
 from .fmu_process.master import FLOATS, inputs_of, is_scalar, late_outputs, outputs_of
-from .fmu_settings import AT_REST, LEFT_OUT, REDEFINED, at_rest, check_settable, is_settable, own_value, unrecorded
+from .fmu_settings import (
+    AT_REST,
+    LEFT_OUT,
+    REDEFINED,
+    at_rest,
+    check_settable,
+    constants_read,
+    is_settable,
+    own_value,
+    unrecorded,
+)
 from .foreign import Description, describe_fmu, kind_of
 from .inside import fitted_recordings
 
@@ -97,6 +107,10 @@ class FmuBlock:
         """
         gone = unrecorded(self.inputs, self.description.starting, records)
         return self.at_rest(gone, [at_rest(s, records, given=False) for s in gone]) if gone else self
+
+    def constants_read(self, constants: Mapping[str, str]) -> list[str]:
+        """What is to be told of constants that recordings are given, see there."""
+        return constants_read((*self.inputs, *self.resting), self.description, constants)
 
     def at_rest(self, signals: Sequence[Signal], notes: Sequence[str]) -> FmuBlock:
         """The same FMU whose inputs ``signals`` stay at their defaults."""
@@ -215,7 +229,7 @@ class FmuBlock:
             "linear": [of[s.name] for s in self.inputs if not s.held],
         }
         u = np.column_stack(columns) if columns else np.empty((len(record), 0))
-        return job, {"time": record.time - record.time[0], "u": u}  # as a model's, its time is 0 as a record begins
+        return job, {"time": record.time - record.begins, "u": u}  # as a model's, its time is 0 as a record begins
 
     def _check_time_axis(self, record: Record):
         steps = np.diff(record.time)

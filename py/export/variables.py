@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.models.language.units import display_units, si_unit
+from hydrotwin.models.language.units import DELTA, display_units, is_difference, si_unit
 
 from .lower import Lowered
 
@@ -50,7 +50,14 @@ class Variable:
     def shown(self) -> str:
         """The unit in which to show it. A ratio may be no share, and of kelvins nobody knows whether they are from a
         zero or a difference, unless it is declared so."""
-        return self.written_in or (self.unit if self.unit in ("1", "K") else display_units(self.unit)[0])
+        return self.written_in.removeprefix(DELTA) or (
+            self.unit if self.unit in ("1", "K") else display_units(self.unit)[0]
+        )
+
+    @property
+    def difference(self) -> bool:
+        """Whether it is declared as a difference, delta_degC, so that the zero of the unit it is shown in is none."""
+        return is_difference(self.written_in)
 
     @property
     def structured(self) -> bool:

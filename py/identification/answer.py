@@ -16,7 +16,7 @@ from hydrotwin.simulation.control import Accuracy
 from .descent import Task, held_out_run, undecided, whole_runs
 from .ending import doubts
 from .fit import SIZE, Finding, Fit, FittedParameter, OutputResidual, RecordFit
-from .identifiability import bounds_reached, identifiability, over_holes, unexplained
+from .identifiability import bounds_reached, identifiability, unexplained
 from .least_squares import Minimum
 from .noise import solver_error
 from .problem import FreeParameters, Recording
@@ -292,7 +292,7 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
             continue
         records.append(_record_fit(task, alone, recording, "validate", z[0]))
         residuals += _output_residuals(task, left, recording, "validate")
-    findings += [*over_holes(residuals, (*task.recordings, *judged)), *unexplained(residuals)]
+    findings += unexplained(residuals)
     return tuple(records), tuple(residuals), findings
 
 

@@ -102,7 +102,9 @@ def estimate_start(
     if how == MEASURED or not flat.states:
         return StartEstimate(record.name)
     part = _first_part(filled(record, flat), flat)
-    (measured,) = recordings(flat, [part], None, "recording")
+    measured, *_ = recordings(flat, [part], None, "recording")
+    if measured.in_motion and not record.in_motion:
+        raise DataError(f"{record.name}: it begins with a hole, so that nothing tells how {flat.name} starts there.")
     search = _Search(flat, measured, known or {}, left or {})
     seconds = float(part.time[0]), float(part.time[-1])
     best = search.best(how)
@@ -156,7 +158,8 @@ class _Search:
         noise, self.noisy = _noise(flat, recording)
         left_of = np.array([left.get(s.name, 0.0) for s in flat.outputs])
         self.noise = np.where(left_of > WORTH_IT * noise, left_of, noise)
-        self.given = measured_start(flat, recording) | self.known
+        told = np.isfinite(recording.y[0]).any() or not recording.in_motion  # else late inputs of before still act
+        self.given = (measured_start(flat, recording) if told else {}) | self.known
         self.parameters = _none_free(flat)
         self.assumed = self._start(list(self.given))(recording.u[0], self.parameters.all_values, self._given())[0]
         self.propagator = prepare(flat, free_states=self.order)

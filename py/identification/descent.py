@@ -65,7 +65,10 @@ class Task:
 
 
 def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tuple[Shooting, np.ndarray]:
-    """One segment per recording under the chosen start states, and the scaled start states from the first samples."""
+    """One segment per recording under the chosen start states, and the scaled start states from the first samples.
+
+    Where one begins in motion, all start states are estimated.
+    """
     if task.initial_states not in INITIAL_STATES:
         raise DeclarationError(
             f"identify: no initial_states '{task.initial_states}'. {nearest(task.initial_states, INITIAL_STATES)}"
@@ -74,8 +77,9 @@ def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tup
     flat, p = task.flat, task.free.vector(task.free.scaled(task.free.start))
     measured = [set(horizon.measured_start(flat, r)) for r in recordings]
     everywhere = set.intersection(*measured)
-    names = [s.name for s in flat.states] if task.initial_states == "free" else sorted(everywhere)
-    start = StartStates(flat, names, task.free.index, held=task.initial_states == "fixed")
+    free = task.initial_states == "free" or any(r.in_motion for r in recordings)
+    names = [s.name for s in flat.states] if free else sorted(everywhere)
+    start = StartStates(flat, names, task.free.index, held=task.initial_states == "fixed" and not free)
     guess = [horizon.start_from_measured(flat, r, p) for r in recordings]
     z = np.array([x[start.columns] for x in guess]).reshape(len(recordings), -1) / start.nominal
     segments = horizon.cut(recordings, np.inf)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
+from hydrotwin.records import cuts
 from hydrotwin.simulation import prepare
 
 from .descent import Task, whole_runs
@@ -16,7 +17,7 @@ from .least_squares import Minimum
 from .loss import Loss
 from .noise import output_noise
 from .noise import weights as by_noise
-from .problem import FreeParameters, free_parameters, recordings
+from .problem import FreeParameters, free_parameters, recordings, unbroken_for
 
 WELL, BARELY = 0.05, 0.5  # of the value (or of its range): known to so much or better is well, beyond barely is not
 
@@ -56,6 +57,7 @@ def excitation(
     parameters = free_parameters(flat, free)
     if not parameters.names:
         return (), ("the model declares no parameter free. Give --free.",)
+    records = unbroken_for(flat, records)
     train = recordings(flat, records, None, "record")
     noise = output_noise(flat, train, None)
     states = [s.name for s in flat.states]
@@ -71,7 +73,7 @@ def excitation(
     rows = [_row(parameters, j, s) for j, s in enumerate(sigmas(start, parameters))]
     held = np.zeros(len(rows), dtype=bool)
     findings = identifiability(flat, parameters, start.information(), {}, held)
-    said = [f.sentence.removeprefix("identify: ") for f in findings]
+    said = [*cuts(records), *(f.sentence.removeprefix("identify: ") for f in findings)]
     if at.diverged.any():
         lost = [r.name for r, d in zip(train, at.diverged, strict=True) if d]
         said.insert(0, f"the model diverges over {', '.join(lost)} at its start values: not counted here.")

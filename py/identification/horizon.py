@@ -41,12 +41,13 @@ def measured_states(flat: FlatModel) -> dict[int, int]:
 def measured_start(flat: FlatModel, recording: Recording, at: int = 0) -> dict[str, float]:
     """Values at sample ``at``, or the nearest that is known, of the states that are measured as the recording starts.
 
-    The states are the same all along: a sensor may miss any sample, or be read at every twentieth.
+    The states are the same all along: a sensor may miss any sample, or be read at every twentieth. Of a recording that
+    begins in motion they only say where a search begins.
     """
     found = {}
     for i, j in measured_states(flat).items():
         known = np.flatnonzero(np.isfinite(recording.y[:, j]))
-        if len(known) and known[0] < SOON:
+        if len(known) and (known[0] < SOON or recording.in_motion):
             found[flat.states[i].name] = float(recording.y[known[np.argmin(np.abs(known - at))], j])
     return found
 

@@ -13,10 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import gaps_of
 
 from .fit import Finding
-from .problem import FreeParameters, Recording
+from .problem import FreeParameters
 from .uncertainty import LEAST_SIGHT
 
 INVISIBLE = 1.0  # a change of its own size that moves the recordings by less than one sigma in all has no effect
@@ -127,22 +126,6 @@ def unexplained(residuals: Sequence) -> list[Finding]:
             f"{worst.record}{colour}. The parameters cannot explain it. Look for a missing effect, or free more."
         )))  # fmt: skip
     return [*findings, *not_borne_out(residuals)]
-
-
-def over_holes(residuals: Sequence, recordings: Sequence[Recording]) -> list[Finding]:
-    """One sentence per recording with a hole in its time on which more than noise is left: inputs are carried on there,
-    and whatever they did instead looks like a gap in the model, and moves the parameters.
-    """
-    left, findings = {r.record for r in residuals if not r.explained}, []
-    for name, gaps in {r.name: gaps_of(r.time) for r in recordings if r.name in left}.items():
-        if gaps:
-            more = f" and {len(gaps) - 1} more" if len(gaps) > 1 else ""
-            findings.append(Finding("hole", (), (
-                f"identify: {name} has a hole of {gaps[0].end - gaps[0].start:.4g} s, {gaps[0].start:.4g} s after its "
-                f"first sample{more}, over which inputs are carried on: what they did there nobody knows, and it may "
-                "be what is left. Cut the recording in two there (Record.window)."
-            )))  # fmt: skip
-    return findings
 
 
 def not_borne_out(residuals: Sequence) -> list[Finding]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
-from hydrotwin.records import distinct
+from hydrotwin.records import cuts, distinct
 from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 
@@ -23,7 +23,7 @@ from .loss import Loss
 from .noise import output_noise
 from .noise import weights as by_noise
 from .outliers import spared
-from .problem import free_parameters, recordings
+from .problem import free_parameters, recordings, unbroken_for
 from .progress import reporting
 from .search import Effort, search
 from .weighing import WEIGHTS
@@ -61,7 +61,8 @@ def identify(
 
     Args:
         model: a Model or FlatModel.
-        records: recordings to fit, each with the inputs and at least one output of the model.
+        records: recordings to fit, each with the inputs and at least one output of the model. One with holes is cut
+            into the parts between them; where one begins in motion, all start states are estimated.
         free: globs over parameter paths; None frees what the model declares free.
         validate: recordings to judge by; only their start states are estimated.
         start, bounds: by path, SI, in place of the model's own.
@@ -92,7 +93,7 @@ def identify(
     if weights not in WEIGHTS:
         raise DeclarationError(f"identify: no weights '{weights}'. {nearest(weights, WEIGHTS)}")
     parameters = free_parameters(flat, free, start, bounds)
-    records, validate = distinct(records, validate)
+    records, validate = (unbroken_for(flat, some) for some in distinct(records, validate))
     train = recordings(flat, records, outputs, "record")
     sigma = output_noise(flat, train, noise)
     with reporting(progress, flat.name) as report:
@@ -133,6 +134,7 @@ def identify(
         judged = recordings(flat, validate, outputs, "validation record")
         fit = answer(undecided(task), minima, judged, settings, began)
         said = [*(Finding("assumption", (), f"identify: {s}") for c in given_up for s in c.sentences), *said]
+        said += [Finding("hole", (), f"identify: {s}") for s in cuts([*records, *validate])]
         fit = dataclasses.replace(fit, findings=(*said, *fit.findings))
         return dataclasses.replace(fit, flat=dataclasses.replace(fit.flat, provenance=provenance_of_fit(fit)))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +12,11 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import as_needed, known_inputs, require
+from hydrotwin.records import Record, as_needed, known_inputs, require, unbroken
 from hydrotwin.records.noise import recorded_step
 from hydrotwin.simulation.inputs import as_seen
+
+LATE = 0.5  # of a part that begins in motion: more of it is not left out for what a late input may have done before
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,8 @@ class FreeParameters:
 class Recording:
     """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured.
 
-    time (n,) counts from its first sample, as a drift does; a logger's clock, or a cut, may begin anywhere.
+    time (n,) counts from where the recording begins, as a drift does; a logger's clock may begin anywhere.
+    in_motion : it begins where a recording goes on, and no equilibrium tells how.
     """
 
     name: str
@@ -74,6 +78,7 @@ class Recording:
     time: np.ndarray
     u: np.ndarray
     y: np.ndarray
+    in_motion: bool = False
 
     @cached_property
     def steps(self) -> np.ndarray:
@@ -148,17 +153,51 @@ def matching(flat: FlatModel, globs: Sequence[str] | None, argument: str = "free
 
 
 def recordings(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None, role: str) -> tuple[Recording, ...]:
-    """Records as arrays; the outputs to fit are those of the model that a record holds (or those in ``outputs``)."""
+    """Records as arrays, cut at their holes (`unbroken_for`); the outputs to fit are those of the model that a record
+    holds (or those in ``outputs``).
+    """
     known = [s.name for s in flat.outputs]
     for name in outputs or ():
         if name not in known:
             raise DeclarationError(f"{flat.name}: no output '{name}'. {nearest(name, known)}")
     wanted = [n for n in known if outputs is None or n in outputs]
-    return tuple(_recording(flat, record, wanted, role) for record in records)
+    return tuple(_recording(flat, record, wanted, role) for record in unbroken_for(flat, records))
+
+
+def unbroken_for(flat, records: Sequence[Record]) -> list[Record]:
+    """The parts of recordings between their holes, for a model or block. What cannot start in the middle of a
+    recording, as an FMU cannot, takes the part before the first hole.
+
+    Raises DataError for a recording of which no part is long enough, or not the one that is needed.
+    """
+    names = [s.name for s in flat.inputs]
+    if getattr(flat, "black_box", False):
+        return [_before_holes(record, names, flat.name) for record in records]
+    return [part for record in records for part in _that_tell(flat, unbroken(record, names, every=True))]
+
+
+def _that_tell(flat, parts: Sequence[Record]) -> list[Record]:
+    """Parts in which a sensor of the model said anything; all where none did."""
+    telling = [p for p in parts if any(np.isfinite(p[s.name]).any() for s in flat.outputs if s.name in p.signals)]
+    return telling or list(parts)
+
+
+def _before_holes(record: Record, names: Sequence[str], model: str) -> Record:
+    first, *others = unbroken(record, names)
+    if first.in_motion:
+        raise DataError(
+            f"{record.source or record.name}: {model} cannot start behind a hole, and there are too few samples before "
+            f"the first. {first.part_of.told} Give a recording that begins as the machine does."
+        )
+    if not others:
+        return first
+    until = f"{model} cannot start behind a hole, so {record.name} is taken until {first.time[-1]:.6g} s alone"
+    whole = dataclasses.replace(first.part_of, told=f"{first.part_of.told} {until}.")
+    return dataclasses.replace(first, name=record.name, part_of=whole)
 
 
 def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Recording:
-    name = record.name or role
+    name, begins = record.name or role, record.begins
     time = np.asarray(record.time, dtype=float)
     if len(time) < 2 or np.any(np.diff(time) <= 0):
         raise DataError(f"{name}: time must increase over at least two samples (got {len(time)}). Sort or trim it.")
@@ -193,4 +232,19 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
             f"At least one of {', '.join(wanted)} is needed."
         )
     u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
-    return Recording(name, record.digest, time - time[0], u, y)
+    return delays_filled(flat, Recording(name, record.digest, time - begins, u, y, record.in_motion))
+
+
+def delays_filled(flat: FlatModel, recording: Recording) -> Recording:
+    """The recording without what it measured as long as late inputs act that came before it, and nobody knows.
+
+    Where a recording begins a machine rests, and nothing acts late; a part of it begins in motion.
+    """
+    late = [s.dead_time for s in flat.inputs if s.dead_time]
+    if not (recording.in_motion and late):
+        return recording
+    value, bound = flat.parameter_vector(), {p.name: p.bounds[1] for p in flat.parameters}
+    longest = max(bound[n] if np.isfinite(bound[n]) else value[flat.index_of(n)] for n in late)
+    since = recording.time - recording.time[0]
+    unknown = since < min(longest, LATE * since[-1])
+    return dataclasses.replace(recording, y=np.where(unknown[:, None], np.nan, recording.y))

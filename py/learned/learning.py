@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, all_unbroken, cuts
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
@@ -133,7 +133,8 @@ def trained(
             f"learn {kind}: a model goes with hybrid (got {model}). Give learn('hybrid', model=...)."
         )
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
-    records = list(records)
+    records = unbroken_for(records, inputs, outputs, model)
+    options |= {"select": unbroken_for(options["select"], inputs, outputs, model)} if options.get("select") else {}
     split = held_out_of(records, inputs, outputs, model)
 
     def on(some: Sequence[Record]) -> Block:
@@ -161,7 +162,7 @@ def with_card(
     validate: Sequence[Record] = (),
 ) -> Block:
     """A block with its free run over what was held out, and over ``validate``, in its provenance (see `learn`)."""
-    records = list(records)
+    records = unbroken_for(records, inputs, outputs, model)
     try:
         told = _card(block, split, records, _names(model, records, inputs, outputs), model)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
@@ -190,8 +191,17 @@ def held_out_of(
     records: Sequence[Record], inputs: Sequence[Signal | str], outputs: Sequence[Signal | str], model=None
 ) -> held_out.Split:
     """What `learn` trains on of these recordings, and what it holds out."""
-    records = list(records)
+    records = unbroken_for(records, inputs, outputs, model)
     return held_out.split(records, *_names(model, records, inputs, outputs))
+
+
+def unbroken_for(records: Sequence[Record], inputs, outputs, model=None) -> list[Record]:
+    """The parts of recordings between their holes: no block is trained, or runs, over what nobody measured.
+
+    Raises `DataError` for a recording of which no part is long enough.
+    """
+    named = _names(model, records := list(records), inputs, outputs)
+    return all_unbroken(records, [name for names in named for name in names])
 
 
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:
@@ -205,7 +215,7 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
     bad, notes = _of_form(block)
     bad += [*one_way(records, named[0]), *_of_ending(block)]
-    notes += [*_of_drift(block), *_of_seeds(block), *_of_thinning(block, records)]
+    notes += [*cuts(records), *_of_drift(block), *_of_seeds(block), *_of_thinning(block, records)]
     if not split.parts:
         return card(split, [], Words(bad, notes))
     more = yardsticks(block.provenance.get("kind", ""), split, *named)

@@ -26,7 +26,7 @@ from hydrotwin.records import Record
 from .block_file import LearnedBlock
 from .held_out import Split
 from .interruption import INTERRUPTED
-from .learning import KINDS, check_judges, check_select, held_out_of, with_card
+from .learning import KINDS, check_judges, check_select, held_out_of, unbroken_for, with_card
 from .repeats import without_repeats
 from .trials import ALWAYS, Asked, Outcome, Trial, Trials
 from .verdicts import as_good, may_be_as_good
@@ -144,7 +144,8 @@ def learn_best(
         if kind not in every:
             raise DeclarationError(f"learn auto: no kind '{kind}' to try. {nearest(kind, every)}")
     check_select("auto", records, options.get("select"))
-    records, (inputs, outputs) = list(records), (list(inputs), list(outputs))
+    inputs, outputs = list(inputs), list(outputs)
+    records = unbroken_for(records, inputs, outputs)
     validate = list(options.pop("validate", None) or ())
     check_judges(validate, records, inputs, outputs)
     first = without_repeats(records, *([getattr(s, "name", s) for s in part] for part in (inputs, outputs)))

@@ -13,7 +13,7 @@ from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .held_out import Part, through
-from .learning import PUBLISHED, held_out_of, trainer
+from .learning import PUBLISHED, held_out_of, trainer, unbroken_for
 from .validation import validated
 
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
@@ -57,7 +57,7 @@ def refitted(
     whether it is the new one.
     Arguments and errors: those of `learn`.
     """
-    train, records = trainer(kind, fit), list(records)
+    train, records = trainer(kind, fit), unbroken_for(records, inputs, outputs, model)
     options = (form_of(block) if fit is None else {}) | options
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     if fit is None and block.provenance.get("kind") in FORMULAS and not block.provenance.get("static"):

@@ -4,11 +4,12 @@ from .files import SUFFIXES, WRITTEN, read_record, write_record
 from .filters import one_euro, savitzky_golay
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
-from .record import EXACT, Gap, Record, distinct, gaps_of
+from .record import EXACT, Gap, Record, Whole, distinct, gaps_of
 from .require import as_needed, copies, known_inputs, require, require_once, shares_samples, without_unknown
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
+from .unbroken import all_unbroken, cuts, joined, unbroken
 
 __all__ = [
     "EXACT",
@@ -19,12 +20,16 @@ __all__ = [
     "Reading",
     "Record",
     "Scale",
+    "Whole",
+    "all_unbroken",
     "as_needed",
     "copies",
+    "cuts",
     "distinct",
     "gaps_of",
     "import_from",
     "import_text",
+    "joined",
     "known_inputs",
     "noise_floor",
     "one_euro",
@@ -37,6 +42,7 @@ __all__ = [
     "shares_samples",
     "steps_over",
     "turned_back",
+    "unbroken",
     "without_unknown",
     "write_record",
 ]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+ZEROS_BEFORE = re.compile(r"0\d+")  # as no number is written: 0012 is the name of something
 UNSEEN = 1e-4  # of a step: rounding of the time that nobody sees
 
 
@@ -15,7 +17,7 @@ class Column:
     """One column as the file has it: ``unit`` is None where the file names none.
 
     unusable : why the column holds no numbers, a sentence. texts : its cells as they are written, of a column that
-    holds no numbers, or numbers with more digits than a float has; numbers with a decimal point.
+    holds no numbers, or numbers with more digits than a float has, or zeros before them; numbers with a decimal point.
     """
 
     name: str

@@ -67,9 +67,7 @@ def inspect_record(record: Record) -> Inspected:
 
 
 def _clock_remarks(record: Record) -> list[str]:
-    remarks = [f"{gap}." for gap in record.gaps[:5]]
-    if len(record.gaps) > 5:
-        remarks.append(f"{len(record.gaps) - 5} further gaps.")
+    remarks = [f"{hole}." for hole in record.holes_in_time]
     steps = np.diff(record.time)
     near = steps[steps < 2 * record.period]
     scatter = float(np.std(near) / record.period) if len(near) else 0.0

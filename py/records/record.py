@@ -15,10 +15,11 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.models.language.units import si_unit
 
 from . import resampling
+from .steps import few_lost, holes_at
 from .turning import turned_back
 
+TOLD = 5  # gaps in time that are named one by one
 EXACT = 1e15  # below it a number keeps every digit that a file writes
-GAP_RATIO = 20.0  # a step above this many median steps is a gap
 
 
 @dataclass(frozen=True)
@@ -34,10 +35,19 @@ class Gap:
 
 
 def gaps_of(time: np.ndarray) -> tuple[Gap, ...]:
-    """Holes in a time axis (n,) [s]: steps above 20 median steps."""
-    steps = np.diff(time)
-    at = np.flatnonzero(steps > GAP_RATIO * np.median(steps)) if len(time) > 2 else ()
-    return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in at)
+    """Holes in a time axis (n,) [s], see `steps`."""
+    return tuple(Gap(float(time[k]), float(time[k + 1]), int(k)) for k in holes_at(time))
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The recording that another one is a part of: its name, when it begins [s], its holes in words, and what was made
+    of it, a sentence."""
+
+    name: str
+    begins: float
+    holes: str
+    told: str
 
 
 class Signals(dict):
@@ -67,7 +77,9 @@ class Record:
     display_units : the units a person reads them in, kept from the file. source, digest : the file and its SHA-256.
     refused : columns of the file that cannot be used, and why, a sentence; it is raised where one of them is asked for.
     understood : in words, how the file was read. tags : operating condition by name (load, machine, ...), in words.
-    words : of refused columns that say the same in every row, such as the name of a machine, what they say.
+    words : what columns say, as the file writes it: the name of a machine, a serial number with zeros before it. Of
+    texts that change within the recording, the first two.
+    part_of : the recording that this is an unbroken part of, where that was cut at holes (`unbroken`).
 
     Arrays are copied and read-only. Raises `DataError` for lengths that differ or a time that does not grow,
     `UnitError` for a unit that is not SI.
@@ -83,7 +95,8 @@ class Record:
     refused: Mapping[str, str] = field(default_factory=dict)
     understood: str = ""
     tags: Mapping[str, str] = field(default_factory=dict)
-    words: Mapping[str, str] = field(default_factory=dict)
+    words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    part_of: Whole | None = None
 
     def __post_init__(self):
         time = _frozen_array(self.time, f"{self.name}: time")
@@ -156,7 +169,7 @@ class Record:
 
     def _left_out(self) -> list[tuple[str, str]]:
         """Columns that cannot be used, and what those say that say the same in every row; why is told below."""
-        return [(name, self.words.get(name, "")) for name in self.refused]
+        return [(name, "".join(said) if len(said := self.words.get(name, ())) == 1 else "") for name in self.refused]
 
     def _short(self, sentence: str) -> str:
         """A sentence without the path of the file that it begins with."""
@@ -172,6 +185,21 @@ class Record:
         """Time from the first to the last sample [s]."""
         return float(self.time[-1] - self.time[0]) if len(self) else 0.0
 
+    @property
+    def whole(self) -> str:
+        """Its name; of a part that of the whole recording."""
+        return self.name if self.part_of is None else self.part_of.name
+
+    @property
+    def begins(self) -> float:
+        """When the recording begins [s] that this is, or is a part of: a model's time is 0 there."""
+        return float(self.time[0]) if self.part_of is None else self.part_of.begins
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether it begins where a recording goes on behind a hole: no machine rests there because a file begins."""
+        return bool(len(self)) and self.time[0] > self.begins
+
     @cached_property
     def period(self) -> float:
         """Median time step [s]; NaN for fewer than two samples."""
@@ -185,15 +213,23 @@ class Record:
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:
-        """Holes in the time axis: steps above 20 median steps. They are reported, never filled."""
+        """Holes in the time axis, see `steps`. They are reported, never filled."""
         return gaps_of(self.time)
 
     @property
+    def holes_in_time(self) -> tuple[str, ...]:
+        """Gaps in time, and samples that are missing beside them, in words."""
+        further, lost = len(self.gaps) - TOLD, few_lost(self.time)
+        told = [*map(str, self.gaps[:TOLD]), *([f"{further} further gaps"] if further > 0 else [])]
+        missing = "1 sample is missing" if lost == 1 else f"{lost} samples are missing, one or few at a time"
+        return (*told, *([missing] if lost else []))
+
+    @property
     def holes(self) -> tuple[str, ...]:
-        """What it lacks, in words: gaps in time, then signals without a value in some samples."""
+        """What it lacks, in words: in time, then signals without a value in some samples."""
         lacks = {name: int(np.isnan(values).sum()) for name, values in self.signals.items()}
         told = [f"{name} has no value in {count} of {len(self)} samples" for name, count in lacks.items() if count]
-        return (*map(str, self.gaps), *told)
+        return (*self.holes_in_time, *told)
 
     def array(self, names: Sequence[str]) -> np.ndarray:
         """The named signals as columns, (n, k), SI."""

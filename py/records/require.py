@@ -12,11 +12,11 @@ from hydrotwin.models.language.units import compatible, convert, dimension, from
 
 from . import resampling
 from .record import Record
+from .unbroken import unknown_stretches
 
 ALIKE = 1e-4  # of a column's range: noise parts two recordings of the same commands by more
 PLACES = 50  # of the longer that are tried for the beginning of the shorter
 HALF = 0.5  # of the samples: a recording that shares so many with another is a part of it, or a copy
-OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
 
 
 def require(record: Record, signals: Sequence[Signal], model_name: str) -> Record:
@@ -80,8 +80,7 @@ def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> R
 def _between_own_samples(record: Record, signal: Signal, model_name: str) -> np.ndarray:
     column, known = record[signal.name], np.isfinite(record[signal.name])
     own, values = record.time[known], column[known]
-    apart = np.diff(np.concatenate([record.time[:1], own, record.time[-1:]]))
-    if len(own) < 2 or apart.max() > OWN_STEP * np.median(np.diff(own)):
+    if unknown_stretches(record.time, column).any():
         raise DataError(
             f"{record.source or record.name}: input column '{signal.name}' has gaps (got {(~known).sum()} values that "
             f"are not finite, the first at t = {record.time[np.argmin(known)]:g} s). {model_name} needs every "

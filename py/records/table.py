@@ -15,7 +15,7 @@ from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.units import parse_unit, to_si
 
 from .clocks import PERIODS, called_time, counts_time, holds_stamps, in_seconds, sampled_at, time_column
-from .columns import Column, Table
+from .columns import ZEROS_BEFORE, Column, Table
 from .constants import with_constants
 from .reading import Reading
 from .record import EXACT, Record
@@ -40,7 +40,8 @@ def record_from_table(table: Table, name: str, reading: Reading) -> Record:
     else:  # a repair counts the samples of a stamp: none may be gone before
         table = _without_missing(_with_clock(table, reading.clock), reading, refused)
     table = with_constants(table, reading, refused)
-    return _in_si(table, name, reading, refused, {n: word for n, word in words.items() if n in refused})
+    kept = {n: said for n, said in words.items() if n in refused or ZEROS_BEFORE.fullmatch(said[0])}
+    return _in_si(table, name, reading, refused, kept)
 
 
 # -- names and units ---------------------------------------------------------------------------------------------------
@@ -258,17 +259,19 @@ def _usable(table: Table, reading: Reading, refused: dict[str, str]) -> Table:
     return replace(table, columns=tuple(kept))
 
 
-def _words(table: Table) -> dict[str, str]:
-    """Columns that say the same in every row: a text, or a number that keeps all of its digits."""
+def _words(table: Table) -> dict[str, tuple[str, ...]]:
+    """What columns say, as they write it: a text, of one that changes the first two; a number that keeps all of its
+    digits, or has zeros before it, and stays the same."""
     found = {}
     for column in table.columns[1:]:
         if column.texts is None and not (np.abs(column.values[:1]) < EXACT).all():
             continue
         texts = [f"{v:.15g}" for v in column.values[:1]] if column.texts is None else column.texts
-        cells = {text.strip() for text in texts}
+        cells = tuple(dict.fromkeys(text.strip() for text in texts))[:2]
         same = column.texts is not None or (column.values == column.values[0]).all()
-        if len(cells) == 1 and same and "" not in cells:
-            found[column.name] = cells.pop()
+        changing = len(cells) > 1 and np.isfinite(column.values).any()  # numbers: they tell themselves
+        if same and not changing and "" not in cells:
+            found[column.name] = cells
     return found
 
 

@@ -112,8 +112,8 @@ class _BlockRun:
 
 
 def since_start(record: Record) -> np.ndarray:
-    """A model's time is 0 at the first sample, whatever the clock of the logger says."""
-    return record.time - record.time[0]
+    """A model's time is 0 where the recording begins, whatever the clock of the logger says; of a part, its whole."""
+    return record.time - record.begins
 
 
 def filled(record: Record, model) -> Record:

@@ -79,6 +79,17 @@ def test_criteria_are_judged_over_all_recordings_and_by_condition(folder):
     assert second == max(of_load) and len(of_load) == 2
 
 
+def test_a_criterion_is_about_recordings_of_several_tags_at_once(folder):
+    accept = ("load=2, stroke=1: motor_speed.max < 20 rad/s", "stroke = 1.0 ,load=2: motor_speed.max < 20 rad/s")
+    comparison, found = run(folder, "good", accept=accept)
+    one = next(s for s in comparison.scores if (s.record, s.output) == ("load2_stroke1", "motor_speed"))
+    assert [(j.value, j.samples) for j in found.judged] == [(one.maximum, one.samples)] * 2
+    with pytest.raises(DeclarationError, match="no recordings 'stroke=3'"):
+        run(folder, "good", accept=("load=2, stroke=3: motor_speed.max < 20 rad/s",))
+    with pytest.raises(DeclarationError, match=r"none of all at once\. They have load=1, stroke=1; load=1, stroke=2"):
+        run(folder, "good", accept=("load=1, load=2: motor_speed.max < 20 rad/s",))
+
+
 def test_a_wrong_model_fails_and_says_what_it_misses(folder):
     _, found = run(folder, "bad", "good", accept=("motor_speed.rmse < 3 rad/s", "motor_speed not worse than good"))
     assert not found.passed and not any(one.passed for one in found.judged)
@@ -373,7 +384,7 @@ def test_a_criterion_that_passes_on_a_doubted_band_says_so_itself(tmp_path):
     assert first["doubt"] == "it is too narrow."
 
 
-def test_a_criterion_says_that_it_was_judged_over_a_hole():
+def test_a_criterion_says_that_it_was_judged_in_parts_around_a_hole():
     """What inputs did there nobody knows: neither a pass nor a fail is the model's alone."""
     whole = recording(5)
     keep = (whole.time < 3.0) | (whole.time > 4.0)
@@ -381,5 +392,5 @@ def test_a_criterion_says_that_it_was_judged_over_a_hole():
     compared = compare([Toy("good")], [whole, holed], modes=["free run"], repeats=0)
     asked = ("arm_angle.rmse < 9 rad", "validation_5: arm_angle.rmse < 9 rad")
     both, alone = acceptance(compared, Wanted(asked)).judged
-    assert "judged over a hole, with inputs only carried on: no samples from 2.99 s to 4.01 s of holed" in both.caution
+    assert "judged in parts, with a start of its own behind every hole: 2.99 s to 4.01 s of holed" in both.caution
     assert not alone.caution

@@ -11,6 +11,7 @@ import pytest
 
 from hydrotwin.comparison import FREE_RUN, BlockContender, PhysicalContender, as_contender, compare
 from hydrotwin.comparison.band import SEEN, Band, Held, bands_of, held_here
+from hydrotwin.comparison.elsewhere import other_reasons
 from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.travel import Carried
 from hydrotwin.identification import Spread, identify
@@ -169,7 +170,7 @@ def test_a_first_sample_that_is_off_leaves_a_right_band_and_a_machine_that_is_an
 
 
 def test_a_right_model_far_off_is_told_what_else_may_be_the_reason(identified):
-    """A start that no sample tells and a hole over which inputs are carried on, beside a gap in the model."""
+    """A start that no sample tells, where the recording begins or behind a hole, beside a gap in the model."""
     _, noise, contender = identified
     whole = recorded(drive(), 3, noise=noise, start=(40.0, 0.0), outputs=("position",))
     driven = recorded(drive(), 3, noise=noise)
@@ -179,11 +180,14 @@ def test_a_right_model_far_off_is_told_what_else_may_be_the_reason(identified):
     for record in (whole, holed):
         found = compare([contender], [record], modes=[FREE_RUN], repeats=0)
         said[record.name] = next(b.why for b in found.entrants[0].bands if b.output == "position")
-    started, hole = said.values()
+    started, behind = said.values()
     assert started.endswith(
         ", or it starts elsewhere, for no sample there tells motor.speed (initial_states auto estimates it)"
     )
-    assert "or its inputs moved while there are no samples from 2.98 s to 5.02 s" in hole and "elsewhere" not in hole
+    assert behind == ""
+    wrong = as_contender(drive().with_parameters({"motor.gain": 11.0}), "wrong")
+    reasons = other_reasons(wrong, holed, ())
+    assert reasons == ", or it starts elsewhere behind a hole (2.98 s to 5.02 s)"
 
 
 def test_a_comparison_holds_its_bands_against_what_it_measured(arx):

@@ -123,6 +123,14 @@ def test_a_move_that_ends_in_a_hole_is_left_out_of_settling_and_one_with_a_lost_
     assert settling_of(wider, ramp, late) == pytest.approx(settling_of(ramp, ramp, late), abs=0.02)
 
 
+def test_a_move_that_ends_while_nothing_was_recorded_is_left_out_of_settling():
+    u, y, slower = answers(0.2, 0.35)
+    keep = (TIME <= 3.5) | (TIME >= 5.0)
+    record = Record(TIME[keep], {"u": u[keep], "y": y[keep]}, {"u": "V", "y": "rad"}, "steps")
+    found = field_metrics(record, Predicted("y", slower[keep]), ["u"], noise_floor(record), rated=False)
+    assert found.settling == pytest.approx(0.15 * np.log(20), abs=0.015)
+
+
 def test_settling_needs_moves_after_which_the_measurement_rests():
     u, y = answers(0.1)
     assert np.isnan(settling_of(np.sin(TIME), y, y)), "the input never rests"

@@ -58,11 +58,25 @@ def test_a_column_that_tells_none_is_refused(recording, column, says):
         Tags(columns={"tag": column}).put(*recording)
 
 
+@pytest.mark.parametrize("zeros", ["0012", '"0012"', "007", "00"])
+def test_zeros_before_a_number_are_part_of_a_name(tmp_path, zeros):
+    """0012 and 12 were one condition: a column of digits was a number. Now somebody is asked."""
+    records = []
+    for k, cell in enumerate((zeros, str(int(zeros.strip('"'))))):
+        path = tmp_path / f"run_{k}.csv"
+        path.write_text("time [s],u [V],serial [1]\n" + "".join(f"{t},1,{cell}\n" for t in (0, 0.1, 0.2)))
+        records.append(Tags(columns={"serial": "serial"}).put(read_record(path), path))
+    assert records[0].tags == {"serial": zeros.strip('"')} and records[0]["serial"][0] == int(zeros.strip('"'))
+    check_tags(records[:1])
+    with pytest.raises(DeclarationError, match="one condition, or two"):
+        check_tags(records)
+
+
 def test_a_text_that_changes_is_no_word(tmp_path):
     (tmp_path / "run.csv").write_text("time [s],u [V],rig\n0,1,A\n0.1,1,B\n0.2,1,A\n")
     record = read_record(tmp_path / "run.csv")
-    assert dict(record.words) == {}
-    with pytest.raises(DataError, match="text, not numbers"):
+    assert dict(record.words) == {"rig": ("A", "B")}
+    with pytest.raises(DataError, match="rig of run changes from 'A' to 'B' within the recording"):
         Tags(columns={"rig": "rig"}).put(record, tmp_path / "run.csv")
 
 

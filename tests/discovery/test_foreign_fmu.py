@@ -275,3 +275,18 @@ def test_an_fmu_that_crashes_or_hangs_is_one_sentence_and_the_next_one_runs(two_
     with pytest.raises(SolveError, match=r"the FMU did not come to an end \(got 1 s\)"):
         found(hanging, drive_records(2, other=same))
     assert found(two_sensors, drive_records(2, other=same), effects=["sensor_bias"]).verdict == "none"
+
+
+def test_an_fmu_that_cannot_start_behind_a_hole_learns_from_what_is_before_it(two_sensors):
+    """It would have to be run over the hole; nothing is missing, and nothing is named."""
+
+    def holed(r, begin, end):
+        hole = (r.time > begin) & (r.time < end)
+        return replace(r, signals={n: np.where(hole, np.nan, v) for n, v in r.signals.items()})
+
+    whole = drive_records(2, other=same)
+    answer = found(two_sensors, [holed(r, 7, 8) for r in whole], effects=["null_bias", "sensor_scale"])
+    assert answer.verdict == "none"
+    assert any("cannot start behind a hole, so drive_0 is taken until 7 s alone" in f for f in answer.findings)
+    with pytest.raises(DataError, match="cannot start behind a hole, and there are too few samples before the first"):
+        found(two_sensors, [holed(whole[0], -1, 0.5), whole[1]], effects=["null_bias"])

@@ -9,10 +9,12 @@ from types import SimpleNamespace
 import pytest
 from fmpy.model_description import BaseUnit, ModelDescription, ScalarVariable, SimpleType, Unit
 
-from hydrotwin.export import check_fmu, read_fmu
+from hydrotwin.comparison.varied import with_values
+from hydrotwin.export import check_fmu, export_fmu, read_fmu
 from hydrotwin.export.fmu_settings import own_value
 from hydrotwin.export.parameter_sets import parameters_of
-from hydrotwin.export.unit_meanings import meaning_of, redefined
+from hydrotwin.export.unit_meanings import is_difference, meaning_of, redefined
+from hydrotwin.models.language import Component, Model, Output, Parameter
 from hydrotwin.models.language.errors import UnitError
 from tests.export.foreign import rewritten
 
@@ -110,6 +112,38 @@ def test_a_difference_is_known_from_the_file_of_an_fmu(celsius_lag):
     assert rise.description.scales["gain"] == (1.0, 0.0)
     assert [rise.with_values({"gain": f"5 {unit}"}).values["gain"] for unit in ("degC", "K")] == [5.0, 5.0]
     assert celsius_lag('relativeQuantity="false"').description.scales["gain"] == (1.0, 273.15)
+
+
+class Warmed(Component):
+    """A rise of the oil over the room."""
+
+    rise = Parameter(5.0, "delta_degC", "rise", bounds=(0.0, 50.0))
+    room = Parameter(20.0, "degC", "of the room")
+    oil = Output("degC", "of the oil")
+    over = Output("delta_degC", "of the oil over the room")
+
+    def equations(self):
+        yield self.oil == self.room + self.rise
+        yield self.over == self.rise
+
+
+@pytest.mark.parametrize("fmi", [2, 3])
+def test_a_difference_that_a_model_declares_is_one_in_its_fmu(tmp_path, fmi):
+    """A rise of 5 K in degC would be shown as -268 degC; 5 degC of it was set as 278 K."""
+    model = Model(Warmed(), "warmed")
+    assert with_values(model, {"rise": "7 degC", "room": "30 degC"}).flat.parameter_vector().tolist() == [7.0, 303.15]
+    path = export_fmu(model, tmp_path / "warmed.fmu", fmi=fmi)
+    assert check_fmu(path).passed
+    said = {v.name: (v.unit, v.displayUnit, is_difference(v)) for v in read_fmu(path).description.source.modelVariables}
+    assert said["rise"] == said["over"] == ("K", "degC", True) and said["room"] == said["oil"] == ("K", "degC", False)
+    warm = read_fmu(path).with_values({"rise": "7 degC", "room": "30 degC"})
+    assert warm.values == {"rise": 7.0, "room": 303.15}
+
+
+def test_who_knows_that_a_variable_of_an_fmu_is_a_difference_says_it_by_its_unit(celsius_lag, tmp_path):
+    celsius_lag("")
+    rise = read_fmu(tmp_path / "rise.fmu", units={"gain": "delta_degC"})
+    assert rise.description.scales["gain"] == (1.0, 0.0)
 
 
 def test_what_an_fmu_calls_its_unit_is_its_unit_where_a_user_sets_it():

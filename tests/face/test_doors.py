@@ -317,6 +317,18 @@ def test_units_of_an_fmu_are_what_it_defines(form, kind):
             of_vendor(form, {kind: "30"})
 
 
+def test_a_constant_of_recordings_is_read_as_usual_and_says_what_an_fmu_would_read():
+    """All models share the recording: the FMU's own bar, over the ambient pressure, cannot be meant there."""
+    words = ("--set", "drive_pressure=2bar", "--set", "drive_force=2kN", "--mode", "free run", "--out", "set")
+    answer = hydrotwin("compare", "--model", "vendor.fmu", "--validate", "run.csv", *words)
+    told = " ".join(answer.err.split())
+    assert (
+        "drive_pressure = 2bar is 200000 Pa: it is set for the recordings" in told
+        and "drive_force = 2kN is" not in told
+    )
+    assert "By the bar that the FMU defines it would be 301325 Pa. Write it in Pa." in told
+
+
 # -- times, options ----------------------------------------------------------------------------------------------------
 def test_times_take_their_units():
     assert [step_in_seconds(text) for text in ("2ms", "0.002", "0.002 s")] == [0.002] * 3

@@ -112,3 +112,19 @@ def test_a_number_alone_says_nothing_of_what_is_declared_in_another_unit(tmp_pat
     assert refused.code == 2 and "may mean degC or K. Give the unit: room=25degC" in " ".join(refused.said.split())
     assert hydrotwin(*call, "room=25degC", "--set", "loss=6").code == 0
     assert float(Path("out.csv").read_text().split()[-1].split(",")[-1]) == pytest.approx(298.15, abs=1e-3)
+
+
+def test_a_recording_with_a_hole_is_run_in_parts_and_says_so(recordings, tmp_path):
+    """Carried on over the hole, the command drove the arm into its stop."""
+    whole = ht.read_record(recordings / "validate_1.csv")
+    keep = (whole.time < 2.0) | (whole.time > 3.0)
+    signals = {n: v[keep] for n, v in whole.signals.items()}
+    ht.write_record(ht.Record(whole.time[keep], signals, whole.units, "holed"), tmp_path / "holed.csv")
+    answer = hydrotwin("simulate", "cehA", "--input", tmp_path / "holed.csv", "--out", tmp_path / "run.csv", "--json")
+    told = json.loads(answer.out)
+    assert any(n.startswith("holed has a hole (1.99") and "2 parts" in n for n in told["notes"])
+    run = ht.read_record(tmp_path / "run.csv")
+    assert len(run) == keep.sum()
+    plain = json.loads(hydrotwin("simulate", "cehA", "--input", recordings / "validate_1.csv", "--json").out)
+    errors = [{o["output"]: o["rmse"] for o in one["outputs"]}["arm_angle"] for one in (told, plain)]
+    assert errors[0] < 2 * errors[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 import zipfile
 
 import numpy as np
@@ -11,6 +12,7 @@ from fmpy.ssp.ssd import read_ssd, read_ssv
 
 import hydrotwin as ht
 from hydrotwin.export import read_fmu
+from hydrotwin.export.inside import RECORD_FILE
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import add_effect
 from tests.face.command_line import SHIPPED, hydrotwin, short
@@ -104,3 +106,22 @@ def test_a_name_that_is_no_archive_is_refused_before_the_run(recordings):
     answer = hydrotwin("compare", *words, "--out", recordings / "never")
     assert answer.code == 2 and "It must end in .ssp" in answer.said
     assert not (recordings / "never").exists()
+
+
+def test_a_learned_block_carries_its_record_in_an_archive_as_in_its_own_fmu(recordings, tmp_path):
+    files = sorted(recordings.glob("train_*.csv"))
+    block = ("learn", "arx", *files, "--input", "command", "--output", "motor_speed", "--out", tmp_path / "arx.toml")
+    assert hydrotwin(*block).code == 0
+    archive, models = tmp_path / "m.ssp", ("--model", tmp_path / "arx.toml", "--model", "eq17")
+    words = ("--validate", recordings / "validate_1.csv", "--output", "motor_speed", "--out", tmp_path / "r")
+    answer = hydrotwin("compare", *models, *words, "--ssp", archive)
+    assert answer.code == 0, answer.said
+    assert hydrotwin("export", tmp_path / "arx.toml", "--out", tmp_path / "arx.fmu").code == 0
+    with zipfile.ZipFile(archive) as packed, zipfile.ZipFile(tmp_path / "arx.fmu") as alone:
+        component = next(n for n in packed.namelist() if n.endswith(".fmu") and "eq17" not in n)
+        packed.extract(component, tmp_path)
+        (record,) = (name for name in alone.namelist() if name == RECORD_FILE)
+        own = tomllib.loads(alone.read(record).decode())
+    with zipfile.ZipFile(tmp_path / component) as inside:
+        told = tomllib.loads(inside.read(RECORD_FILE).decode())
+    assert told["credibility"] == own["credibility"] and own["credibility"]

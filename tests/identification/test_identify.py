@@ -279,13 +279,3 @@ def test_what_is_left_is_noise_when_its_size_is_right_and_neighbours_hardly_agre
 
     rest = OutputResidual("run", "angle", "train", 1.0, 1.0, "rad", 1000, chi2, lag_one, 1e-4, white)
     assert rest.explained is explained
-
-
-def test_a_hole_over_which_inputs_are_carried_on_is_told_where_more_than_noise_is_left():
-    """The right model and the right recording: "look for a missing effect" alone would send people the wrong way."""
-    whole = recorded(drive(), 1, noise=NOISE)
-    keep = (whole.time < 3.0) | (whole.time > 5.0)
-    holed = Record(whole.time[keep], {n: v[keep] for n, v in whole.signals.items()}, whole.units, "holed")
-    said = [f for f in identify(drive(), [holed], starts=1).findings if f.kind == "hole"]
-    assert len(said) == 1 and "holed has a hole of 2.04 s, 2.98 s after its first sample" in said[0].sentence
-    assert not [f for f in identify(drive(), [whole], starts=1).findings if f.kind == "hole"]

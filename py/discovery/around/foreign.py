@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from hydrotwin.export.reader import FmuBlock
+from hydrotwin.identification.problem import unbroken_for
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language.component import declarations
 from hydrotwin.models.language.declarations import Parameter
@@ -27,14 +28,15 @@ def around(fmu: FmuBlock | SurroundedFmu, wanted: Wanted) -> Asked:
     Raises DeclarationError for an FMU without inputs or outputs, DataError for recordings that lack a signal,
     SolveError where the FMU fails, crashes or hangs.
     """
-    records, model = wanted.records, fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
-    model = settled(model, records, wanted.interpolation)
-    pieces, said, seconds = ready(model, records, wanted.validate, wanted.free)
+    model = fmu if isinstance(fmu, SurroundedFmu) else surrounded(fmu)
+    model = settled(model, wanted.records, wanted.interpolation)
+    records, validate = (unbroken_for(model.flat, some) for some in (wanted.records, wanted.validate))
+    pieces, said, seconds = ready(model, records, validate, wanted.free)
     model = model if model.additions else sized(model, records)
     seen = {name for record in pieces for name in record.signals}
     period = min(float(np.median(np.diff(r.time))) for r in records)
     fitting = [at_pace(c, period) for c in around_only(model, candidates(model, wanted.effects, wanted.exclude), seen)]
-    data = split(model.flat, pieces, wanted.validate, wanted.outputs, wanted.noise)
+    data = split(model.flat, pieces, validate, wanted.outputs, wanted.noise)
     data = dataclasses.replace(data, findings=(*said, *data.findings))
     names = free_names(model.flat, wanted.free or ())
     note = f"a run of the FMU takes {seconds:.2g} s, a search some hundred of them"

@@ -159,7 +159,7 @@ def point_of(free: FreeParameters, start: Mapping[str, float]) -> np.ndarray:
 def moving_starts(job: Job) -> list[str]:
     """States whose starts a fit to whole recordings may move: those that are measured, unless told."""
     q = job.question
-    if q.initial_states == "free" or job.flat.black_box:
+    if q.initial_states == "free" or job.flat.black_box or any(r.in_motion for r in (*q.fit, *q.select)):
         return [s.name for s in job.flat.states]
     return sorted(set().union(*(measured_start(job.flat, r) for r in (*q.fit, *q.select))))
 

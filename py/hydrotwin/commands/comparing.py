@@ -17,8 +17,8 @@ from hydrotwin.records import Reading, require
 
 from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
-from .exporting import equations_told
-from .recording_evidence import known_of, recorded_as
+from .exporting import credibility_told, equations_told
+from .recording_evidence import recorded_as
 from .recordings import reads, told_in
 from .shared import (
     InitialStatesOption,
@@ -175,7 +175,9 @@ def compare(
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     before = _state(output / "compare.json")
     matrix = run(described, loaded, output, runs)
-    for word in dict.fromkeys(notes(matrix)):
+    fmus = {spec: thing for spec, thing in loaded.items() if hasattr(thing, "constants_read")}
+    read = [f"{spec}: {s}" for spec, thing in fmus.items() for s in thing.constants_read(described.reading.constants)]
+    for word in dict.fromkeys([*read, *notes(matrix)]):
         mark(err, "note", word)
     accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
     if not any(one.comparison.scores for one in matrix.runs):
@@ -267,9 +269,10 @@ def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path
         thing = things.get(contender.name, contender)
         if scenario.loop:
             thing = getattr(contender, "block", contender)  # the model under the controller
-        known = None if row.settings or scenario.loop else known_of(row.model)
+        known = None if row.settings or scenario.loop else credibility_told(thing, row.model)
         told = shipped_values(row.model, thing), equations_told(thing), known
-        starts = {s.estimate.record: s.estimate.values for s in comparison.starts if s.model == contender.name}
+        begun = [s for s in comparison.starts if s.model == contender.name]
+        starts = {s.of: s.estimate.values for s in reversed(begun)}  # of parts the first
         parts.append(SystemPart(contender.name, thing, *told, starts))
     archive = export_ssp(parts, path, records=comparison.records, title=comparison.title, version=version)
     for sentence in archive.left_out:

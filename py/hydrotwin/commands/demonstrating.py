@@ -20,7 +20,7 @@ from .discovering import print_discovery, telling
 from .exporting import equations_told, given_starts
 from .fitting import fit_provenance, print_fit, print_friction
 from .recordings import read_all
-from .shared import check_folder, examples, mark, out, progress_bar
+from .shared import check_folder, duration_of, examples, mark, out, progress_bar
 from .writing import Made, write_discovery
 
 IDENTIFIED, COMPLETED = "identified", "with the named effect"
@@ -59,7 +59,9 @@ def demo(
     machines: Annotated[
         list[str] | None, typer.Option("--machine", help="cehA or spool_valve; both by default")
     ] = None,
-    budget: Annotated[float, typer.Option(help="seconds for each network")] = 30.0,
+    budget: Annotated[
+        float, typer.Option(parser=duration_of("--budget", 0.1), metavar="TIME", help="time for each network")
+    ] = 30.0,
 ) -> None:
     """Identify, learn, export, find what is missing, compare and report, on the shipped recordings."""
     check_folder(output)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import re
 import time
 from pathlib import Path
 from typing import Annotated
@@ -24,6 +23,7 @@ from .shared import (
     RecordsArgument,
     ValidateOption,
     check_folder,
+    duration_of,
     err,
     examples,
     interpolation_from,
@@ -40,8 +40,6 @@ from .writing import BestSoFar, Made, write_discovery, write_failure
 KEPT = ".unfinished"  # folder of finished fits, there while a gap is being worked on
 TOLD = 4  # findings on the screen
 GAP_COLUMNS = (("RMSE", "noise", "unit"), ("before", "after", "noise", "unit", "gap closed"))  # without, with a name
-NUMBER = r"(\d+(?:\.\d+)?)"
-DURATION = re.compile(rf"(?:{NUMBER}\s*h)?\s*(?:{NUMBER}\s*m(?:in)?)?\s*(?:{NUMBER}\s*s)?")
 
 
 def register(app: typer.Typer) -> None:
@@ -89,7 +87,12 @@ def gap(
         str, typer.Option(metavar="HOW", help="quick, normal or thorough: how many combinations are fitted, how long")
     ] = "normal",
     time_limit: Annotated[
-        str | None, typer.Option(metavar="TIME", help="90s, 5min, 1h30min: then the best so far is the answer")
+        float | None,
+        typer.Option(
+            parser=duration_of("--time-limit"),
+            metavar="TIME",
+            help="90s, 5min, 1h30min: then the best so far is the answer",
+        ),
     ] = None,
     executor: Annotated[
         str, typer.Option(metavar="WHERE", help="where the fits run: processes, here or dask://host:port")
@@ -115,7 +118,6 @@ def gap(
     began = time.perf_counter()
     check_folder(output)
     check_effort(effort)
-    limit = None if time_limit is None else seconds_of(time_limit)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     train, judged = read_all(records, reading), read_all(validate, reading)
@@ -136,7 +138,7 @@ def gap(
             found = discover(
                 thing, train, validate=judged, free=free, effects=wanted, exclude=exclude or (),
                 max_effects=max_effects, initial_states=initial_states, executor=pool, progress=told, memory=memory,
-                interpolation=interpolation_from(interpolation), effort=effort, time_limit=limit, so_far=best,
+                interpolation=interpolation_from(interpolation), effort=effort, time_limit=time_limit, so_far=best,
             )  # fmt: skip
         except HydrotwinError as error:
             seconds = time.perf_counter() - began + memory.earlier
@@ -165,21 +167,6 @@ def check_effort(effort: str) -> None:
 
     if effort not in EFFORTS:
         raise DeclarationError(f"--effort {effort}: no such effort. {nearest(effort, list(EFFORTS))}")
-
-
-def seconds_of(duration: str) -> float:
-    """A duration in seconds: a number, or numbers with h, min and s.
-
-    >>> [seconds_of(text) for text in ("90", "90s", "5 min", "1.5h", "1h30min")]
-    [90.0, 90.0, 300.0, 5400.0, 5400.0]
-    """
-    text = duration.strip().lower()
-    parts = re.fullmatch(NUMBER, text) or DURATION.fullmatch(text)
-    given = [float(part or 0) for part in parts.groups()] if parts else []
-    seconds = sum(value * 60**k for k, value in enumerate(reversed(given)))
-    if not seconds > 0:
-        raise DeclarationError(f"--time-limit {duration}: no duration. Write for example 90s, 5min, 1.5h or 1h30min.")
-    return seconds
 
 
 def origin_from(thing, spec: str, folder: Path) -> str:

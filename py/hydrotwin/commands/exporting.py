@@ -107,7 +107,7 @@ def export(
         reference=_reference(thing, kind, method, step),
         equations=equations_told(thing),
         experiments=_experiments(thing, read_all(experiment, reading), method, step),
-        credibility=_credibility(thing, model),
+        credibility=credibility_told(thing, model),
     )
     size = output.stat().st_size
     if as_json:
@@ -116,10 +116,15 @@ def export(
         out.print(f"written: {output} ({size / 1000:.0f} kB)")
 
 
-def _credibility(thing, model: str):
-    """What vouches for it: the record of its model file, or of a learned block what it was trained on and its card."""
+def credibility_told(thing, model: str):
+    """What vouches for it: the record of its model file, or of a learned block what it was trained on and its card.
+
+    None of an FMU, which has its own inside.
+    """
     if hasattr(thing, "flat"):
         return known_of(model)
+    if not hasattr(thing, "step"):
+        return None
     from hydrotwin.learned.evidence import credibility_of_block
 
     return credibility_of_block(thing)

@@ -12,7 +12,7 @@ import typer
 
 from hydrotwin import __version__
 from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.models.language.quantities import wanted
+from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
@@ -197,12 +197,18 @@ def _plus_minus(sigma: float) -> str:
     return f"± {sigma:.2g}" if math.isfinite(sigma) else "unknown"
 
 
+def force_of(text: str | float) -> float:
+    """The force of ``--load`` in N."""
+    return in_unit(text, Wanted("--load", "N"), "--load 2.5kN")
+
+
 def friction(
     records: RecordsArgument,
     velocity: Annotated[str, typer.Option(metavar="NAME", help="column of the velocity")] = "velocity",
     force: Annotated[str, typer.Option(metavar="NAME", help="column of the force")] = "force",
     load: Annotated[
-        float | None, typer.Option(metavar="N", help="constant force beside friction, where it is known")
+        float | None,
+        typer.Option(parser=force_of, metavar="FORCE", help="constant force beside friction, where it is known: 2.5kN"),
     ] = None,
     output: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="write a page with the curve")] = None,
     as_json: JsonOption = False,

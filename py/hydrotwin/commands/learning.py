@@ -16,7 +16,18 @@ from hydrotwin.records import Reading, Record
 from ..loading import origin
 from .accepting import accepted, criteria
 from .recordings import constants_among, read_all, reads, require_columns
-from .shared import JsonOption, RecordsArgument, ValidateOption, check_file, check_folder, err, examples, mark, out
+from .shared import (
+    JsonOption,
+    RecordsArgument,
+    ValidateOption,
+    check_file,
+    check_folder,
+    duration_of,
+    err,
+    examples,
+    mark,
+    out,
+)
 from .showing import physical
 from .training import OutOption, SetOption, named, options_of, trained, written
 
@@ -35,8 +46,8 @@ KINDS = {  # the kinds of learned.learning in words, told without importing it
     "state_nn": "a network with hidden states, started by an encoder",
 }
 BUDGET = (
-    "s on the clock, then the best so far is taken; of nn, state_nn, symbolic, narx, hybrid; auto: of all kinds "
-    "together, and of training the best again"
+    "seconds on the clock, or 5min, then the best so far is taken; of nn, state_nn, symbolic, narx, hybrid; auto: of "
+    "all kinds together, and of training the best again"
 )
 THOROUGH = "auto: train every kind to the end, those too that can no longer be as good as the best"
 TRIALS = 0.7  # of the budget of auto: the rest is for training the chosen kind again on all recordings
@@ -69,7 +80,9 @@ def learn(
     model: Annotated[str | None, typer.Option("--model", metavar="MODEL", help="hybrid: the identified model")] = None,
     fit: Annotated[str | None, typer.Option(help="paper: the published procedure; default: the better one")] = None,
     hidden: Annotated[int | None, typer.Option(min=0, help="nn: hidden units; 0: the best linear model")] = None,
-    budget: Annotated[float | None, typer.Option(min=0.1, help=BUDGET)] = None,
+    budget: Annotated[
+        float | None, typer.Option(parser=duration_of("--budget", 0.1), metavar="TIME", help=BUDGET)
+    ] = None,
     thorough: Annotated[bool, typer.Option("--thorough", help=THOROUGH)] = False,
     seed: Annotated[int, typer.Option(help="the same seed gives the same block")] = 0,
     name: Annotated[str | None, typer.Option(help="name of the block")] = None,

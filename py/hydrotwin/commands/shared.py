@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -49,6 +51,26 @@ def step_in_seconds(text: str | float) -> float:
     """The time of ``--step`` in seconds: ``0.002`` or ``2ms``."""
     return in_unit(text, Wanted("--step", "s"), "--step 1ms")
 
+
+def duration_of(option: str, least: float = 0.0) -> Callable[[str | float], float]:
+    """What reads the time of an option in seconds, of ``least`` or more: ``90``, ``5min``, ``1.5h`` or ``1h30min``."""
+
+    def seconds(text: str | float) -> float:
+        parts = _DURATION.fullmatch(str(text).strip().lower())
+        given = [f"{n} {unit}" for n, unit in zip(parts.groups(), ("h", "min", "s"), strict=True) if n] if parts else []
+        found = 0.0
+        with contextlib.suppress(HydrotwinError):
+            found = sum(in_unit(part, Wanted(option, "s")) for part in given or [text])
+        if not found > 0 or found < least:
+            more = f" of {least:g} s or more" if least else ""
+            raise DeclarationError(f"{option} {text}: no duration{more}. Write for example 90s, 5min, 1.5h or 1h30min.")
+        return found
+
+    return seconds
+
+
+_PART = r"(\d+(?:\.\d+)?)"
+_DURATION = re.compile(rf"(?:{_PART}\s*h)?\s*(?:{_PART}\s*m(?:in)?)?\s*(?:{_PART}\s*s)?")  # 1h30min
 
 StepOption = Annotated[
     float | None,

@@ -15,7 +15,7 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.quantities import wanted
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
-from hydrotwin.records import WRITTEN, Reading, write_record
+from hydrotwin.records import WRITTEN, Reading, cuts, joined, unbroken, write_record
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
@@ -97,21 +97,25 @@ def simulate(
         settings = settings_from(changes, "--set", [wanted(p) for p in _parameters_of(thing)])
     notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
-    begun = _started(thing, record, initial_states, settings)
+    contender = as_contender(thing)
+    parts = unbroken(record, [s.name for s in contender.inputs])
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(_parameters_of(thing), settings)
+    begun, runs = [_started(thing, part, initial_states, settings) for part in parts], []
+    for part, start in zip(parts, begun, strict=True):
+        if not (isinstance(thing, Block) or hasattr(thing, "flat")):
+            runs.append(contender.free_run(part))
+            continue
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InaccurateWarning)  # told below
-            start = begun.estimate.values if begun else None
-            result = simulate(thing, record, parameters=settings, start=start, step=step, method=method)
-    else:
-        result = as_contender(thing).free_run(record)
-    accuracy = getattr(result, "accuracy", None)
-    contender = as_contender(thing)
+            given = start.estimate.values if start else None
+            runs.append(simulate(thing, part, parameters=settings, start=given, step=step, method=method))
+    accuracy = max((r.accuracy for r in runs if getattr(r, "accuracy", None)), key=lambda a: a.error, default=None)
+    record, result, begun = joined(parts), joined(runs), [one for one in begun if one]
     known = {s.name for s in (*contender.inputs, *contender.outputs)}
     tell_ignored([record], known, contender.name)
     tell_between(contender.inputs)
-    starts = [str(begun)] if begun else []
+    starts = [*cuts(parts), *map(str, begun)]
     for note in [*(f"{contender.name}: {note}" for note in notes), *starts]:
         mark(err, "note", note)
     run = Trajectory(contender.name, record.name, FREE_RUN, result)
@@ -138,7 +142,7 @@ def simulate(
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
         told = [*notes, *starts, *beyond]
         answer |= {"notes": told} if told else {}
-        answer |= {"start": asdict(begun.estimate)} if begun else {}
+        answer |= {"start": asdict(begun[0].estimate)} if begun else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)

@@ -11,9 +11,12 @@ from typing import Annotated, Union, get_args, get_origin, get_type_hints
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.quantities import Wanted, apart, in_unit
 
 from .shared import err, mark, out, print_json, progress_bar
 
+UNITS = {"period": "s", "budget": "s", "dead_time": "s", "settle": "s", "window": "s", "delay": "s", "tolerance": "1",
+         "steady": "1"}  # fmt: skip
 OWN = {"records", "inputs", "outputs", "validate", "select", "progress", "name", "seed"}  # with a flag of their own
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
@@ -36,7 +39,7 @@ def options_of(what: str, function: Callable, settings, flags: dict, *more: Call
         key, equals, value = text.partition("=")
         if not equals:
             raise DeclarationError(f"{what}: --set takes NAME=VALUE (got '{text}'). Write --set lags=5.")
-        found[key.strip()] = _value(value.strip())
+        found[key.strip()] = _in_its_unit(what, key.strip(), _value(value.strip()), known)
     own = [k for k in known if k not in OWN]
     for key, value in found.items():
         if key not in own:
@@ -48,6 +51,14 @@ def options_of(what: str, function: Callable, settings, flags: dict, *more: Call
             given = ",".join(map(str, value)) if isinstance(value, tuple) else value
             raise DeclarationError(f"{what}: {key} cannot be '{given}'. It takes {_words(known[key])}.")
     return found
+
+
+def _in_its_unit(what: str, key: str, value, known: dict[str, object]):
+    """A value with a unit as the option takes it; whatever else it is stays. Raises UnitError."""
+    takes = {known.get(key), *get_args(known.get(key))}
+    if not (isinstance(value, str) and key in UNITS and float in takes and apart(value)):
+        return value
+    return in_unit(value, Wanted(f"{what}: {key}", UNITS[key]), f"--set {key}={{}}")
 
 
 def _fits(value, kind) -> bool:

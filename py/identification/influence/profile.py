@@ -29,7 +29,7 @@ from ..identify import processors
 from ..least_squares import Minimum, minimise
 from ..loss import Loss
 from ..outliers import FAR, outlying, without
-from ..problem import free_parameters, matching, recordings
+from ..problem import free_parameters, matching, recordings, unbroken_for
 from ..shooting import Shooting
 from ..uncertainty import Errors, uncertainty
 from .intervals import SIGMAS
@@ -128,7 +128,7 @@ def _task(fit: Fit, records: Sequence, threads: int | None) -> Task:
     """What was fitted, as it was fitted."""
     flat, settings = fit.flat, fit.settings
     trained = [r for r in fit.records if r.role == "train"]
-    records = distinct(records)[0]
+    records = unbroken_for(flat, distinct(records)[0])
     names = ", ".join(t.name for t in trained)
     same = len(records) == len(trained) and all(
         (r.digest or t.digest) == t.digest and len(r.time) == t.samples for r, t in zip(records, trained, strict=True)

@@ -9,12 +9,14 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import distinct
+from hydrotwin.records import cuts, distinct
 from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 from hydrotwin.simulation.simulate import filled, inputs_of, since_start
 
 from ..bands import given_starts
+from ..beginning import estimate_start
+from ..problem import unbroken_for
 from ..start_states import StartStates
 
 
@@ -43,13 +45,17 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """A model and all its runs; ``propagator`` has the sensitivities to ``names`` and to the start states ``noisy``."""
+    """A model and all its runs; ``propagator`` has the sensitivities to ``names`` and to the start states ``noisy``.
+
+    cuts : what was made of recordings with holes, a sentence each.
+    """
 
     flat: FlatModel
     names: tuple[str, ...]
     runs: tuple[Run, ...]
     noisy: tuple[str, ...]
     propagator: object
+    cuts: tuple[str, ...] = ()
 
     @property
     def p(self) -> np.ndarray:
@@ -82,6 +88,7 @@ def runs_over(
     """Runs of a model over recordings, each cut into ``stretches`` equal parts of its time.
 
     A state starts from ``start``, else from the first sample of the output that measures it, else from the model.
+    A recording with holes is the parts between them; behind one it starts as the first samples there tell.
 
     Raises DataError without a recording, or for a missing input.
     """
@@ -94,9 +101,17 @@ def runs_over(
     flat: FlatModel = getattr(model, "flat", model)
     order = [p.name for p in flat.parameters]
     index = np.array([order.index(n) for n in names], dtype=int)
-    runs = tuple(_run(flat, record, index, stretches, start or {}) for record in distinct(records)[0])
+    parts = unbroken_for(flat, distinct(records)[0])
+    runs = tuple(_run(flat, record, index, stretches, _begun(flat, record, start or {})) for record in parts)
     noisy = tuple(s.name for s in flat.states if any(s.name in run.noisy for run in runs))
-    return Runs(flat, tuple(names), runs, noisy, prepare(flat, free_parameters=names, free_states=noisy))
+    propagator = prepare(flat, free_parameters=names, free_states=noisy)
+    return Runs(flat, tuple(names), runs, noisy, propagator, tuple(cuts(parts)))
+
+
+def _begun(flat: FlatModel, record, start: Mapping[str, float]) -> Mapping[str, float]:
+    """Start states that are given; behind a hole, where a machine is in motion, those that its first part tells."""
+    seen = any(s.name in record for s in flat.outputs)
+    return estimate_start(flat, record).values if record.in_motion and seen else start
 
 
 def _run(flat: FlatModel, record, index: np.ndarray, stretches: int, start: Mapping[str, float]) -> Run:
@@ -109,7 +124,7 @@ def _run(flat: FlatModel, record, index: np.ndarray, stretches: int, start: Mapp
     given, measured = given_starts(flat, record, start)
     starts = StartStates(flat, list(given), index)
     time = since_start(record)
-    edges = np.searchsorted(time, np.linspace(0.0, time[-1], stretches + 1)[1:-1])
+    edges = np.searchsorted(time, np.linspace(time[0], time[-1], stretches + 1)[1:-1])
     y = np.full((len(time), len(flat.outputs)), np.nan)
     for j, signal in enumerate(flat.outputs):
         if signal.name in record.signals:

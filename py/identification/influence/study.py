@@ -99,6 +99,7 @@ def sensitivity(
         known=sure,
         measurements=further,
         findings=(
+            *(Finding("hole", (), f"sensitivity: {sentence}") for sentence in runs.cuts),
             *_effects(asked, near),
             *_near_zero(runs.flat, asked),
             *_told_apart(runs, near, sure),

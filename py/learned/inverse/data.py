@@ -14,7 +14,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import si_unit
-from hydrotwin.records import Record
+from hydrotwin.records import Record, all_unbroken
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
@@ -143,7 +143,7 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, mov
     if not records:
         raise DataError("characteristic: no recordings (got an empty list). Give at least one Record.")
     (input,), (output,) = (as_signals([s], records[0], "signals") for s in (input, output))
-    records = usable(records, (input, output))
+    records = usable(all_unbroken(records, [input.name, output.name]), (input, output))
     rate = integration(records, (input,), (output,))[0].found if rate is None else rate
     span = max(float(np.ptp(np.concatenate([r[input.name] for r in records]))), 1e-300)
     window = window or max(0.5, 10 * max(r.period for r in records))

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 
-from ..columns import UNSEEN, Column, Table, rounding_of
+from ..columns import UNSEEN, ZEROS_BEFORE, Column, Table, rounding_of
 from ..decimal_sign import MINUS, found_decimal
 from ..headings import headings, together
 from .cells import Block, Place, block_of, column_cells
@@ -128,7 +128,14 @@ def _column(heading, block: Block, k: int, body: str, layout: Layout, decimal: s
         values = np.where(np.isin(np.abs(values), OVERFLOW), np.nan, values)
     if texts is None and len(values) > 1 and np.isfinite(values).all() and UNSEEN < rounding_of(values) < np.inf:
         texts = [cell if decimal == "." else cell.replace(",", ".") for cell in column_cells(body, layout, k)]
+    if texts is None and len(values) and (values == values[0]).all() and _zeros_before(body, layout, k):
+        texts = list(column_cells(body, layout, k))
     return Column(name, unit, values, block.problems[k], texts)
+
+
+def _zeros_before(body: str, layout: Layout, k: int) -> bool:
+    """Whether a column begins as no number is written."""
+    return bool(ZEROS_BEFORE.fullmatch(next(column_cells(body, layout, k), "").strip()))
 
 
 def _said(layout: Layout, decimal: str, lines: Lines) -> str:

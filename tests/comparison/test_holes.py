@@ -1,0 +1,107 @@
+"""A recording that judges is run through in the parts between its holes, each from a start of its own."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from hydrotwin.comparison import Wanted, acceptance, as_contender, compare
+from hydrotwin.comparison.comparison import FREE_RUN
+from hydrotwin.comparison.notices import notices
+from hydrotwin.models.language.errors import DataError
+from tests.identification.drive import drive, recorded
+from tests.identification.test_holes import NOISE, unknown, without
+
+from .toys import Toy, recording
+
+
+def compared(record, modes=(FREE_RUN,), **more):
+    return compare([as_contender(drive(), "right")], [record], modes=modes, repeats=0, **more)
+
+
+def rmse(found) -> float:
+    return next(s.rmse for s in found.scores if s.output == "position")
+
+
+@pytest.mark.parametrize(
+    "hole", [lambda r: without(r, (3, 5), name="run"), lambda r: unknown(r, 3, 5, "command")], ids=["rows", "input"]
+)
+def test_a_right_model_is_right_on_both_sides_of_a_hole(hole):
+    whole = dataclasses.replace(recorded(drive(), 1, noise=NOISE), name="run")
+    found = compared(hole(whole))
+    assert rmse(found) < 1.2 * NOISE["position"]
+    assert [r.name for r in found.records] == ["run"] == list({s.record for s in found.scores})
+    assert [s.estimate.record for s in found.starts] == ["run (part 2)"]
+    (said,) = [n for n in notices(found) if "hole" in n]
+    assert said.startswith("run has a hole (") and "it was cut into 2 parts" in said
+
+
+def test_both_modes_and_slopes_are_scored_around_a_hole():
+    found = compared(without(recorded(drive(), 1, noise=NOISE), (3, 5)), (FREE_RUN, "one step"), rates=["position"])
+    assert {(s.mode, s.output) for s in found.scores} >= {(FREE_RUN, "position.rate"), ("one step", "position")}
+    (curve, _) = found.trajectories
+    assert np.isfinite(curve.prediction["position"]).all() and len(curve.prediction) == len(found.records[0])
+
+
+def test_samples_between_holes_that_are_too_few_are_not_scored_and_told():
+    found = compared(without(recorded(drive(), 1, noise=NOISE), (3, 5), (5.4, 6)))
+    assert found.scores[0].samples == len(found.records[0]) - 21
+    assert any("samples beside them are left out" in n for n in notices(found))
+    assert rmse(found) < 1.2 * NOISE["position"]
+
+
+def test_every_model_is_judged_on_the_same_parts():
+    """An input that one of them needs has a hole: all are cut there."""
+    whole = recorded(drive(), 1, noise=NOISE)
+    found = compare(
+        [as_contender(drive(), "right"), Still("still")], [unknown(whole, 3, 5, "command")], modes=[FREE_RUN], repeats=0
+    )
+    counts = {s.model: s.samples for s in found.scores if s.output == "position"}
+    assert counts["right"] == counts["still"] < len(whole)
+
+
+class Still:
+    """Holds the first sample."""
+
+    inputs, kind, provenance = (), "yardstick", {}
+    outputs = drive().outputs
+
+    def __init__(self, name):
+        self.name = name
+
+    def free_run(self, record):
+        held = {s.name: np.full(len(record), record[s.name][0]) for s in self.outputs}
+        return dataclasses.replace(record, signals=held, units={s.name: s.unit for s in self.outputs})
+
+    one_step = free_run
+
+
+def test_a_criterion_by_the_name_of_a_recording_is_about_all_its_parts():
+    holed = without(recording(5), (3, 4), name="holed")
+    found = compare([Toy("good")], [recording(5), holed], modes=[FREE_RUN], repeats=0)
+    (one,) = acceptance(found, Wanted(("holed: arm_angle.rmse < 9 rad",))).judged
+    assert one.samples == len(holed) and "start of its own behind every hole: 3 s to 4 s" in one.caution
+
+
+def test_few_missing_samples_are_told_and_not_cut():
+    found = compared(without(recorded(drive(), 1, noise=NOISE), (2.99, 3.01), name="run"))
+    assert not found.starts
+    assert any(n.startswith("run lacks 1 sample; inputs are carried on there") for n in notices(found))
+
+
+def test_a_recording_of_holes_alone_is_refused():
+    torn = recorded(drive(), 1, noise=NOISE)
+    holes = np.where(np.arange(len(torn)) % 60 > 40, np.nan, torn["command"])
+    with pytest.raises(DataError, match="nothing to learn from or to judge by between its holes"):
+        compared(torn.with_signals({"command": holes}))
+
+
+def test_a_start_behind_a_hole_is_found_where_late_inputs_of_before_still_act():
+    model = drive(dead_time=True).with_parameters({"delay": 0.1})
+    whole = recorded(model, 1, noise={}, parameters={"delay": 0.1}, duration=20)
+    found = compare([as_contender(model, "right")], [without(whole, (6, 9))], modes=[FREE_RUN], repeats=0)
+    curve = found.trajectories[0].prediction
+    later = curve.time > 9.6
+    assert np.abs(curve["position"] - found.records[0]["position"])[later].max() < 2e-3

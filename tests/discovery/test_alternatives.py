@@ -30,6 +30,13 @@ def right():
     return search
 
 
+@pytest.fixture
+def blind(right, monkeypatch):
+    """The same where first order says nothing, as of an FMU."""
+    monkeypatch.setattr(alternatives, "foreseen", lambda table, jobs, known: {})
+    return right
+
+
 def test_before_the_others_are_asked_the_right_one_is_far_from_sure(right):
     said = standing(right.table)
     assert said.best is entry(right, "coulomb_friction")
@@ -53,11 +60,11 @@ def test_what_promised_nothing_from_a_bent_base_is_found_from_the_right_one(righ
     assert right.table.score(twin) < 100.0 < 0.1 * right.table.score(right.table.entry())
 
 
-def test_what_only_bends_the_base_goes_no_further_than_the_first_steps(right):
+def test_what_only_bends_the_base_goes_no_further_than_the_first_steps(blind):
     """Useless effects walk the same way as the base without any; a twin is ahead of it at once."""
-    asked, run = [], right.alternatives.run
-    right.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
-    right.alternatives.settle()
+    asked, run = [], blind.alternatives.run
+    blind.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
+    blind.alternatives.settle()
     looks = {name: [j.iterations for j in asked if name in j.label and j.stages == (0, 0)] for name in EFFECTS[1:]}
     assert looks["null_bias"] == looks["sensor_scale"] == [FIRST]
     assert len(looks["presliding_friction"]) == 2 and looks["presliding_friction"][1] > FIRST
@@ -90,8 +97,8 @@ def test_what_first_order_says_to_explain_too_little_needs_no_look(small):
 
 
 def test_where_first_order_did_not_foresee_the_best_all_others_are_looked_at(small, monkeypatch):
-    blind = {c.label: Foreseen(0.99 if c.id == "coulomb_friction" else 1.0, {}) for c in small.table.candidates}
-    monkeypatch.setattr(alternatives, "foreseen", lambda table, jobs, known: blind)
+    little = {c.label: Foreseen(0.99 if c.id == "coulomb_friction" else 1.0, {}) for c in small.table.candidates}
+    monkeypatch.setattr(alternatives, "foreseen", lambda table, jobs, known: little)
     asked, run = [], small.alternatives.run
     small.alternatives.run = lambda jobs: (asked.extend(jobs), run(jobs))[1]
     small.alternatives.settle()
@@ -107,9 +114,9 @@ def test_the_others_are_asked_anew_only_from_what_leaves_clearly_less(right):
     assert not asked
 
 
-def test_what_the_limit_left_unasked_counts_as_not_looked_at(right):
-    right.alternatives.batch = 1
-    run, done = right.alternatives.run, []
+def test_what_the_limit_left_unasked_counts_as_not_looked_at(blind):
+    blind.alternatives.batch = 1
+    run, done = blind.alternatives.run, []
 
     def limited(jobs):
         done.extend(jobs)
@@ -117,35 +124,35 @@ def test_what_the_limit_left_unasked_counts_as_not_looked_at(right):
             raise OutOfTime
         return run(jobs)
 
-    right.alternatives.run = limited
+    blind.alternatives.run = limited
     with pytest.raises(OutOfTime):
-        right.alternatives.settle()
-    left = [e for e in right.table.entries.values() if len(e.key) == 1 and not e.seen]
-    assert left and 0.0 < standing(right.table).told()["not looked at"] < 0.9
+        blind.alternatives.settle()
+    left = [e for e in blind.table.entries.values() if len(e.key) == 1 and not e.seen]
+    assert left and 0.0 < standing(blind.table).told()["not looked at"] < 0.9
 
 
-def test_a_run_that_diverges_from_there_costs_only_itself(right):
-    run = right.alternatives.run
+def test_a_run_that_diverges_from_there_costs_only_itself(blind):
+    run = blind.alternatives.run
 
     def diverging(jobs):
         return ["slide: diverged." if "dead_time" in job.label else found
                 for job, found in zip(jobs, run(jobs), strict=True)]  # fmt: skip
 
-    right.alternatives.run = diverging
-    right.alternatives.settle()
-    late = entry(right, "dead_time")
+    blind.alternatives.run = diverging
+    blind.alternatives.settle()
+    late = entry(blind, "dead_time")
     assert late.asked and np.isinf(late.beside) and not late.fitted
-    assert standing(right.table).verdict == "named" and right.table.unseen() == 0.0
+    assert standing(blind.table).verdict == "named" and blind.table.unseen() == 0.0
 
 
-def test_a_base_that_diverges_without_the_effect_dismisses_nobody(right):
-    run = right.alternatives.run
+def test_a_base_that_diverges_without_the_effect_dismisses_nobody(blind):
+    run = blind.alternatives.run
 
     def diverging(jobs):
         return [
             "slide: diverged." if job.label == "slide" else found for job, found in zip(jobs, run(jobs), strict=True)
         ]
 
-    right.alternatives.run = diverging
-    right.alternatives.settle()
-    assert entry(right, "presliding_friction").fitted and right.table.unseen() == 0.0
+    blind.alternatives.run = diverging
+    blind.alternatives.settle()
+    assert entry(blind, "presliding_friction").fitted and blind.table.unseen() == 0.0

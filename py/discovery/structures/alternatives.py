@@ -123,7 +123,7 @@ class Alternatives:
         It tells that where the rest was fitted, and where it foresees there what the best explains in fact.
         """
         own = 1 - known[_new(best, rest)].left if _new(best, rest) in known else 0.0
-        if self.table.question.lengths or not own or not rest.fitted.converged:
+        if not own or not rest.fitted.converged:
             return list(others)
         if own < FORESEEN * (1 - float(np.nanmean((best.fitted.rmse / rest.fitted.rmse) ** 2))):
             return list(others)

@@ -29,7 +29,6 @@ from hydrotwin.simulation import equations, inputs
 
 Response = list[tuple[np.ndarray, np.ndarray]]  # df (n - 1, nx, k), dh (n, ny, k) by stretch
 
-SAMPLES = 3000  # of all stretches together
 WINDOWS = 4  # of a stretch
 
 

@@ -14,12 +14,14 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
-from ..fits.response import SAMPLES, WINDOWS, Responses, stretch_of
+from ..fits.response import WINDOWS, Responses, stretch_of
 from .jobs import Jobs
 from .starts import compatible, sized
 from .table import Entry, Table
 
 GROWN = 2  # structures, the best, to which effects are added
+SAMPLES = 1500  # of stretches in which windows leave most
+IN_ALL = 3000  # of whole recordings: a gap that shows in all of them alone is small
 LEAST = 0.01  # of a usual size, at which an effect begins that first order would rather have the other way round
 
 
@@ -118,7 +120,8 @@ def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapp
     A residual counts in units of what is left of its output there.
     """
     question, p, size = table.question, flat.parameter_vector(dict(values)), known.fitted.rmse
-    propagator, most, stretches = prepare(flat, step=question.step), SAMPLES // len(question.fit), []
+    propagator, stretches = prepare(flat, step=question.step), []
+    most = (SAMPLES if question.lengths else IN_ALL) // len(question.fit)
     along = [] if question.lengths else jobs.runs_of(known)
     for i, recording in enumerate(question.fit):
 

@@ -29,7 +29,7 @@ def test_one_force_sensor_and_a_frequency_a_third_off_lead_windows_to_the_noise(
     base, noise = search.table.entry(), search.table.noise
 
     def left(starts):
-        search._find_valley(base, starts)
+        search.base.find_valley(starts)
         found = look(search.jobs.of(base, [search.jobs.begin], stages=(0, 1)))
         return np.nanmax(np.sqrt(found.squares[0] / np.maximum(found.counts[0], 1)) / noise), found.values
 

@@ -17,7 +17,7 @@ from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.models.language.errors import SolveError
 
 from .job import Fitted, Job
-from .whole import FIRST, TOLERANCE, concluded, first, settled
+from .whole import FIRST, TOLERANCE, concluded, first, precisely
 
 LENGTHS = (-0.2, -0.1, 0.1, 0.2)  # how far, in q of the parameter that moves most
 DIRECTIONS = 3  # in which the recordings say least
@@ -32,13 +32,13 @@ def lowest_nearby(job: Job) -> Fitted | str:
     """
     began, job = time.perf_counter(), job.beginning()
     try:
-        task, found = first(job)
+        task, found = first(job, rough=True)
         for _ in range(MOVES):
             best = _beside(task, found, job.seconds)
             if best.cost > found.cost - 1.0:
                 break
             found = minimise(whole_runs(task)[0], best.q, best.z, **TOLERANCE, most=job.iterations, until=job.seconds)
-        answer = concluded(*settled(task, found, job.iterations, job.seconds))
+        answer = concluded(*precisely(job, task, found))
     except SolveError as error:
         return str(error)
     return dataclasses.replace(answer, seconds=time.perf_counter() - began)

@@ -91,7 +91,17 @@ def as_look(fitted: Fitted) -> Look:
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
-    return settled(*first(job), job.iterations, job.seconds)
+    return precisely(job, *first(job, rough=True))
+
+
+def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list[np.ndarray]]:
+    """Weights and minimum in turns from where rough runs led, in rough runs first: the last steps alone are dear.
+
+    Close to a kink a derivative is known as well as the run knows when it comes there, and precise runs look for that.
+    """
+    task, found, left = settled(task, found, job.iterations, job.seconds)
+    precise = task_of(job, job.starts[0], _size(task, left), moving_starts(job))
+    return settled(precise, found, job.iterations, job.seconds)
 
 
 def first(job: Job, rules: Mapping[str, float] = FIRST, rough: bool = False) -> tuple[Task, Minimum]:

@@ -7,34 +7,26 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydrotwin.identification.frequencies import detuned
-from hydrotwin.identification.horizon import horizons
-from hydrotwin.identification.problem import free_parameters
-from hydrotwin.models.language.errors import SolveError
-
-from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Job, Look, Question, factor
-from ..fits.nearby import lowest_nearby
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
+from .base import LEFT, SAME, BaseFit
 from .ends import Freed, OutOfTime, Surprised
-from .extent import SHORT, enough_of, telling, with_fewer_windows
+from .extent import enough_of, telling
 from .foreseen import beside, larger, singles
 from .jobs import Effort, Jobs
-from .starts import compatible, different
+from .starts import compatible
 from .table import Entry, Table
 
 BY_WINDOWS = 2  # effects of a structure up to which windows alone are looked at
 FIRST = 2  # structures that are fitted when the time is over before any was
-SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
-LEFT = 1.5  # times the size that the longest windows, or a fit, leave: what leaves no more is near to them
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -66,6 +58,7 @@ class Search:
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
         self.batch = self.effort.together if np.isfinite(self.until) else self.effort.batch  # then limits are seen
+        self.base = BaseFit(self.table, self.jobs, self._ran)
         self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
     def go(self) -> Entry | None:
@@ -138,76 +131,10 @@ class Search:
         table.look_anew()
 
     def identify(self) -> Entry:
-        """The base, led through all windows and fitted. Raises SolveError where it diverges."""
-        table, q, base = self.table, self.table.question, self.table.entry()
-        if base.fitted:
-            return base
-        start = free_parameters(table.base.flat, table.free)
-        lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
-        table.question = dataclasses.replace(q, lengths=lengths)
-        if lengths:
-            self._find_valley(base, detuned(table.base.flat, q.fit, start, q.usual))
-        self._lead(base, SHORT)
-        self.first = telling(table)
-        seen = base.look
-        if with_fewer_windows(table, self.first):
-            base.look = None  # it begins anew with those
-        self._lead(base, len(lengths))
-        base.look = base.look or seen
-        self._fit_base(base)
-        if not base.fitted:
-            why = f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
-            raise SolveError(why)
+        """The base, fitted. Raises SolveError where it diverges."""
+        base = self.table.entry()
+        self.first = self.first if base.fitted else self.base.identify()
         return base
-
-    def _fit_base(self, base: Entry) -> None:
-        """Fit the base from where its windows ended, or where that leaves more than they did from all it came by.
-
-        Where they show nothing missing it has to explain all, or each of these is tried to its end: all of a search may
-        be spent on a base that came to rest beside its minimum. It may be so stiff there that a step takes seconds:
-        each start has a little time, the best goes on.
-        """
-        starts = different(self.jobs.whole(base).starts if base.look else ({},))
-        size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        for some in (starts[:1], starts[1:]):
-            settings = {"size": size, "states": states, "seconds": self.effort.look}
-            for found in self._ran([self.jobs.of(base, [start], **settings) for start in some]):
-                self.table.keep_better(base, found)
-            near = base.fitted and size is not None and not np.nanmax(base.fitted.rmse / size) > LEFT
-            if near and (self.first or self.table.explained([base])):
-                break
-        base.failed = "" if base.fitted else base.failed
-        if not self.first:  # else it leaves far too much, wherever it would come to rest
-            self._fit_base_further(base)
-            if near and not self.table.explained([base]):
-                (found,) = self._ran([self.jobs.further(base)], lowest_nearby)
-                self.table.keep_better(base, found)
-
-    def _fit_base_further(self, base: Entry) -> None:
-        if base.fitted and not base.fitted.converged:
-            (found,) = self._ran([self.jobs.further(base)])
-            self.table.keep_better(base, found)
-
-    def _lead(self, base: Entry, lengths: int) -> None:
-        """Lead the base through the first ``lengths`` of windows, where it has not gone through them."""
-        if base.open and (not base.look or len(base.look.squares) < min(lengths, len(self.table.question.lengths))):
-            self._advance([base], lengths)
-
-    def _find_valley(self, base: Entry, starts: Sequence[Mapping[str, float]]) -> None:
-        """Look at the base from the user's start, and where that leaves much from those of other frequencies, too.
-
-        It begins where the shortest windows leave clearly least.
-        """
-        table, found = self.table, []
-        for some in (starts[:1], starts[1:]):
-            jobs = [self.jobs.of(base, [start], stages=(0, 1), seconds=self.effort.look) for start in some]
-            looks = zip(self._ran(jobs), some, strict=True)
-            found += [(table.in_windows(look, 0), start) for look, start in looks if isinstance(look, Look)]
-            if found and found[0][0] < DECIDING.visible:
-                break
-        if found:
-            enough = (1 + SAME) * min(left for left, _ in found) + 1.0
-            self.jobs.begin = next(start for left, start in found if left <= enough)
 
     def take_looks(self, before: Search) -> None:
         """Take over looks in the same windows: all start states are free there, whatever is assumed of recordings.
@@ -356,7 +283,7 @@ class Search:
         if table.score(base) > FREED * before:
             return
         freed, base.fitted = base.fitted, own
-        self._fit_base_further(base)
+        self.base.further()
         before = table.score(base)
         self.table.keep_better(base, freed)
         if table.score(base) > FREED * before:

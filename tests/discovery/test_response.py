@@ -53,21 +53,21 @@ def test_what_an_effect_does_is_left_by_none_but_its_own_response(effect, size, 
     responses = along(measured)
     shares = {}
     for other, value in (("null_bias", 0.3), ("command_deadband", 0.1), ("dead_time", 0.05), (effect, size)):
-        model, p, without, _ = drive_with(other, value)
-        shares[other] = responses.promises([responses.of(model.flat, p[None], without)])[0].left
+        model, p, _, _ = drive_with(other, value)
+        shares[other] = responses.promises([responses.of(model.flat, p[None])])[0].left
     assert shares[effect] < share
     assert min(shares, key=shares.get) == effect
 
 
 def test_base_parameters_explain_their_part_first():
     """A wrong gain and a bias: what the bias leaves is the gain's, until that is free."""
-    model, _, without, _ = drive_with("null_bias", 0.3)
+    model, *_ = drive_with("null_bias", 0.3)
     both = model.flat.parameter_vector({"gain": 8.8, model.flat.parameters[-1].name: 0.03})
     measured, with_bias = run(model, both)[0], drive_with("null_bias", 0.03)[1]
     shares = []
     for free in ((), ("gain",)):
         responses = along(measured, free)
-        shares.append(responses.promises([responses.of(model.flat, with_bias[None], without)])[0].left)
+        shares.append(responses.promises([responses.of(model.flat, with_bias[None])])[0].left)
     assert shares[1] < 1e-3 < 0.3 < shares[0]
 
 

@@ -68,7 +68,7 @@ class Promise(NamedTuple):
 class Responses:
     """A model at values, along stretches of a run of it; free : parameters that a fit would move, too, by path.
 
-    size : (ny,), SI, what a residual counts.
+    size : (ny,), SI, what a residual counts. plain : the model that effects are added to; None: the one that ran.
     """
 
     flat: FlatModel
@@ -76,28 +76,38 @@ class Responses:
     free: Sequence[str]
     stretches: Sequence[Stretch]
     size: np.ndarray
+    plain: FlatModel | None = None
     _along: list[_Along] = field(default_factory=list)
+    _plain: Response = field(default_factory=list)
 
     def __post_init__(self) -> None:
         functions = _linear(self.flat, [self.flat.index_of(n) for n in self.free])
         unit = np.array([abs(self.values[k]) or 1.0 for k in (self.flat.index_of(n) for n in self.free)])
         self._along = [_along(self.flat, functions, self.values, unit, s) for s in self.stretches]
+        shared = {p.name: v for p, v in zip(self.flat.parameters, self.values, strict=True)}
+        plain = self.plain or self.flat
+        p = plain.parameter_vector({q.name: shared[q.name] for q in plain.parameters})
+        self._plain = self._rates(plain, p[None])
 
-    def of(self, flat: FlatModel, sets: np.ndarray, without: np.ndarray) -> Response:
-        """The response to an effect that a model has, by k sets of its parameters (k, np), and as without it (np,).
+    def of(self, flat: FlatModel, sets: np.ndarray) -> Response:
+        """The response to an effect that a model has, by k sets of its parameters (k, np).
 
         The model may lack what the runs have beside it: states that it does not know are not changed by the effect.
         """
-        every = np.vstack([without, sets])
+        with_it = zip(self._rates(flat, sets), self._plain, strict=True)
+        return [(rates - plain, outputs - plainly) for (rates, outputs), (plain, plainly) in with_it]
+
+    def _rates(self, flat: FlatModel, sets: np.ndarray) -> Response:
+        """Rates of the states along the runs, 0 of those that a model lacks, and outputs, by sets of its parameters."""
         own, along = ([s.name for s in each.states] for each in (flat, self.flat))
         known = [i for i, name in enumerate(along) if name in own]
         found = []
         for stretch in self.stretches:
             part = dataclasses.replace(stretch, x=stretch.x[..., known])
-            rates, outputs = _excited(flat, [own.index(along[i]) for i in known], part, every)
-            changes = np.zeros((len(rates), len(along), len(sets)))
-            changes[:, known] = rates[..., 1:] - rates[..., :1]
-            found.append((changes, outputs[..., 1:] - outputs[..., :1]))
+            rates, outputs = _excited(flat, [own.index(along[i]) for i in known], part, sets)
+            whole = np.zeros((len(rates), len(along), len(sets)))
+            whole[:, known] = rates
+            found.append((whole, outputs))
         return found
 
     def promises(self, effects: Sequence[Response]) -> list[Promise]:

@@ -21,7 +21,7 @@ from .table import Entry, Table
 
 GROWN = 2  # structures, the best, to which effects are added
 SAMPLES = 1500  # of stretches in which windows leave most
-IN_ALL = 3000  # of whole recordings: a gap that shows in all of them alone is small
+IN_ALL = 2000  # of whole recordings: a gap that shows in all of them alone is small
 LEAST = 0.01  # of a usual size, at which an effect begins that first order would rather have the other way round
 
 
@@ -104,7 +104,7 @@ def _foreseen(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate
             model, starts = table.model(entry).flat, jobs.starts_of(one, known)
             own = table.of_its_own(entry, values)
             sets = np.array([model.parameter_vector({**own, **start}) for start in starts])
-            found.append((one, starts, along.of(model, sets, model.parameter_vector({**own, **one.neutral}))))
+            found.append((one, starts, along.of(model, sets)))
     promises = along.promises([response for *_, response in found]) if found else []
     return {
         one.label: Foreseen(
@@ -138,4 +138,4 @@ def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapp
         stretches.append(stretch_of(recording, states, run, size, T, most))
     there = np.concatenate([s.left.reshape(-1, s.left.shape[-1]) for s in stretches])
     there = np.sqrt(np.nansum(there**2, axis=0) / np.maximum(np.isfinite(there).sum(axis=0), 1))
-    return Responses(flat, p, table.names(known), stretches, np.fmax(there, table.noise))
+    return Responses(flat, p, table.names(known), stretches, np.fmax(there, table.noise), table.base.flat)

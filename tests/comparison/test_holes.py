@@ -9,8 +9,11 @@ import pytest
 
 from hydrotwin.comparison import Wanted, acceptance, as_contender, compare
 from hydrotwin.comparison.comparison import FREE_RUN
+from hydrotwin.comparison.field import Predicted, field_metrics
 from hydrotwin.comparison.notices import notices
+from hydrotwin.comparison.residual import explain
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.records import Record, noise_floor
 from tests.identification.drive import drive, recorded
 from tests.identification.test_holes import NOISE, unknown, without
 
@@ -105,3 +108,41 @@ def test_a_start_behind_a_hole_is_found_where_late_inputs_of_before_still_act():
     curve = found.trajectories[0].prediction
     later = curve.time > 9.6
     assert np.abs(curve["position"] - found.records[0]["position"])[later].max() < 2e-3
+
+
+PAUSES = (0.0, 3.0, 30.0, 600.0)  # s between the two halves of a run, while nothing was recorded
+
+
+def late(pause: float):
+    """Field metrics and residual of a swing that comes 0.3 s late and too small, recorded in two halves."""
+    time, random = np.arange(0.0, 20.0, 0.01), np.random.default_rng(0)
+    command = random.uniform(-1, 1, 40).repeat(50)
+    measured = np.convolve(command, np.exp(-np.arange(400) / 40) / 40)[: len(time)]
+    predicted = 0.8 * np.concatenate([np.zeros(30), measured[:-30]])
+    record = Record(
+        time + np.where(time < 10, 0.0, pause), {"u": command, "y": measured}, {"u": "V", "y": "m"}, "halves"
+    )
+    told = field_metrics(record, Predicted("y", predicted), ["u"], noise_floor(record))
+    return told, explain(record, "y", predicted, model="late")
+
+
+def test_metrics_see_nothing_across_a_hole():
+    """Lines over a pause are alike, whatever the model: 0.3 s late had been rated and found by them."""
+    whole, *paused = [late(pause) for pause in PAUSES]
+    assert whole[0].lag == pytest.approx(0.3, abs=0.01)
+    for found, left in paused:
+        assert found.lag == pytest.approx(whole[0].lag, abs=0.01)
+        assert found.iso18571 == pytest.approx(whole[0].iso18571, abs=0.02)  # the phase is over a fifth of a part
+        assert left.follows == whole[1].follows == "u"
+        assert left.correlation_time == pytest.approx(whole[1].correlation_time, abs=0.01)
+        assert left.strength == pytest.approx(whole[1].strength, abs=0.02)
+
+
+def test_a_sensor_that_is_silent_for_a_while_is_rated_where_it_speaks():
+    time = np.arange(0.0, 20.0, 0.01)
+    swing = np.sin(2 * np.pi * 0.5 * time)
+    silent = np.where((time > 6) & (time < 14), np.nan, swing)
+    record = Record(time, {"y": silent}, {"y": "m"}, "silent")
+    found = field_metrics(record, Predicted("y", 0.5 * swing), [], {})
+    whole = field_metrics(record.with_signals({"y": swing}), Predicted("y", 0.5 * swing), [], {})
+    assert found.iso18571 == pytest.approx(whole.iso18571, abs=0.02) and found.lag == pytest.approx(0.0, abs=1e-3)

@@ -146,3 +146,29 @@ def test_a_sensor_that_is_silent_for_a_while_is_rated_where_it_speaks():
     found = field_metrics(record, Predicted("y", 0.5 * swing), [], {})
     whole = field_metrics(record.with_signals({"y": swing}), Predicted("y", 0.5 * swing), [], {})
     assert found.iso18571 == pytest.approx(whole.iso18571, abs=0.02) and found.lag == pytest.approx(0.0, abs=1e-3)
+
+
+def settling_of(lost: slice, as_nan: bool) -> float:
+    """Settling of a prediction that takes 0.9 s where 0.3 s were measured, and begins anew behind a hole."""
+    time = np.arange(0.0, 40.0, 0.01)
+    command = np.where((time // 5).astype(int) % 2, 1.0, 0.0)
+    steps = time % 5
+    measured, predicted = (np.abs(1.0 - command - (1 - np.exp(-steps / T))) for T in (0.3, 0.9))
+    hole = np.zeros(len(time), bool)
+    for k in range(8):
+        hole[500 * k + lost.start : 500 * k + lost.stop] = True
+        behind = slice(500 * k + lost.stop, 500 * (k + 1))
+        predicted[behind] = measured[behind]
+    signals = {"u": np.where(hole, np.nan, command), "y": measured}
+    record = Record(time, signals, {"u": "V", "y": "m"}, "settles")
+    predicted = np.where(hole, np.nan, predicted)
+    if not as_nan:
+        record, predicted = record._at(time[~hole], {n: v[~hole] for n, v in signals.items()}), predicted[~hole]
+    return field_metrics(record, Predicted("y", predicted), ["u"], {}).settling
+
+
+@pytest.mark.parametrize("as_nan", [False, True], ids=["rows", "input"])
+def test_who_begins_anew_behind_a_hole_has_not_settled_there(as_nan):
+    """Restarted at what is measured, a slow prediction rests at once: it had settled as soon as the measurement."""
+    assert settling_of(slice(450, 460), as_nan) == pytest.approx(1.7, abs=0.1)  # both have settled before
+    assert np.isnan(settling_of(slice(40, 140), as_nan))  # it is still on its way

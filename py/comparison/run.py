@@ -210,7 +210,8 @@ def _timings(made: Sequence[tuple[Job, Run]]) -> tuple[Timing, ...]:
     groups: dict[tuple[str, str], dict[bool, list[float]]] = {}
     for job, run in made:
         timed = groups.setdefault((job.carried.contender.name, run.mode), {True: [], False: []})
-        duration = max(job.record.duration, np.finfo(float).tiny)
+        parts = unbroken(job.record, job.plan.known)  # nothing is run through holes
+        duration = max(sum(part.duration for part in parts), np.finfo(float).tiny)
         timed[job.repeats is not None] += [s / duration for s in run.seconds]
     return tuple(_timing(key, values[True] or values[False]) for key, values in groups.items())
 

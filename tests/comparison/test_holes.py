@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import Wanted, acceptance, as_contender, compare
+from hydrotwin.comparison import Wanted, acceptance, as_contender, compare, job
 from hydrotwin.comparison.comparison import FREE_RUN
 from hydrotwin.comparison.field import Predicted, field_metrics
 from hydrotwin.comparison.notices import notices
@@ -172,3 +172,12 @@ def test_who_begins_anew_behind_a_hole_has_not_settled_there(as_nan):
     """Restarted at what is measured, a slow prediction rests at once: it had settled as soon as the measurement."""
     assert settling_of(slice(450, 460), as_nan) == pytest.approx(1.7, abs=0.1)  # both have settled before
     assert np.isnan(settling_of(slice(40, 140), as_nan))  # it is still on its way
+
+
+def test_time_that_nobody_ran_through_makes_no_model_faster(monkeypatch):
+    monkeypatch.setattr(job, "_timed", lambda run, part, repeats: (run(part), [part.duration / 10]))
+    whole = recorded(drive(), 1, noise=NOISE)
+    pause = dataclasses.replace(whole, time=whole.time + np.where(whole.time < whole.duration / 2, 0.0, 600.0))
+    for record in (whole, pause):
+        (timing,) = compared(record).timings
+        assert timing.seconds_per_simulated_second == pytest.approx(0.1)

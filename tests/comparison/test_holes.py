@@ -181,3 +181,11 @@ def test_time_that_nobody_ran_through_makes_no_model_faster(monkeypatch):
     for record in (whole, pause):
         (timing,) = compared(record).timings
         assert timing.seconds_per_simulated_second == pytest.approx(0.1)
+
+
+def test_a_criterion_says_what_it_was_not_judged_on():
+    """What follows the first hole is too short to run: that stood in no row, nor in JUnit."""
+    scraps = [(5.0 + k, 5.7 + k) for k in range(5)]
+    found = compared(without(recorded(drive(), 1, noise=NOISE), *scraps, name="run"))
+    (one,) = acceptance(found, Wanted(("position.rmse < 1 m",))).judged
+    assert not one.holes and "not judged on 79 of 330 samples of run, in or between holes" in one.caution

@@ -12,6 +12,8 @@ from hydrotwin.comparison.comparison import FREE_RUN
 from hydrotwin.comparison.field import Predicted, field_metrics
 from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.residual import explain
+from hydrotwin.comparison.starts import Started
+from hydrotwin.identification.beginning import StartEstimate
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record, noise_floor
 from tests.identification.drive import drive, recorded
@@ -189,3 +191,9 @@ def test_a_criterion_says_what_it_was_not_judged_on():
     found = compared(without(recorded(drive(), 1, noise=NOISE), *scraps, name="run"))
     (one,) = acceptance(found, Wanted(("position.rmse < 1 m",))).judged
     assert not one.holes and "not judged on 79 of 330 samples of run, in or between holes" in one.caution
+
+
+def test_a_run_that_cannot_be_told_where_it_goes_on_says_that_it_begins_there():
+    note = StartEstimate("run (part 2)", note="no output is recorded.")
+    assert "run (part 2) starts as without an estimate, as if it began there" in str(Started("m", note, "run"))
+    assert "as if it began there" not in str(Started("m", dataclasses.replace(note, record="run"), "run"))

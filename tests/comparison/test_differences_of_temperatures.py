@@ -11,6 +11,7 @@ from hydrotwin.comparison import compare
 from hydrotwin.comparison.comparison import FREE_RUN
 from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.identification import identify
+from hydrotwin.learned import learn
 from hydrotwin.models.language import Component, Input, Model, Output, Parameter
 from hydrotwin.models.language.errors import UnitError
 from hydrotwin.models.language.flat import Signal
@@ -86,3 +87,20 @@ def test_a_column_is_no_difference_to_one_and_a_temperature_to_another(shown):
 def test_a_temperature_stays_one():
     record = Record([0.0, 1.0], {"room": [293.15, 294.15]}, {"room": "K"}, display_units={"room": "degC"})
     assert as_needed(record, [ROOM, RISE]) is record
+
+
+def test_a_learned_block_is_judged_by_the_difference_that_it_learned():
+    """Its card had held runs in K against a column from 273 K on."""
+
+    def walk(seed):
+        rng = np.random.default_rng(seed)
+        drop = rng.uniform(5, 20, 60).repeat(10)
+        rise = 0.5 * drop + rng.normal(0, 0.01, len(drop))
+        signals = {"drop": drop + 273.15, "rise": rise + 273.15}
+        units = {"drop": "K", "rise": "K"}
+        return Record(0.1 * np.arange(600), signals, units, f"walk_{seed}", display_units=dict.fromkeys(units, "degC"))
+
+    drop = dataclasses.replace(RISE, name="drop")
+    block = learn("arx", [walk(0), walk(1)], [drop], [RISE], validate=[walk(2)])
+    (card,) = block.provenance["free_run"]["outputs"].values()
+    assert card["rmse"] < 0.1 and block.provenance["validation"]["rise"] < 0.1
